@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from tests.core.campaigns import measured
-from tests.core.truth import Floats
+from tests.core.truth import Arm, Floats
 from tests.mix_ups.arms import BUILDS, Pair, some_pair
 
 SEES = ("position", "pose", "markers")
@@ -28,8 +29,10 @@ class Genuine:
     kind: str
 
 
-def genuine(seed: int, build: str | None = None, moving: int | None = None, see: str | None = None) -> Genuine:
-    """A campaign; ``moving`` joints next to each other move, the others stay somewhere."""
+def genuine(
+    seed: int, build: str | None = None, moving: int | None = None, see: str | None = None, worn: bool = False
+) -> Genuine:
+    """A campaign; ``moving`` joints next to each other move, the others stay somewhere. ``worn``: as arms in use are."""
     rng = np.random.default_rng(seed)
     build = build or list(BUILDS)[seed % len(BUILDS)]
     pair = some_pair(build, rng)
@@ -45,8 +48,49 @@ def genuine(seed: int, build: str | None = None, moving: int | None = None, see:
     if rng.random() < 0.3:
         q = np.repeat(q, 3, axis=0)
     noise = float(rng.choice([1e-5, 5e-5, 2e-4]))
-    rows = measured(pair.true, q, rng, noise, see)
-    return Genuine(robot_from_document(pair.drawn.document()), rows, pair, f"{build}, {moving or 'all'} move, {see}")
+    robot = robot_from_document(pair.drawn.document())
+    rows = _worn(pair, q, rng, noise, see) if worn else measured(pair.true, q, rng, noise, see)
+    state = ", worn" if worn else ""
+    return Genuine(robot, rows, pair, f"{build}, {moving or 'all'} move, {see}{state}")
+
+
+def _worn(pair: Pair, q: Floats, rng: np.random.Generator, noise: float, see: str) -> Observations:
+    """A joint mastered up to 15 degrees wrong, joints that give under a load and tilt with it, sessions of one set-up."""
+    n = pair.drawn.n
+    turns = np.array([next(s for s in pair.true.moving if s.joint == j).axis[0] == "r" for j in range(n)])
+    off = np.zeros(n)
+    if rng.random() < 0.7:
+        j = int(rng.integers(n))
+        off[j] = np.radians(rng.uniform(-15.0, 15.0)) if turns[j] else rng.uniform(-0.05, 0.05)
+    kg = rng.choice([0.0, 5.0], len(q)) if rng.random() < 0.5 else np.full(len(q), 5.0)
+    axes, places = _joint_axes(pair.true, q + off)
+    lever = pair.true.poses(q + off)[0] - places
+    moment = np.cross(lever, [0.0, 0.0, -9.81]) * kg[:, None]  # (n, N, 3)
+    about = np.einsum("jnk,jnk->jn", moment, axes)
+    gives = 10.0 ** rng.uniform(-7.0, -4.5, n) * turns  # rad per N m
+    across = moment - about[:, :, None] * axes
+    size = np.linalg.norm(across, axis=2)[:, :, None]
+    tilt = 10.0 ** rng.uniform(-5.0, -3.3, n)[:, None, None] * np.tanh(size / 2.0) * across / np.maximum(size, 1e-9)
+    shift = np.cross(tilt, lever).sum(axis=0)
+    rows = measured(pair.true, q + off + (gives[:, None] * about).T, rng, noise, see)
+    session = np.repeat([0, 1], [len(q) // 2, len(q) - len(q) // 2]) if rng.random() < 0.4 else None
+    moved = (
+        {"markers": rows.markers + shift[:, None]} if rows.markers is not None else {"position": rows.position + shift}
+    )
+    return replace(rows, q=q, session=session, payload_kg=kg if rng.random() < 0.5 else None, **moved)
+
+
+def _joint_axes(arm: Arm, q: Floats) -> tuple[Floats, Floats]:
+    """Axes and places (n, N, 3) of the joints, by Pinocchio."""
+    model, _ = arm.pinocchio()
+    data = model.createData()
+    axes, places = np.empty((arm.n, len(q), 3)), np.empty((arm.n, len(q), 3))
+    for k, row in enumerate(q):
+        pin.forwardKinematics(model, data, arm.motors(row))
+        for m, step in enumerate(arm.moving):
+            axes[step.joint, k] = data.oMi[m + 1].rotation[:, "xyz".index(step.axis[1])]
+            places[step.joint, k] = data.oMi[m + 1].translation
+    return axes, places
 
 
 def _units(robot: Robot) -> Floats:

@@ -31,6 +31,11 @@ def of_few_joints(seed: int) -> int | None:
     return None if seed % FEW else 2 + (seed // FEW) % 2
 
 
+def is_worn(seed: int) -> bool:
+    """Every second pair of genuine campaigns: a zero up to 15 degrees off, compliance, tilt, loads and sessions."""
+    return bool(seed // 2 % 2)
+
+
 def bounds(k: int, n: int) -> tuple[float, float]:
     """95 % bounds of Clopper and Pearson."""
     low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
@@ -46,13 +51,14 @@ def main() -> None:
     given = asked.parse_args()
     accused = []
     for seed in range(given.seed, given.seed + given.genuine):
-        g = genuine(seed, moving=of_few_joints(seed))
+        g = genuine(seed, moving=of_few_joints(seed), worn=is_worn(seed))
         text = said(g)
         if text:
             accused.append(seed)
             print(f"accused: {seed} ({g.kind}): {text}")
     few = sum(of_few_joints(s) is not None for s in range(given.seed, given.seed + given.genuine))
-    print(f"genuine campaigns accused: {len(accused)} of {given.genuine} ({few} with two or three moving joints), "
+    worn = sum(is_worn(s) for s in range(given.seed, given.seed + given.genuine))
+    print(f"genuine campaigns accused: {len(accused)} of {given.genuine} ({few} with two or three moving joints, {worn} worn), "
           f"95 % bounds {bounds(len(accused), given.genuine)}")  # fmt: skip
     found, count = Counter[str](), 0
     for round_ in range(given.rounds):

@@ -20,7 +20,7 @@ from kilter_core.identify.plausibility.believable import believable
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
 from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
 from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
-from kilter_core.identify.plausibility.unrelated import unrelated
+from kilter_core.identify.plausibility.unrelated import mastered_otherwise, unrelated
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import equal_markers
 from kilter_core.model import Calibration
@@ -65,7 +65,7 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
     if len(sample) < FEWEST:
         return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
-    if found is not None:
+    if found is not None and not mastered_otherwise(sample, ALIKE * found.after):
         _refuse(found.sentences, found.remedies, _mm(found.before), _mm(found.after), "mm")
     _refuse_unrelated(sample)
     if sample.rotations is None or _far(sample):

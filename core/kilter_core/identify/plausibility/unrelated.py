@@ -17,6 +17,7 @@ OF_REACH = 0.1  # more than this is left by no arm that is the one described
 MOVED_M = 0.02  # rms distance of points and flange from their middle, below which nothing is told
 STEPS = 8
 DIFFERENCE_RAD = 1e-5
+FARTHEST_RAD, FARTHEST_M = np.radians(30.0), 0.1  # by which a zero is off that was mastered, badly
 EXPLAINED = 0.2  # share of the residual that joint zeros may leave and still explain it
 
 
@@ -39,7 +40,7 @@ def unrelated(sample: Sample) -> Unrelated | None:
     left, shuffled = sample.placed.size, _shuffled(sample)
     if left <= SHARE * shuffled and left <= OF_REACH * reach(sample.begin.robot):
         return None
-    if _with_zeros(sample) < EXPLAINED * left:
+    if with_zeros(sample).placed.size < EXPLAINED * left:
         return None
     return Unrelated(left, shuffled)
 
@@ -50,15 +51,27 @@ def _shuffled(sample: Sample) -> float:
                             for _ in range(SHUFFLES)]))  # fmt: skip
 
 
-def _with_zeros(sample: Sample) -> float:
-    """Rms m that is left when the zeros of the joints are fitted too, from where they are."""
+def mastered_otherwise(sample: Sample, left: float) -> bool:
+    """Whether other zeros of the joints leave no more than ``left`` m: then the arm was mastered wrong, and nothing mixed up.
+
+    A reading in which a joint hardly moves lets the tool take up the zero of the joint before it, so a wrong zero may look
+    like another unit.
+    """
+    found = with_zeros(sample)
+    moved = np.abs(found.q[0] - sample.q[0])
+    turns = np.array([joint.kind == "revolute" for joint in sample.begin.robot.joints])
+    return found.placed.size <= left and bool(np.all(moved <= np.where(turns, FARTHEST_RAD, FARTHEST_M)))
+
+
+def with_zeros(sample: Sample) -> Sample:
+    """The sample with the zeros of the joints fitted too, from where they are."""
     now = sample
     for _ in range(STEPS):
         changed = _zeroed(now)
         if changed.placed.size >= 0.999 * now.placed.size:
             break
         now = changed
-    return now.placed.size
+    return now
 
 
 def _zeroed(sample: Sample) -> Sample:
