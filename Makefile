@@ -21,8 +21,8 @@ $(READY): pyproject.toml core/pyproject.toml clients/files/pyproject.toml client
 	sh tools/make_environment.sh "$(PYTHON)"
 	touch $@
 
-$(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/corrector/fast_path.py
-	$(BIN)/python -m tools.compile_kernels
+$(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/corrector/fast_path.py service/kilter_service/compiling.py
+	$(BIN)/kilterd compile
 	touch $@
 
 demo: $(KERNELS) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints

@@ -21,6 +21,7 @@ from kilter_service.signing import command
 from kilter_service.version import code_version
 from kilter_service.zenoh_config import command as zenoh_command
 
+ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder
 TRACED = frozenset({"api", "worker"})
 USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged", "jobs_taken"})
 Command = Callable[[Settings, argparse.Namespace], None]
@@ -139,6 +140,13 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     verify(settings, arguments)
 
 
+def compile_kernels(_: Settings, __: argparse.Namespace) -> None:
+    """Compile the numeric kernels once, for every process of this installation; nothing else is touched."""
+    from kilter_service.compiling import compile_kernels
+
+    compile_kernels()
+
+
 def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
     """Show or rotate the secret from which the keys of the stream are derived."""
     command.run(settings, arguments)
@@ -163,6 +171,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
     "verify": (verify, "kilterd verify"),
     "doctor": (doctor, "kilterd doctor --json"),
+    "compile": (compile_kernels, "sudo /opt/kilter/bin/kilterd compile"),
 }
 PATHS = {
     "backup": ("PATH", None, "file to write, or a folder, where it is named after the time"),
@@ -214,7 +223,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     overrides = {name: getattr(given, name, None) for name in ("data", "database_url", "host", "port")}
     try:
         settings = Settings(**{name: value for name, value in overrides.items() if value is not None})
-        if given.command != "doctor":  # which says what it finds, and changes nothing
+        if given.command not in ASIDE:
             protect(settings.data, DATABASE_FILE, JOBS_FILE)
         logs.configure(settings, given.command)
         if given.command in TRACED:

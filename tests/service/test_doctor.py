@@ -95,3 +95,27 @@ def test_a_database_that_is_away_and_configurations(prepared: Settings, tmp_path
     assert "is not a zenoh configuration" in wrong(prepared.model_copy(update={"zenoh_config": bad}))["zenoh config"]
     gone = prepared.model_copy(update={"zenoh_config": tmp_path / "gone"})
     assert "does not exist: correct KILTER_ZENOH_CONFIG" in wrong(gone)["zenoh config"]
+
+
+def test_kernels_are_compiled_by_a_command_that_touches_nothing_else(tmp_path: Path) -> None:
+    environment = os.environ | {"KILTER_DATA": str(tmp_path / "data")}
+    done = subprocess.run(
+        [sys.executable, "-m", "kilter_service", "compile"],
+        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=280, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Kernels are compiled" in done.stdout
+    assert not (tmp_path / "data").exists()
+    assert checks.kernels(Settings(data=tmp_path / "data")) == (True, "compiled")
+
+
+def test_kernels_of_another_release_do_not_count(tmp_path: Path) -> None:
+    code = (
+        "from kilter_core.arm.kernels import compiled; compiled._sources = lambda: b'other'\n"
+        "from kilter_service.doctor import checks; print(checks.kernels(None))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=True
+    )
+    assert "not compiled yet" in done.stdout
+    assert "`kilterd compile` compiles them before" in done.stdout

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, KernelCache, compiled
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.kernels.layout import COLUMNS
 from kilter_core.correct.kernels.stream import correct_setpoint
@@ -139,6 +139,12 @@ def _compiled() -> Any:
 
 
 _answer = _compiled()
+
+
+def kept() -> bool:
+    """Whether the fast path of these sources lies compiled on this machine; nothing is compiled to find out."""
+    place = getattr(_answer, "_cache", None)
+    return isinstance(place, KernelCache) and place.kept
 
 
 @cache

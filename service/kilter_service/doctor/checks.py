@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 from kilter_service.db import Database, revision
 from kilter_service.db.failures import in_words
@@ -157,12 +156,11 @@ def zenoh_config(settings: Settings) -> tuple[bool, str]:
 
 
 def kernels(_: Settings) -> tuple[bool, str]:
-    """The kernels are compiled."""
-    from kilter_core.arm.kernels import compiled
+    """The kernels of this release are compiled."""
+    from kilter_service.corrector.fast_path import kept
 
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(compiled.__file__).parent)
-    if not any(folder.rglob("*.nbc")) and not any(Path(compiled.__file__).parents[2].rglob("*.nbc")):
-        return _wrong("not compiled yet: the first start takes a minute or two. `make setup` compiles them before")
+    if not kept():
+        return _wrong("not compiled yet: the first start takes a minute or two. `kilterd compile` compiles them before")
     return _ok("compiled")
 
 

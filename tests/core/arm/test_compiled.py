@@ -107,6 +107,16 @@ def test_a_folder_named_by_the_user_is_taken(tree: Tree) -> None:
     assert not (tree.kernels / "__pycache__").exists()
 
 
+def test_what_lies_beside_the_sources_is_used_wherever_else_new_files_go(tree: Tree) -> None:
+    """As an administrator compiles for services that may not write into the program's folder."""
+    tree.use()
+    place = tree.root / "place"
+    assert tree.use(NUMBA_CACHE_DIR=str(place)) == (["20", "1"], "")
+    assert not tree.kept(place)
+    assert tree.use("1.5", NUMBA_CACHE_DIR=str(place)) == (["30.0", "0"], "")
+    assert len(tree.kept(place)) == 2
+
+
 def test_a_package_that_is_read_only_uses_the_cache_of_the_user(tree: Tree) -> None:
     tree.close_the_package()
     assert tree.use() == (["20", "0"], "")
@@ -123,6 +133,17 @@ def test_without_any_place_kernels_are_compiled_each_time_and_the_remedy_is_name
         assert out == ["20", "0"]
         assert warning.count("Set NUMBA_CACHE_DIR to a folder that is.") == 1
     assert not tree.kept()
+
+
+def test_without_any_place_to_write_what_lies_beside_the_sources_serves(tree: Tree) -> None:
+    tree.use()
+    nowhere = (
+        "from numba.core.caching import FunctionCache as cache; kind = cache._impl_class; "
+        "cache._impl_class = type('Nowhere', (kind,), {'_locator_classes': []})"
+    )
+    process = tree.start(nowhere + USE.format("1"))
+    out, err = process.communicate()
+    assert (process.returncode, out.split()) == (0, ["20", "1"]), err
 
 
 def test_processes_that_start_at_once_do_not_mix_what_they_compile(tree: Tree) -> None:

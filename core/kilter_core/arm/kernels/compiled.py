@@ -4,7 +4,8 @@ numba keeps what it compiled until the file of the function changes. It does not
 file that this one calls, and goes on with the old one. Here the folder is named after a digest of every kernel source
 and of the function's own file, so a change of any of them compiles anew, and folders of older digests are removed.
 The folder lies where numba would keep its files: in NUMBA_CACHE_DIR where that is set, else in ``__pycache__`` beside
-the source, else, where that is not writable, in the user's cache. Nothing is compiled, looked for or made at import.
+the source, else, where that is not writable, in the user's cache. What lies beside the source is read wherever else new
+files go: an administrator compiles once for every user. Nothing is compiled, looked for or made at import.
 """
 
 from __future__ import annotations
@@ -117,26 +118,37 @@ class KernelCache(FunctionCache):
     def _stem(self) -> str:
         return str(self._py_func.__qualname__).replace("<locals>.", "")
 
-    def _file(self, signature: Any, codegen: Any) -> Path | None:
-        """Where the form for a signature is kept: named after the types, the processor and the versions."""
+    @property
+    def _beside(self) -> Path:
+        return Path(self._source).parent / "__pycache__" / self._folder_name
+
+    @property
+    def kept(self) -> bool:
+        """Whether a form of the function, of today's sources, lies where it is looked for."""
+        return any(any(folder.glob(f"{self._stem}-*.nbc")) for folder in (self._folder, self._beside) if folder)
+
+    def _name_of(self, signature: Any, codegen: Any) -> str:
+        """Name of the file of a signature: after the types, the processor and the versions."""
         types, *rest = self._index_key(signature, codegen)
         key = repr((numba.__version__, sys.version_info[:2], str(types), *rest))
-        name = f"{self._stem}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.nbc"
-        return None if self._folder is None else self._folder / name
+        return f"{self._stem}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.nbc"
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        file = self._file(sig, target_context.codegen()) if self._enabled else None
-        try:
-            # Written here, by this user, in a folder that only this user writes: what a .pyc file is for Python.
-            kept = None if file is None else pickle.loads(file.read_bytes())  # noqa: S301
-        except (OSError, EOFError, pickle.UnpicklingError):  # not there yet, or a machine that went down while it wrote
-            return None
-        return None if kept is None else self._impl.rebuild(target_context, kept)
+        name = self._name_of(sig, target_context.codegen())
+        for folder in (self._folder, self._beside) if self._enabled else ():
+            # Written by this user, or by whoever wrote the sources, where nobody else writes: what a .pyc is for Python.
+            # Not there yet, or a machine went down while it wrote: then the next place, or compiled anew.
+            with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
+                if folder is not None:
+                    kept = pickle.loads((folder / name).read_bytes())  # noqa: S301
+                    # Not of the instance: that needs a folder to write in.
+                    return self._impl_class.rebuild(self, target_context, kept)  # type: ignore[no-untyped-call,arg-type]
+        return None
 
     def _save_overload(self, sig: Any, data: Any) -> None:
-        file = self._file(sig, data.codegen) if self._enabled else None
-        if file is None or not self._impl.check_cachable(data):
+        if not self._enabled or self._folder is None or not self._impl.check_cachable(data):
             return
+        file = self._folder / self._name_of(sig, data.codegen)
         with contextlib.suppress(OSError):  # a full disk: the function works all the same
             _write(file, serialize.dumps(self._impl.reduce(data)))  # type: ignore[no-untyped-call]
             _remove_older(file.parent)

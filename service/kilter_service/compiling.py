@@ -1,4 +1,4 @@
-"""Compile every kernel and keep it, so that the first server, test, job or demo does not wait for it."""
+"""Compiles every kernel and keeps it, so that the first server, test, job or demo does not wait for it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EFFECTS = (
 )
 
 
-def main() -> None:
+def compile_kernels() -> None:
     """Use each kernel once: the calls decide the types it is compiled for."""
     start = time.monotonic()
     print("Compiling the kernels: a minute or two, once after each change of them.", flush=True)
@@ -40,7 +40,3 @@ def main() -> None:
     loaded = replace(seen, payload_kg=np.linspace(0.0, 0.5, len(seen)))
     identify(twin.robot, loaded, None, IdentifyOptions(level=3, base="fixed", tool="fixed", effects=EFFECTS))
     print(f"Kernels are compiled ({time.monotonic() - start:.0f} s).", flush=True)
-
-
-if __name__ == "__main__":
-    main()
