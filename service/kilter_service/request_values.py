@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 from typing import Any
 
 from fastapi import Request
@@ -28,6 +29,20 @@ def check_address(request: Request) -> None:
         refuse(str(value), f"path.{name}", ANY)
     for name, value in request.query_params.multi_items():
         refuse(value, f"query.{name}", LINE if name == "name" else ANY)
+
+
+def check_names(request: Request, known: frozenset[str]) -> None:
+    """Look at the names of the parameters in a request's address: one that is misspelt would have no effect.
+
+    Raises:
+        ServiceError: one is not in ``known``.
+
+    """
+    for name in request.query_params:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            meant = f"; did you mean {near[0]}?" if near else f"; it takes {', '.join(sorted(known)) or 'none'}."
+            raise invalid(f"query.{name}", f"is not a parameter of this address{meant}".rstrip("."))
 
 
 def check_document(document: Any) -> None:

@@ -7,12 +7,14 @@ from typing import Any
 
 from fastapi import Request, Response
 from fastapi.concurrency import run_in_threadpool
+from fastapi.dependencies.utils import get_flat_params
 from fastapi.exceptions import RequestValidationError
+from fastapi.params import Query
 from fastapi.routing import APIRoute
 
 from kilter_service.auth.access import admit
 from kilter_service.bodies import is_json, parsed, read_document
-from kilter_service.request_values import check_address
+from kilter_service.request_values import check_address, check_names
 from kilter_service.slots import in_turn, slots_of
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -29,10 +31,17 @@ class GuardedRoute(APIRoute):
         """Return what answers a request."""
         answer: Handler = super().get_route_handler()
         takes_file = "requestBody" in (self.openapi_extra or {})
+        # Views of the page are opened with whatever other sites append to a link; they pass over what they do not know.
+        strict = self.path.startswith("/v1/")
+        known = frozenset(
+            field.alias for field in get_flat_params(self.dependant) if isinstance(field.field_info, Query)
+        )
 
         async def handle(request: Request) -> Response:
             check_address(request)  # before the database sees what is in it
             request.state.rule = await admit(request, self.path)
+            if strict:
+                check_names(request, known)
             if takes_file:
                 with slots_of(request).files.entered():
                     return await answer(request)

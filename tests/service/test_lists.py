@@ -137,9 +137,12 @@ def test_longer_lists_ask_the_database_no_more_often(client: httpx.Client, datab
         client.post("/v1/tokens", json={"name": name, "role": "viewer"}).raise_for_status()
         for address in ("/", *(f"/v1/{each}" for each in LISTS)):
             client.get(address).raise_for_status()
-            with statements() as said:
-                client.get(address).raise_for_status()
-            asked.setdefault(address, []).append(len(said))
+            counts = []
+            for _ in range(2):  # what the server asks by itself, now and then, may fall into one of them
+                with statements() as said:
+                    client.get(address).raise_for_status()
+                counts.append(len(said))
+            asked.setdefault(address, []).append(min(counts))
     assert all(len(set(counts)) == 1 for counts in asked.values()), asked
 
 

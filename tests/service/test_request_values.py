@@ -89,3 +89,15 @@ def test_a_cursor_holds_no_such_text_either(shared_client: httpx.Client, key: li
     after = base64.urlsafe_b64encode(json.dumps(key).encode()).decode().rstrip("=")
     for address in ("/v1/robots", "/v1/jobs", "/v1/tombstones"):
         refused(shared_client.get(address, params={"after": after}), "not a cursor")
+
+
+def test_a_parameter_that_no_address_has_is_refused_with_what_was_meant(
+    shared_client: httpx.Client, robot: str
+) -> None:
+    """Misspelt, it had no effect: a path was corrected by the active version instead of the one that was asked for."""
+    answer = shared_client.get("/v1/jobs?limt=3")
+    refused(answer, "query.limt is not a parameter of this address; did you mean limit?")
+    rows = {f"q{j + 1}_deg": [0.0] for j in range(6)}
+    refused(shared_client.post(f"/v1/robots/{robot}/correct?versoin=ver_1", json=rows), "did you mean version?")
+    refused(shared_client.get("/v1/health/live?x=1"), "query.x is not a parameter of this address; it takes none.")
+    assert shared_client.get(f"/robots/{robot}?from=newsletter").status_code == 200
