@@ -53,6 +53,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "mesh_not_found": (404, "The link has no mesh"),
     "binding_refused": (400, "This address may not be listened on"),
     "token_file_open": (400, "The token file can be read by others"),
+    "sessions_not_ended": (500, "The token is revoked, its sessions of streams are not"),
     "stream_keys_damaged": (500, "The file of the stream's secret is damaged"),
     "method_not_allowed": (405, "This address does not take that method"),
     "robot_exists": (409, "The robot's name is taken"),

@@ -96,6 +96,33 @@ def test_a_session_whose_secret_is_gone_is_followed_by_another(
         assert session_of(stream).master != first.master
 
 
+def test_of_a_session_that_is_revoked_no_frame_is_taken_any_more(
+    corrector: Corrector, kilterd: Callable[[list[str]], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = corrector.file.parent / "stream-keys.json"
+    given = on_this_machine(file, "test", ROBOT, "revoked")
+    assert given is not None
+    with (
+        open_stream(corrector, "revoked", session=given, signed=True) as stream,
+        open_stream(corrector, "kept", signed=True) as kept,
+    ):
+        # As a controller that was given its session by hand: it can ask for no other.
+        monkeypatch.setattr(stream._sessions, "next", lambda: None)
+        flows(stream, lambda: True)
+        flows(kept, lambda: True)
+        kilterd(["stream-keys", "--data", str(file.parent), "--revoke", given.id.hex()])
+        corrector.poll()  # as every quarter of a second
+        until(lambda: stream.correct(Q).source != "corrected", 1.0)
+        assert "corrected" not in {stream.correct(Q).source for _ in range(20)}
+        flows(kept, lambda: True)
+        # Nor is one where the process of the stream starts anew and knows no session yet.
+        os.kill(corrector._children["stream"].pid or 0, signal.SIGKILL)
+        until(lambda: not corrector._children["stream"].alive)
+        corrector.poll()
+        until(lambda: kept.correct(Q).source == "corrected", 30.0)
+        assert "corrected" not in {stream.correct(Q).source for _ in range(3)}  # each waits for an answer in vain
+
+
 @pytest.mark.parametrize("jump_s", [YEAR_S, -YEAR_S, 3600.0, -3600.0])
 def test_a_controller_whose_clock_jumps_goes_on(
     corrector: Corrector, monkeypatch: pytest.MonkeyPatch, jump_s: float

@@ -288,3 +288,17 @@ def test_no_attacked_answer_or_document_is_accepted(count: int) -> None:
         accepted += signer.replied(other, address, reply if k % 2 else sealer.damaged(reply, rng)) is not None
     assert accepted == 0
     print(f"{count} attacked answers and documents: {accepted} accepted")
+
+
+def test_a_session_that_is_revoked_while_it_is_admitted_is_not_taken(active: Active) -> None:
+    controller = Controller(active).began()
+    controller.gate.masters = controller.gate.masters.without([controller.session])
+    controller.guard.follow()
+    assert controller.status(controller.frame()) == Status.SESSION_EXPIRED
+    late = Controller(active)
+    late.greet()
+    admitted = late.gate.admit(ADDRESS, late.frame(Flag.RESET | Flag.SETTLED), b"", late.guard._secret)
+    assert isinstance(admitted, Admitted)
+    late.gate.masters = late.gate.masters.without([late.session])
+    late.guard.adopt(admitted)
+    assert late.status(late.frame(Flag.RESET | Flag.SETTLED)) == Status.SESSION_EXPIRED

@@ -8,6 +8,7 @@ import stat
 import subprocess
 import time
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 import httpx
@@ -16,7 +17,7 @@ import pytest
 from kilter_client.signing import from_document, on_this_machine
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
-from kilter_service.signing.masters import masters_in
+from kilter_service.signing.masters import changed, masters_in
 from tests.corrector import sealer
 
 PRESET = {"name": "arm", "convention": "preset", "preset": "katana450-chapter4"}
@@ -107,3 +108,58 @@ def test_the_secrets_that_the_how_to_saves_come_back(tmp_path: Path) -> None:
     assert masters_in(tmp_path / "restored" / "stream-keys.json", make=False) == masters
     assert (tmp_path / "restored" / "token").read_text() == "secret"
     assert (tmp_path / "etc" / "zenoh" / "authority" / "key.pem").read_text() == "key"
+
+
+def opened(client: httpx.Client, token: str, lifetime_h: float = 24.0) -> httpx.Response:
+    body, headers = {"stream": "main", "lifetime_h": lifetime_h}, {"Authorization": f"Bearer {token}"}
+    return client.post("/v1/robots/arm/stream/sessions", json=body, headers=headers)
+
+
+def made(client: httpx.Client, name: str, days: int = 1) -> tuple[str, str]:
+    found = client.post("/v1/tokens", json={"name": name, "role": "operator", "days": days}).raise_for_status().json()
+    return found["id"], found["token"]
+
+
+def test_who_asked_for_a_session_is_in_the_audit_and_its_key_is_not(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=PRESET)
+    token_id, token = made(client, "line-1")
+    session = opened(client, token).raise_for_status().json()
+    entry = client.get("/v1/audit").json()["entries"][-1]
+    assert (entry["actor"], entry["token_id"]) == ("line-1", token_id)
+    assert session["session"] in json.dumps(entry)
+    assert session["key"] not in client.get("/v1/audit").text
+
+
+def test_a_session_ends_with_its_token(client: httpx.Client, settings: Settings) -> None:
+    client.post("/v1/robots", json=PRESET)
+    (ends_id, ends), (_, stays) = made(client, "ends"), made(client, "stays")
+    longest = opened(client, ends, lifetime_h=168.0).json()
+    expires = next(one["expires_at"] for one in client.get("/v1/tokens").json()["tokens"] if one["id"] == ends_id)
+    assert from_document(longest).expires_s <= datetime.fromisoformat(expires).timestamp()
+    more, other = opened(client, ends).json(), opened(client, stays).json()
+    client.delete(f"/v1/tokens/{ends_id}").raise_for_status()
+    known = masters_in(settings.stream_keys_file)
+    for document, held in ((longest, False), (more, False), (other, True)):
+        session = from_document(document)
+        assert (known.key_of(session.id, "local", "arm", "main") is not None) == held
+    assert opened(client, ends).json()["code"] == "token_ended"
+    # The secret is rotated: what was revoked stays so.
+    changed(settings.stream_keys_file, lambda now: now.rotated(3600.0))
+    assert masters_in(settings.stream_keys_file).revoked == known.revoked
+
+
+def test_secrets_that_cannot_be_written_are_said_with_the_remedy(client: httpx.Client, settings: Settings) -> None:
+    client.post("/v1/robots", json=PRESET)
+    token_id, token = made(client, "ends")
+    session = opened(client, token).json()["session"]
+    file = settings.stream_keys_file
+    lock = file.with_name(f"{file.name}.lock")
+    lock.unlink(missing_ok=True)
+    lock.mkdir()  # whoever runs the tests may write everywhere, but into no folder as if it were a file
+    refused = client.delete(f"/v1/tokens/{token_id}")
+    assert (refused.status_code, refused.json()["code"]) == (500, "sessions_not_ended")
+    assert f"kilterd stream-keys --revoke {session}" in refused.json()["detail"]
+    assert opened(client, token).json()["code"] == "token_ended"
+    lock.rmdir()
+    client.delete(f"/v1/tokens/{token_id}").raise_for_status()  # sent again, it is done
+    assert bytes.fromhex(session) in masters_in(file).revoked

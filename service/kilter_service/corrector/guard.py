@@ -43,6 +43,12 @@ class Guard:
         self._setpoints, self._answers = sealed.hasher(key, sealed.SETPOINT), sealed.hasher(key, sealed.ANSWER)
         self._highest = -1
         self._secret = os.urandom(sealed.NONCE_BYTES)  # the key in use before will never be given again
+        self.follow()  # the secrets may have changed since it was admitted, in another thread
+
+    def follow(self) -> None:
+        """Take no more frames of the session in use where it was revoked."""
+        if self._session in self._gate.masters.revoked:
+            self._ends_ns = 0
 
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
         """Bytes to publish for what arrived, or None: no answer."""

@@ -215,6 +215,8 @@ class HousekeepingThread(threading.Thread):
             self._use(rest[0])
         elif message == "masters":
             self._loop.gate.masters = rest[0]
+            for served in self._loop.slots.served.values():
+                served.guard.follow()
         elif message == "drop":
             self._drop(rest[0])
         return bool(message != "stop")

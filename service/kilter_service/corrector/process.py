@@ -163,7 +163,7 @@ class Corrector:
         if masters != self._masters:
             self._masters = masters
             self._send_all("masters", masters)
-            log.info("the stream uses a new master secret; %d are valid", len(masters.all))
+            log.info("secrets of the stream: %d are valid, %d sessions revoked", len(masters.all), len(masters.revoked))
 
     def _look(self) -> None:
         """Take over what was activated."""

@@ -6,11 +6,13 @@ its restart and an outage of the API. After a rotation the secret before it is v
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import secrets
 import stat
 import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from hmac import compare_digest
 from pathlib import Path
@@ -43,9 +45,10 @@ class Master:
 
 @dataclass(frozen=True)
 class Masters:
-    """The secret in use, which is the last one, and those before it that are still valid."""
+    """The secret in use, which is the last one, those before it that are still valid, and sessions that were revoked."""
 
     all: tuple[Master, ...]
+    revoked: frozenset[bytes] = frozenset()
 
     def find(self, number: int) -> Master | None:
         """The valid secret of this number."""
@@ -58,7 +61,9 @@ class Masters:
         return Session(self.all[-1].number, expires, secrets.randbits(64)).encode()
 
     def key_of(self, session: bytes, site: str, robot: str, stream: str) -> bytes | None:
-        """Key of a session; None when its secret is not known here, or no longer valid."""
+        """Key of a session; None when it was revoked, or its secret is not known here, or no longer valid."""
+        if session in self.revoked:
+            return None
         master = self.find(Session(*sealed.ID.unpack(session)).master)
         return sealed.session_key(master.secret, session, site, robot, stream) if master else None
 
@@ -90,7 +95,13 @@ class Masters:
         now = time.time()
         kept = [master for master in self.all if master.valid(now)]
         kept[-1] = Master(kept[-1].secret, now + overlap_s)
-        return Masters((*kept, new_master()))
+        return Masters((*kept, new_master()), self.revoked)
+
+    def without(self, sessions: Iterable[bytes]) -> Masters:
+        """With these sessions revoked too; those that have ended by themselves are forgotten."""
+        now = time.time()
+        named = {*self.revoked, *sessions}
+        return Masters(self.all, frozenset(one for one in named if Session(*sealed.ID.unpack(one)).expires_s > now))
 
 
 def new_master() -> Master:
@@ -115,11 +126,14 @@ def masters_in(file: Path, make: bool = True) -> Masters:
             path=str(file),
         )
     try:
-        rows = json.loads(file.read_text(encoding="ascii"))["keys"]
-        masters = Masters(tuple(Master(bytes.fromhex(row["secret"]), row["until"]) for row in rows))
+        document = json.loads(file.read_text(encoding="ascii"))
+        revoked = frozenset(bytes.fromhex(one) for one in document.get("revoked", ()))
+        if any(len(one) != sealed.SESSION_BYTES for one in revoked):
+            raise ValueError("a revoked session without 16 bytes")
+        masters = Masters(tuple(Master(bytes.fromhex(r["secret"]), r["until"]) for r in document["keys"]), revoked)
         if not masters.all or any(len(master.secret) != SECRET_BYTES for master in masters.all):
             raise ValueError("no secret of 32 bytes")
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ServiceError(
             f"{file} is damaged ({error}): restore it from a backup, or delete it: a new one is made at the next "
             "start, and then every controller needs a new session.",
@@ -129,12 +143,21 @@ def masters_in(file: Path, make: bool = True) -> Masters:
     return masters
 
 
+def changed(file: Path, change: Callable[[Masters], Masters]) -> Masters:
+    """Change the secrets of a file, one process after the other, and return what is there now."""
+    with os.fdopen(os.open(file.with_name(f"{file.name}.lock"), os.O_WRONLY | os.O_CREAT, 0o600), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        masters = change(masters_in(file))
+        write(file, masters)
+    return masters
+
+
 def write(file: Path, masters: Masters, replace: bool = True) -> None:
     """Write the secrets (mode 0600). Without ``replace`` a file that is there stays: two processes may start at once."""
     draft = file.with_name(f"{file.name}.{os.getpid()}.{secrets.token_hex(4)}")
     rows = [{"secret": master.secret.hex(), "until": master.until} for master in masters.all]
     with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as out:
-        out.write(json.dumps({"keys": rows}) + "\n")
+        out.write(json.dumps({"keys": rows, "revoked": sorted(one.hex() for one in masters.revoked)}) + "\n")
         out.flush()
         os.fsync(out.fileno())
     if replace:

@@ -8,7 +8,8 @@ from kilter_service.auth.access import Admin, caller_of
 from kilter_service.contract.tokens import Identity, MadeToken, NewToken, Token, TokenList
 from kilter_service.page_query import PageOfList
 from kilter_service.routing import GuardedRoute
-from kilter_service.state import DatabaseOfApp
+from kilter_service.signing.service import end_sessions
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.tokens import service
 
 router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)
@@ -36,6 +37,8 @@ def listed(database: DatabaseOfApp, page: PageOfList) -> TokenList:
 
 
 @router.delete("/tokens/{token}")
-def revoke(token: str, database: DatabaseOfApp, actor: Admin) -> Token:
-    """End a token at once; a repeat changes nothing."""
-    return service.revoke(database, token, actor)
+def revoke(token: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> Token:
+    """End a token at once, and the sessions of streams that it asked for; a repeat changes nothing."""
+    ended = service.revoke(database, token, actor)
+    end_sessions(database, settings, ended.id)
+    return ended

@@ -8,6 +8,7 @@ from datetime import datetime
 
 from sqlalchemy import and_, or_, select
 
+from kilter_service.caller import CALLER
 from kilter_service.contract.tokens import Role
 from kilter_service.db import Session
 from kilter_service.db.tables import TokenRow, now
@@ -82,6 +83,25 @@ def revoke(session: Session, token_id: str, actor: str) -> TokenRecord:
         row.revoked_at, row.revoked_by = now(), actor
         session.flush()
     return _record(row)
+
+
+def left_s(session: Session) -> float:
+    """Return how long the token of the caller holds, s; infinite for the server's own.
+
+    Raises:
+        ServiceError: it has ended since the request was let in.
+
+    """
+    caller = CALLER.get()
+    row = None if caller is None or not caller.token_id else session.get(TokenRow, caller.token_id)
+    if row is None:
+        return float("inf")
+    left = float("inf") if row.expires_at is None else (row.expires_at - now()).total_seconds()
+    if row.revoked_at is not None or left <= 0.0:
+        raise ServiceError(
+            f"Token {row.name!r} has ended: ask an admin for a new one.", code="token_ended", name=row.name
+        )
+    return left
 
 
 def _record(row: TokenRow) -> TokenRecord:
