@@ -211,7 +211,7 @@ def test_correction_over_http_is_that_of_stream_and_query(client: httpx.Client, 
         one.predict(Observations(at)).position for one, at in ((twin.truth, joints(out)), (twin.truth.wanted(), q))
     )
     off_mm = np.linalg.norm(real - wanted, axis=1) * 1e3
-    np.testing.assert_allclose(out["left_mm"], off_mm, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(out["left_mm"], off_mm, rtol=1e-6, atol=3e-4)
     late = off_mm > 0.01  # of this version nothing more is stated
     assert 0 < late.sum() < 25
     assert out["status"] == ["LIMITED" if one else "OK" for one in late]

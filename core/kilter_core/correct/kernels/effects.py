@@ -62,8 +62,9 @@ from kilter_core.correct.kernels.layout import (
 
 # Below this moment a sign would be that of rounding noise.
 NO_MOMENT = 1e-9
-# Beyond this many half-widths a soft sign is one within 1e-5.
-SOFT = 6.1
+# Beyond this many half-widths a soft sign is one within 1e-3, and a difference that counts (rad): a third of a micrometre at
+# a metre. What is said to be left is then evaluated once more.
+SOFT, COUNTS = 3.8, 3e-7
 
 
 @compiled(**FAST)
@@ -124,15 +125,17 @@ def _signs(P, W, j, tilt_soft, play_soft):
 
 
 @compiled(**EXACT)
-def _softened(P, W, j):
-    """Whether a sign of a joint is softer now than the version has it."""
-    if P[j, TILT] != 0.0 and P[j, TILT_SOFT] > P[j, TILT_OWN]:
-        least = min(abs(W[j, MOMENT]), abs(W[j, MOMENT + 1]))
-        if NO_MOMENT < least < SOFT * P[j, TILT_SOFT]:
-            return True
-    if P[j, PLAY] != 0.0 and P[j, PLAY_SOFT] > P[j, PLAY_OWN]:
-        return NO_MOMENT < abs(W[j, MOMENT + 2]) < SOFT * P[j, PLAY_SOFT]
-    return False
+def _softened(P, W, j, a, b, side):
+    """Whether a sign of a joint is softer now than the version has it, by as much as counts."""
+    soft, about = P[j, TILT_SOFT], abs(W[j, MOMENT + 2])
+    near = P[j, TILT] != 0.0 and min(abs(W[j, MOMENT]), abs(W[j, MOMENT + 1])) < SOFT * soft and soft > P[j, TILT_OWN]
+    if not near:
+        soft = P[j, PLAY_SOFT]
+        near = P[j, PLAY] != 0.0 and about < SOFT * soft and soft > P[j, PLAY_OWN]
+    if not near:
+        return False
+    own_a, own_b, own_side = _signs(P, W, j, P[j, TILT_OWN], P[j, PLAY_OWN])
+    return max(max(abs(own_a - a), abs(own_b - b)), abs(own_side - side)) > COUNTS
 
 
 @compiled(**EXACT)
@@ -142,7 +145,7 @@ def sign_effects(P, W, state, n, oj, dt):
     for i in range(n):
         j = oj + i
         a, b, side = _signs(P, W, j, P[j, TILT_SOFT], P[j, PLAY_SOFT])
-        if _softened(P, W, j):
+        if _softened(P, W, j, a, b, side):
             flags |= NEAR_REVERSAL
         if dt < math.inf:
             reach = P[j, RATE] * dt
