@@ -321,10 +321,14 @@ def test_a_document_takes_what_is_said_beside_it_and_refuses_what_belongs_to_a_f
     found = described_document(document, Described(turned=["lift"], follows=["elbow=lift"]))
     moved = [(e["joint"], e.get("ratio", 1.0)) for e in found["elements"] if e.get("joint")]
     assert moved == [("pan", 1.0), ("lift", -1.0), ("lift", 1.0), ("elbow", 1.0)]
+    carried = described_document(document, Described(follows=["elbow = lift : linkage"]))["elements"]
+    assert [(e["joint"], e["drive"]) for e in carried if "drive" in e] == [("lift", "linkage")]
+    assert not any("drive" in e for e in found["elements"])
     assert described_document(document, Described(name="other")) == {**document, "name": "other"}
     for told, says in (
         (Described(follows=["nonsense=zz"]), "There is no joint"),
         (Described(follows=["elbow"]), "is not a pair of joints"),
+        (Described(follows=["elbow=lift:linkages"]), "did you mean 'linkage'"),
         (Described(turned=["lft"]), "did you mean 'lift'"),
         (Described(base_link="base"), "belongs to a .urdf file"),
     ):

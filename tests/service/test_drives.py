@@ -42,6 +42,7 @@ def test_the_check_says_who_carries_the_load(drive: str, words: str) -> None:
     (sentence,) = found.drives
     assert words in sentence
     assert "Axis 3 follows j2" in sentence
+    assert ("counts as moving axis 3" in sentence) == (drive == "controller")
     assert [axis.drive for axis in found.axes] == [None, None, drive, None, None]
     assert not any("does not say who carries" in text for text in found.suspicious)
 

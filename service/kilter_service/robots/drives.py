@@ -13,6 +13,10 @@ BY = {
     "series": "through gears of its own in series",
 }
 
+ERRORS = (
+    " A deflection or error of the gear of {joint} counts as moving axis {number} by its ratio too, as with a linkage."
+)
+
 
 def said_of_drives(robot: Robot) -> list[str]:
     """Return a sentence for each axis that follows a joint and of which the document says who carries its load."""
@@ -28,7 +32,7 @@ def said_of_drives(robot: Robot) -> list[str]:
         elif drive is not None:
             out.append(
                 f"Axis {number} follows {joint} (ratio {ratio:g}) {BY[drive]}: the gear of {joint} carries the load on axis "
-                f"{own} alone."
+                f"{own} alone.{ERRORS.format(joint=joint, number=number) if drive == 'controller' else ''}"
             )
     return out
 

@@ -11,6 +11,7 @@ from kilter_files.names import did_you_mean
 
 Item = dict[str, Any]
 
+DRIVES = ("linkage", "controller", "series")
 PARALLEL = math.sin(math.radians(1.0))
 
 
@@ -18,7 +19,8 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
     """Return the document as a chain in which ``turned`` joints count backwards and each "j3=j2" is uncoupled.
 
     "j3=j2" is for arms whose third joint is read against the horizontal (FANUC, parallelogram arms): when j2 moves,
-    the forearm keeps its orientation in space, so j3's axis is rotated back by j2.
+    the forearm keeps its orientation in space, so j3's axis is rotated back by j2. "j3=j2:linkage" says besides who carries
+    the load on that axis: one of :data:`DRIVES`.
 
     Raises:
         UsageError: a joint that is not there, or a document of another convention than chain, dh and mdh.
@@ -36,8 +38,8 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
         for element in _of(elements, name):
             element["ratio"] = -float(element.get("ratio", 1.0))
     for pair in follows:
-        follower, _, leader = pair.partition("=")
-        _uncouple(elements, follower.strip(), leader.strip())
+        follower, _, rest = pair.partition("=")
+        _uncouple(elements, follower.strip(), *_leader(pair, rest.strip(), elements))
     return {**document, "elements": elements}
 
 
@@ -49,7 +51,18 @@ def _of(elements: list[Item], name: str) -> list[Item]:
     return found
 
 
-def _uncouple(elements: list[Item], follower: str, leader: str) -> None:
+def _leader(pair: str, text: str, elements: list[Item]) -> tuple[str, str | None]:
+    """Return the joint that is followed, and who carries the load of the axis in between where that is said."""
+    leader, colon, drive = text.rpartition(":")
+    if not colon or any(element.get("joint") == text for element in elements):
+        return text, None
+    if drive.strip() not in DRIVES:
+        near = did_you_mean(drive.strip(), DRIVES)
+        raise UsageError(f"--follows {pair}: drive is {drive.strip()!r}{near}. Give {', '.join(DRIVES)}.")
+    return leader.strip(), drive.strip()
+
+
+def _uncouple(elements: list[Item], follower: str, leader: str, drive: str | None) -> None:
     """Rotate the follower's axis back by the leader; their axes must be parallel."""
     first, second = _of(elements, leader)[0], _of(elements, follower)[0]
     start, end = elements.index(first), elements.index(second)
@@ -64,7 +77,8 @@ def _uncouple(elements: list[Item], follower: str, leader: str) -> None:
         )
     halves = sum(1 for e in turns if e["axis"] != first["axis"] and abs(float(e["value"])) > 90.0)
     ratio = -float(first.get("ratio", 1.0)) * (-1.0) ** halves
-    elements.insert(end, {"joint": leader, "axis": second["axis"], "ratio": ratio, "fixed": True})
+    said = {} if drive is None else {"drive": drive}
+    elements.insert(end, {"joint": leader, "axis": second["axis"], "ratio": ratio, "fixed": True, **said})
 
 
 def _as_chain(document: Item) -> Item:

@@ -28,7 +28,7 @@ class Described:
     """What the file does not say itself: the robot's name, the links of a URDF, a table's convention, a UR's model.
 
     ``turned`` are joints whose controller counts the other way; ``follows`` are pairs "j3=j2" of joints of which the
-    first is read against the horizontal, not against the link before.
+    first is read against the horizontal, not against the link before; "j3=j2:linkage" says who carries its load.
     """
 
     name: str | None = None

@@ -36,7 +36,11 @@ OPTIONS: dict[str, Any] = {
     ],
     "follows": Annotated[
         list[str] | None,
-        typer.Option(help="A joint read against the horizontal, as FANUC's: j3=j2; repeat for more.", metavar="J3=J2"),
+        typer.Option(
+            help="A joint read against the horizontal, as FANUC's: j3=j2, or with who carries the load of that axis "
+            "(linkage, controller, series) j3=j2:linkage; repeat for more.",
+            metavar="J3=J2",
+        ),
     ],
 }
 

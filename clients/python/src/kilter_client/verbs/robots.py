@@ -44,7 +44,8 @@ def add_robot(
         tip_link: of a URDF, where it ends.
         model: of a calibration file of Universal Robots.
         turned: joints that the controller counts in the opposite direction.
-        follows: pairs ``"j3=j2"`` of joints of which the first is read against the horizontal.
+        follows: pairs ``"j3=j2"`` of joints of which the first is read against the horizontal; ``"j3=j2:linkage"``
+            says who carries the load of that axis (linkage, controller or series).
 
     Raises:
         UsageError: neither or both of ``source`` and ``preset``, or something is missing that the file does not say.
