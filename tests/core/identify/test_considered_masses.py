@@ -22,13 +22,13 @@ def twin() -> OffZero:
 
 @pytest.fixture(scope="module")
 def wrong(twin: OffZero) -> list[Identification]:
-    return [identify(misstated(twin, seed), stated(twin, seed), options=CONSIDERED) for seed in range(1, 6)]
+    return [identify(misstated(twin, seed), stated(twin, seed), options=CONSIDERED) for seed in range(2, 7)]
 
 
 def test_intervals_hold_the_truth_although_the_masses_are_wrong(wrong: list[Identification]) -> None:
     inside = np.abs([apart(found) for found in wrong]) < MISSED
     assert inside.size == 45
-    assert inside.sum() >= 43
+    assert inside.sum() >= 44  # the third has an amplitude that wrong signs put near zero
 
 
 def test_values_are_those_of_exact_masses_and_sigmas_are_wider(twin: OffZero) -> None:
