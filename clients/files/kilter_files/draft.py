@@ -82,6 +82,20 @@ def draft(path: Path) -> Draft:
     return Draft(_top(path, places) + "\n".join(lines) + "\n", places, guessed, sorted(taken), unused)
 
 
+def has_joints(path: Path) -> bool:
+    """Whether the draft of a file finds the arm's joints in it, beside the position.
+
+    Raises:
+        FileError: no table of numbers is found in it.
+
+    """
+    columns = Columns(shape_of(path))
+    turn = turned(columns)
+    axes, _ = joints(columns.without(turn.names if turn else ()))
+    place, _ = points(columns, {name for entry in axes for name in entry.used})
+    return bool(axes and place) and not any(entry.open for entry in (*axes, *place))
+
+
 def _matches(pattern: str, name: str) -> bool:
     before, _, after = pattern.partition("*")
     return name.startswith(before) and name.endswith(after)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ballbar import analysed, is_ballbar, read_ballbar
+from kilter_files.draft import has_joints
+from kilter_files.errors import FileError
 from kilter_files.inclinometer import read_inclinometer, tilts_of
 from kilter_files.inspection_joints import column, describe_bag, describe_log
 from kilter_files.inspection_table import describe_table, lines_in_cells
@@ -78,6 +80,8 @@ def _text(path: Path, hints: Hints) -> Document:
         return _inclinometer(path, hints) | shape
     if is_recording(layout, hints.rate_hz):
         return _recording(open_recording(path, hints.rate_hz, hints.allow_cut, hints.unit)) | shape
+    if hints.preset == "generic" and hints.euler is None and _with_joints(path):
+        return describe_table(path) | shape
     table = read_tracker(path, hints.preset, hints.euler)
     columns = [column(name, unit_of(name), np.array(values)) for name, values in table.columns.items()]
     return shape | {
@@ -87,6 +91,14 @@ def _text(path: Path, hints: Hints) -> Document:
         "notes": table.notes,
         "warnings": table.warnings + _alike(table.columns),
     }
+
+
+def _with_joints(path: Path) -> bool:
+    """Whether a table has joints beside the points: a reader of points would leave them out, and a draft does not."""
+    try:
+        return has_joints(path)
+    except FileError:
+        return False
 
 
 def _table(path: Path, hints: Hints) -> Document:

@@ -7,6 +7,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from kilter_files.draft import draft
 from kilter_files.draft_guess import Columns
 from kilter_files.faults import head_of
 from kilter_files.table_shape import shape_of
@@ -42,5 +43,8 @@ def describe_table(path: Path) -> Document:
         empty = len(shape.source.lines) - len(values) if values is not None and shape.source.lines else None
         out.append({"name": name, "unit": columns.unit(name), "low": low, "high": high, "empty": empty})
     sheet = [] if shape.layout.sheet is None else [f"sheet {shape.layout.sheet!r}"]
+    found = draft(path)
+    read = [f"check {text}" for text in found.guessed] + [f"not told: {text}" for text in found.open]
+    read += [f"not used: {', '.join(found.unused)}"] if found.unused else []
     note = f"comes in with a column map; a first one: kilter inspect {quote(str(path))} --draft columns.toml"
-    return {"kind": "table", "rows": len(shape.source.lines), "columns": out, "notes": [*sheet, note]}
+    return {"kind": "table", "rows": len(shape.source.lines), "columns": out, "notes": [*sheet, *read, note]}

@@ -263,3 +263,21 @@ def test_damaged_files_are_drafted_or_refused_and_nothing_else(tmp_path: Path, n
         assert str(path) in said or str(column_map) in said
 
     check()
+
+
+@pytest.mark.parametrize("head", ["A1;A2;A3;X;Y;Z", "# lab 3\n# 2026\nA1 [deg];A2 [deg];A3 [deg];X [mm];Y [mm];Z [mm]"])
+def test_inspection_sees_the_joints_that_a_draft_sees(tmp_path: Path, capsys: Capture, head: str) -> None:
+    """A reader of points took such a table for a tracker's export, and left the joints out."""
+    rows = [f"{k * 1.5:.3f};{k * -2.25:.3f};{k % 7:.3f};{100 + k}.5;{200 - k}.5;300.5" for k in range(20)]
+    path = tmp_path / "lab.csv"
+    path.write_text("\n".join([head, *rows]).replace(".", ",") + "\n")
+    found = document(capsys, "inspect", path)
+    assert (found["kind"], found["rows"]) == ("table", 20)
+    names = [column["name"].partition(" ")[0] for column in found["columns"]]
+    assert names == ["A1", "A2", "A3", "X", "Y", "Z"]
+    assert (found["columns"][1]["low"], found["columns"][1]["high"]) == (-42.75, 0.0)
+    said = [note for note in found["notes"] if note.startswith("check q*")]
+    assert bool(said) == ("[deg]" not in head)
+    points = tmp_path / "points.csv"  # points alone stay points
+    points.write_text("\n".join(["X;Y;Z", *(row.split(";", 3)[3] for row in rows)]).replace(".", ",") + "\n")
+    assert document(capsys, "inspect", points)["kind"] == "tracker-text"
