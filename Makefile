@@ -179,6 +179,9 @@ thesis: $(KERNELS) ## do the thesis's experiments again on simulated arms and wr
 mix-ups: $(KERNELS) ## count mix-ups that are missed and genuine campaigns that are accused (GENUINE=1000 ROUNDS=5 SEED=0)
 	$(BIN)/python -m tests.mix_ups.score --genuine $(or $(GENUINE),1000) --rounds $(or $(ROUNDS),5) --seed $(or $(SEED),0)
 
+mix-ups-ways: $(KERNELS) ## send mix-ups through upload, dry run, identify and gap of a server of its own (GENUINE=50 SEED=0)
+	$(BIN)/python -m tests.mix_ups.ways --genuine $(or $(GENUINE),50) --seed $(or $(SEED),0)
+
 silent-rows: $(KERNELS) ## count the wrong rows that pass in silence among 600 simulated recordings
 	$(BIN)/python -m pytest -m slow -q tests/clients/files/test_silent_rows.py
 

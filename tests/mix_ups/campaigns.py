@@ -119,9 +119,11 @@ def _one_in_radians(g: Genuine, rng: np.random.Generator) -> Observations:
 
 
 def _zero(g: Genuine, rng: np.random.Generator) -> Observations:
-    """Of the second joint that turns, which neither base nor tool takes up."""
+    """Of the second joint that turns, which neither base nor tool takes up; the tool takes up the last joint's."""
     turning = [j for j in range(g.robot.n_joints) if g.robot.joints[j].kind == "revolute"]
-    return replace(g.rows, q=g.rows.q - np.where(np.arange(g.robot.n_joints) == turning[1], np.pi / 2.0, 0.0))
+    return replace(
+        g.rows, q=g.rows.q - np.where(np.arange(g.robot.n_joints) == turning[int(len(turning) > 2)], np.pi / 2.0, 0.0)
+    )
 
 
 def _points(change: Callable[[Floats], Floats]) -> Callable[[Genuine, np.random.Generator], Observations]:

@@ -32,9 +32,9 @@ class Judged:
     warnings: tuple[dict[str, Any], ...] = ()
 
     @property
-    def named(self) -> bool:
-        """Whether a mix-up is named, and not only that joints and positions do not belong together."""
-        return self.refusal is not None and "shuffled_mm" not in self.refusal.context
+    def explains_limits(self) -> bool:
+        """Whether a mix-up is named that puts readings outside their limits: base or tool that changed does not."""
+        return self.refusal is not None and not {"shuffled_mm", "moved_mm"} & set(self.refusal.context)
 
 
 class Belonging:

@@ -77,7 +77,7 @@ class RowRules:
         """
         self._check_units()
         found = self._belonging.found()
-        if not found.named:  # another unit, sign or zero explains limits better than wrong rows
+        if not found.explains_limits:  # another unit, sign or zero explains limits better than wrong rows
             self._limits.finish()
         if found.refusal is not None:
             raise found.refusal

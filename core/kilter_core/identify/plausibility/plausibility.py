@@ -8,9 +8,10 @@ reading too, and in a wrong one nothing but chance takes a fifth.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,17 +38,22 @@ GOOD = 0.1  # share of the workspace that the right reading may leave
 ALIKE = 1.5  # readings so near the best one are named with it
 SEEDS = 5
 HOPELESS = 0.7  # share of the residual that a reading may leave before it is refined
+NOTHING: Mapping[str, float] = MappingProxyType({})
 CHANGED_M = 0.02  # a base or tool that moves by less in a campaign is a shift that effects describe
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Mix-ups (or-ed) that explain the rows, and the registration's residual m with and without them."""
+    """Mix-ups (or-ed) that explain the rows, and the registration's residual m with and without them.
+
+    ``moved`` is by how much (m) base or tool changed, where that is what explains them.
+    """
 
     sentences: tuple[str, ...]
     remedies: tuple[str, ...]
     before: float
     after: float
+    moved: float | None = None
 
 
 def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[str, Any], ...]:
@@ -66,7 +72,8 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
         return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None and not mastered_otherwise(sample, ALIKE * found.after):
-        _refuse(found.sentences, found.remedies, _mm(found.before), _mm(found.after), "mm")
+        moved = {} if found.moved is None else {"moved_mm": _mm(found.moved)}
+        _refuse(found.sentences, found.remedies, _mm(found.before), _mm(found.after), "mm", moved)
     _refuse_unrelated(sample)
     if sample.rotations is None or _far(sample):
         return copied
@@ -87,12 +94,19 @@ def _copied(markers: Floats | None) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
 
 
-def _refuse(sentences: tuple[str, ...], remedies: tuple[str, ...], before: float, after: float, unit: str) -> None:
+def _refuse(
+    sentences: tuple[str, ...],
+    remedies: tuple[str, ...],
+    before: float,
+    after: float,
+    unit: str,
+    more: Mapping[str, float] = NOTHING,
+) -> None:
     said = sentences[0] + "".join(f" (or: {s[0].lower()}{s[1:]})" for s in sentences[1:3])
     raise ObservationError(
         f"{said}: with base and tool registered {before:.3g} {unit} are left as the rows are, {after:.3g} {unit} without "
         f"that. Remedy: {'; or '.join(remedies[:3])}.",
-        code=FOREIGN, looks=list(sentences), **{f"before_{unit}": before, f"after_{unit}": after},
+        code=FOREIGN, looks=list(sentences), **{f"before_{unit}": before, f"after_{unit}": after}, **more,
     )  # fmt: skip
 
 
@@ -190,7 +204,7 @@ def _changed_in_order(sample: Sample) -> Finding | None:
     return Finding(
         (f"{what} looks changed by {_mm(moved):.3g} mm from {where} on",),
         ("make a campaign of the rows before and one of those after it, and identify them apart",),
-        sample.placed.size, size,
+        sample.placed.size, size, moved,
     )  # fmt: skip
 
 
