@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NoReturn
 
 from pydantic import ValidationError
@@ -99,14 +100,19 @@ def migrate(settings: Settings, _: argparse.Namespace) -> None:
 
 def audit(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check that the audit in a database is whole; no server need run."""
-    from kilter_service.audit.service import head_in, verify
+    from kilter_service.audit.service import head_in, heads_in, verify
     from kilter_service.db import Database, revision
 
-    noted = head_in(arguments.head)
+    head = head_in(arguments.head)
+    noted = [] if head is None else [head]
+    if arguments.journal:
+        told = heads_in(Path(arguments.journal))
+        print(f"The journal names {len(set(told))} entries.")
+        noted += told
     database = Database(settings.database)
     try:
         revision.check(database)
-        last = verify(database, noted)
+        last = verify(database, *noted)
     finally:
         database.close()
     print(f"The audit is whole: {last.number} entries, the last is {last.number}:{last.sha256}.")
@@ -199,6 +205,7 @@ def parser() -> argparse.ArgumentParser:
             added.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
         if name == "audit":
             added.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
+            added.add_argument("--journal", help="log of the server: every entry that it names must still be there")
         if name in PATHS:
             shown, count, help_text = PATHS[name]
             added.add_argument("path", metavar=shown, nargs=count, help=help_text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import os
 import shutil
@@ -137,3 +138,51 @@ def test_a_database_is_checked_without_a_server(client: httpx.Client, settings: 
     broken = offline("cut.sqlite")
     assert (broken.returncode, broken.stderr.count("\n")) == (1, 1)
     assert "Entry 1 of the audit is not what was written" in broken.stderr
+
+
+def test_what_was_cut_or_rewritten_is_seen_by_the_journal(
+    client: httpx.Client, settings: Settings, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    if settings.database_url is not None:
+        pytest.skip("the database is PostgreSQL")
+    with caplog.at_level("INFO", "kilter.audit"):
+        client.post("/v1/robots", json={"name": "arm", "convention": "preset", "preset": "ur10"}).raise_for_status()
+        for remarks in ("x", "y"):
+            client.patch("/v1/robots/arm", json={"remarks": remarks}).raise_for_status()
+    journal = tmp_path / "journal.log"
+    journal.write_text("".join(f"Nov 23 kilterd[7]: INFO {record.getMessage()}\n" for record in caplog.records))
+
+    def checked(name: str, change: Callable[[sqlite3.Connection], object]) -> subprocess.CompletedProcess[str]:
+        with sqlite3.connect(settings.data / DATABASE_FILE) as raw:
+            raw.execute("VACUUM INTO ?", [str(tmp_path / name)])
+        with sqlite3.connect(tmp_path / name) as raw:
+            raw.execute("DROP TRIGGER audit_delete")
+            change(raw)
+        command = [sys.executable, "-m", "kilter_service", "audit", "--journal", str(journal)]
+        return subprocess.run(
+            [*command, "--database-url", f"sqlite:///{tmp_path / name}"], cwd=REPOSITORY, env=dict(os.environ),
+            capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+
+    def rewritten(raw: sqlite3.Connection) -> None:
+        """Forge the last entry, with a hash that fits it."""
+        number, previous, content = raw.execute(
+            "SELECT number, previous, content FROM audit ORDER BY number"
+        ).fetchall()[-1]
+        raw.execute("DELETE FROM audit WHERE number = ?", [number])
+        forged = content.replace("admin", "nobody")
+        sha256 = hashlib.sha256(f"{previous}\n{forged}".encode()).hexdigest()
+        raw.execute(
+            "INSERT INTO audit (number, previous, sha256, content) VALUES (?, ?, ?, ?)",
+            [number, previous, sha256, forged],
+        )
+
+    whole = checked("whole.sqlite", lambda raw: None)
+    assert (whole.returncode, whole.stdout.splitlines()[0]) == (0, "The journal names 3 entries."), whole.stderr
+    journal.rename(tmp_path / "moved.log")
+    gone = checked("gone.sqlite", lambda raw: None)
+    assert (gone.returncode, "cannot be read" in gone.stderr, "Traceback" in gone.stderr) == (1, True, False), gone
+    (tmp_path / "moved.log").rename(journal)
+    for name, change in (("cut", lambda raw: raw.execute("DELETE FROM audit WHERE number = 3")), ("forged", rewritten)):
+        found = checked(f"{name}.sqlite", change)
+        assert (found.returncode, "does not hold entry 3" in found.stderr) == (1, True), (name, found)

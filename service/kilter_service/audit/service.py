@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import NamedTuple
 
 from kilter_service.audit import store
@@ -16,6 +18,7 @@ from kilter_service.paging import Page
 
 MOST = 1000
 HASH_DIGITS = 64
+TOLD = re.compile(r"the audit stands at (\d+):([0-9a-f]{64})")
 
 
 class Head(NamedTuple):
@@ -40,6 +43,21 @@ def head_in(text: str | None) -> Head | None:
     return Head(int(number), sha256)
 
 
+def heads_in(journal: Path) -> list[Head]:
+    """Return the entries that a log names; its lines may have any form.
+
+    Raises:
+        ServiceError: it cannot be read.
+
+    """
+    try:
+        text = journal.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        message = f"--journal {journal} cannot be read ({error.strerror}): give the server's log as a file."
+        raise ServiceError(message, code="option_invalid") from error
+    return [Head(int(number), sha256) for number, sha256 in TOLD.findall(text)]
+
+
 def listed(database: Database, page: Page) -> AuditPage:
     """List entries, oldest first; at most 1000 at once."""
     page = page._replace(limit=min(page.limit or MOST, MOST))
@@ -55,7 +73,7 @@ def _entry(record: AuditRecord) -> AuditEntry:
     )
 
 
-def verify(database: Database, noted: Head | None = None) -> Head:
+def verify(database: Database, *noted: Head) -> Head:
     """Compute all hashes anew and return the last entry.
 
     Raises:
@@ -63,21 +81,21 @@ def verify(database: Database, noted: Head | None = None) -> Head:
 
     """
     with database.reading() as session:
-        return verified(store.everything(session), noted)
+        return verified(store.everything(session), *noted)
 
 
-def verified(entries: Iterable[AuditRecord], noted: Head | None = None) -> Head:
+def verified(entries: Iterable[AuditRecord], *noted: Head) -> Head:
     """Return the last of entries that continue each other; raises as `verify` does."""
-    head, seen = Head(0, ""), noted is None
+    head, wanted = Head(0, ""), set(noted)
     for entry in entries:
         expected = (head.number + 1, head.sha256, hash_of(entry.previous, entry.content))
         if (entry.number, entry.previous, entry.sha256) != expected or _number_in(entry.content) != entry.number:
             raise _broken(f"Entry {head.number + 1} of the audit is not what was written, or is missing", head)
         head = Head(entry.number, entry.sha256)
-        seen = seen or head == noted
-    if not seen:
-        assert noted is not None
-        raise _broken(f"The audit does not hold entry {noted.number} with the hash that was noted", head)
+        wanted.discard(head)
+    if wanted:
+        first = min(wanted)
+        raise _broken(f"The audit does not hold entry {first.number} with the hash that was noted", head)
     return head
 
 

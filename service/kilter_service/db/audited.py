@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,7 +18,9 @@ from sqlalchemy.orm import ORMExecuteState, Session, sessionmaker
 from kilter_service.caller import CALLER, Caller
 from kilter_service.db.tables import AuditRow, HeartbeatRow, LoginRow, Row
 
-CHANGES = "kilter_changes"
+log = logging.getLogger("kilter.audit")
+
+CHANGES, TOLD = "kilter_changes", "kilter_told"
 MOST_CHANGES, MOST_CHARACTERS = 100, 2000
 # Logins are noted in words: nobody is helped by the hash of a secret.
 LEFT_OUT = (AuditRow, HeartbeatRow, LoginRow)
@@ -28,6 +31,7 @@ def listen(sessions: sessionmaker[Session]) -> None:
     event.listen(sessions, "after_flush", _flushed)
     event.listen(sessions, "do_orm_execute", _executed)
     event.listen(sessions, "before_commit", _append)
+    event.listen(sessions, "after_commit", _tell)
 
 
 def note(session: Session, thing: str, before: object, after: object) -> None:
@@ -103,15 +107,23 @@ def _where(state: ORMExecuteState) -> str:
 
 def _append(session: Session) -> None:
     session.flush()
+    session.info.pop(TOLD, None)
     changes, caller = session.info.pop(CHANGES, []), CALLER.get()
     if not changes or caller is None:
         return
     last = session.execute(select(AuditRow.number, AuditRow.sha256).order_by(AuditRow.number.desc()).limit(1)).first()
     number, previous = (1, "") if last is None else (last.number + 1, last.sha256)
     content = _content(number, caller, changes)
-    session.execute(
-        insert(AuditRow).values(number=number, previous=previous, sha256=hash_of(previous, content), content=content)
-    )
+    sha256 = hash_of(previous, content)
+    session.execute(insert(AuditRow).values(number=number, previous=previous, sha256=sha256, content=content))
+    session.info[TOLD] = number, sha256
+
+
+def _tell(session: Session) -> None:
+    """Write the end of the audit into the log: whoever rewrites or cuts the database does not reach the journal."""
+    told = session.info.pop(TOLD, None)
+    if told is not None:
+        log.info("the audit stands at %d:%s", *told)
 
 
 def _content(number: int, caller: Caller, changes: list[dict[str, str]]) -> str:
