@@ -110,7 +110,7 @@ class World:
     def over(self, job: str) -> dict[str, Any]:
         """Wait for the end of a job."""
         while True:
-            found: dict[str, Any] = self.http.get(f"/v1/jobs/{job}", params={"wait_s": 5}).raise_for_status().json()
+            found: dict[str, Any] = self.http.get(f"/v1/jobs/{job}").raise_for_status().json()
             if found["state"] not in ("queued", "running"):
                 return found
             time.sleep(0.02)
