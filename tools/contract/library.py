@@ -24,6 +24,7 @@ GROUPS = {
         "find_frame",
         "robot",
         "robots",
+        "today",
         "meshes",
         "set_mesh",
         "set_urdf_meshes",
