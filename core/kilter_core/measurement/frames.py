@@ -20,7 +20,7 @@ from kilter_core.types import Floats
 RIDGE = 1e-4  # of a row's weight: poses that share an orientation cannot tell the tool from the base
 WALKED = 6  # of the places looked at, the best, from which a walk begins
 TOGETHER, STEPS = 6, 20  # steps of all walks, then of the best one
-DAMPING = 2e-3
+DAMPING, LEAST_DAMPING = 2e-3, 1e-13
 SETTLED = 1e-9  # share of the loss that another step must gain
 AXES = skew(np.eye(3))
 LEVER = 0.1  # of the spread of the points, m that a radian of orientation counts for: positions decide where they can
@@ -92,7 +92,8 @@ def _of_orientation(F: Floats, turned: Floats, lever: float) -> Floats:
 
 def _walked(loss: _Loss, turns: Floats, steps: int) -> Floats:
     """Rotations R' (K, 3, 3) after damped Gauss-Newton steps on SO(3), each from its own start."""
-    damping, now = np.full(len(turns), DAMPING * float(np.sum(loss.B**2))), loss.at(turns)
+    size = float(np.sum(loss.B**2)) or 1.0  # points that are all one tell no rotation from another
+    damping, now = np.full(len(turns), DAMPING * size), loss.at(turns)
     for _ in range(steps):
         J = (turns[:, None] @ AXES).reshape(len(turns), 3, 9) @ loss.B.T
         H = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3)
@@ -101,7 +102,7 @@ def _walked(loss: _Loss, turns: Floats, steps: int) -> Floats:
         better = then < now
         gain = float((now - then).max())
         turns, now = np.where(better[:, None, None], there, turns), np.where(better, then, now)
-        damping = np.where(better, damping / 10.0, damping * 10.0)
+        damping = np.maximum(np.where(better, damping / 10.0, damping * 10.0), LEAST_DAMPING * size)
         if 0.0 <= gain < SETTLED * now.min():
             break
     return turns

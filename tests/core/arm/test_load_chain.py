@@ -130,11 +130,12 @@ def test_a_version_stored_before_gives_the_numbers_it_gave() -> None:
     assert np.array_equal(found.predict(Observations(q, payload_kg=kg)).position, np.array(STORED["position"]))
     wide = CorrectionOptions(payload_kg=STORED["payload_kg"], largest_rad=0.3, farthest_m=0.1)
     corrected = compile_program(found, wide).correct_rows(q).q
-    # Which of its many answers an arm of five joints gets has changed since; the tool is where that release put it.
+    # Which of its many answers an arm of five joints gets has changed since; the tool is where that release put it, but for
+    # 3 µm where a load is near zero: its sign is softened over a smaller load since.
     tool = [
         found.predict(Observations(at, payload_kg=kg)).position for at in (corrected, np.array(STORED["corrected"]))
     ]
-    np.testing.assert_allclose(tool[0], tool[1], atol=1e-6, rtol=0)
+    np.testing.assert_allclose(tool[0], tool[1], atol=5e-6, rtol=0)
 
 
 def test_a_load_chain_at_the_drawn_constants_changes_nothing() -> None:

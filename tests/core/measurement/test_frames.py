@@ -43,3 +43,25 @@ def test_orientation_decides_what_positions_do_not_tell() -> None:
     (f, F), (p, R) = bare.poses(q), arm.poses(q)
     T, _ = best_frames(f, F, p, arm.tool.translation, R)
     np.testing.assert_allclose(T[:3, :3], arm.base.rotation, atol=1e-5)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5])
+@pytest.mark.parametrize("same", ["points", "poses", "both", "line"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_rows_that_tell_no_rotation_still_have_a_best_place(rows: int, same: str, turned: bool) -> None:
+    """A single row, points that are all one, an arm that stood still, points on a line: no error, and a rotation."""
+    rng = np.random.default_rng(rows)
+    arm = ur10(base=some_pose(rng, 3.0), tool=some_pose(rng, 0.3))
+    q = rng.uniform(-2, 2, (rows, 6))
+    if same in ("poses", "both"):
+        q[:] = q[0]
+    (f, F), (p, R) = replace(arm, base=pin.SE3.Identity(), tool=pin.SE3.Identity()).poses(q), arm.poses(q)
+    if same in ("points", "both"):
+        p = np.tile(p[0], (rows, 1))
+    if same == "line":
+        p = p[0] + np.outer(np.arange(rows), [0.1, 0.0, 0.0])
+    T, tool = best_frames(f, F, p, np.zeros(3), R if turned else None)
+    assert np.isfinite(tool).all()
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+    if same == "both":  # nothing moved: base and tool explain it all
+        np.testing.assert_allclose(T[:3, 3] + (f + F @ tool) @ T[:3, :3].T, p, atol=1e-6)
