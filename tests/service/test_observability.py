@@ -225,10 +225,10 @@ def test_request_and_job_share_their_identifiers_from_client_to_worker(
         log.seek(0)
         lines[name] = [json.loads(line) for line in log]
         log.close()
-    said = next(line for line in lines["worker"] if line.get("job_id") == job)
-    assert said["request_id"] == "run-42"
+    of_job = [line for line in lines["worker"] if line.get("job_id") == job]
+    assert {line["request_id"] for line in of_job} == {"run-42"}
+    said = next(line for line in of_job if line["message"].startswith("identify succeeded"))
     assert said["robot"] == katana.name
-    assert said["message"].startswith("identify succeeded")
     access = [json.loads(line) for line in (tmp_path / "access.log").read_text().splitlines()]
     asked = next(line for line in access if line["request_id"] == "run-42")
     assert asked["message"] == "POST /v1/jobs 202"
