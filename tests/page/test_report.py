@@ -184,7 +184,7 @@ def test_the_report_of_a_job_is_that_of_what_it_found(server: httpx.Client, vers
 def test_one_sentence_says_that_a_version_is_not_fit_to_correct_with(server: httpx.Client, settings: Settings) -> None:
     far = {"n": 30, "identified": {"mean_mm": 51.0}}
     made = doubtful(server, settings, {"metrics": {"train": ERRORS, "validation": far}})
-    said = "Complete, but not fit to correct with: It leaves 51 mm on its own held-out rows, more than the 5 mm"
+    said = "Complete, but not fit to correct with: It leaves 51 mm on its own held-out rows, too large to"
     job, page = f"/jobs/{DOUBTFUL}", f"/versions/{made}"
     for address in (job, f"{job}/report", page, f"{page}/report"):
         assert plain(server.get(address).raise_for_status().text).count(said) == 1, address

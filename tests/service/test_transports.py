@@ -73,9 +73,10 @@ def columns_of(asked: Motion) -> dict[str, list[float]]:
 
 
 def read(table: dict[str, list[Any]]) -> Found:
-    bad = [k for k, word in enumerate(table["status"]) if word != "OK"]
+    moved = [word for k, word in enumerate(table["status"]) if table["q1_rad"][k] is not None]
+    assert set(moved) <= {"OK", "DAMPED", "LIMITED"}
+    bad = [k for k in range(ROWS) if table["q1_rad"][k] is None]
     if bad:
-        assert all(table["q1_rad"][k] is None for k in bad)
         return Refused(bad[0], table["status"][bad[0]])
     return np.stack([np.array(table[f"q{j + 1}_rad"], dtype=float) for j in range(5)], axis=1)
 
