@@ -109,7 +109,9 @@ def test_a_force_of_the_whole_campaign(server: Path, tmp_path: Path, capsys: Cap
     assert run(["upload", "leaned-on", str(path), "--tool-force-n", "50"]) == 2
 
 
-def test_markers_that_changed_places_fail_the_job_by_their_code(server: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_markers_that_changed_places_are_refused_by_client_and_server(
+    server: Path, tmp_path: Path, capsys: Capture
+) -> None:
     _, train, _ = campaign("markers", rows=40)
     assert train.markers is not None
     swapped = train.markers.copy()
@@ -120,7 +122,7 @@ def test_markers_that_changed_places_fail_the_job_by_their_code(server: Path, tm
     sheet = str(write(tmp_path / "swapped.csv", train.q, cells))
     refused = said(capsys, "upload", "swapped", sheet, code=1)
     assert "markers 'm1' and 'm3' change places between rows 20 and 21" in refused["detail"]
-    done = said(capsys, "upload", "swapped", sheet, "--unchecked")
-    job = said(capsys, "identify", "swapped", "--campaign", done["campaign_id"], code=1)
-    assert "markers_swapped" in json.dumps(job)
-    assert "From row 21 on" in json.dumps(job)
+    by_server = said(capsys, "upload", "swapped", sheet, "--unchecked", code=1)
+    assert by_server["code"] == "markers_swapped"
+    assert "From row 21 on" in by_server["detail"]
+    assert said(capsys, "campaigns", "list", "swapped")["campaigns"] == []
