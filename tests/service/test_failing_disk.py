@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
-import numpy as np
 import pytest
 from sqlalchemy import event
 
@@ -31,10 +30,9 @@ ROWS = 10_000
 
 def noise(rows: int = ROWS, seed: int = 0) -> bytes:
     """Rows of a Katana that do not compress."""
-    cells = np.random.default_rng(seed).uniform(-10, 10, (rows, 5))
-    places = np.random.default_rng(seed + 1).uniform(100, 300, (rows, 3))
-    head = ",".join([*(f"q{j}_deg" for j in range(1, 6)), "x_mm", "y_mm", "z_mm"])
-    return "\n".join([head, *(",".join(f"{v:.14f}" for v in row) for row in np.hstack((cells, places)))]).encode()
+    columns = Katana().columns(rows, seed)
+    cells = zip(*columns.values(), strict=True)
+    return "\n".join([",".join(columns), *(",".join(f"{v:.14f}" for v in row) for row in cells)]).encode()
 
 
 def send(client: httpx.Client, campaign: str, body: bytes) -> httpx.Response:
