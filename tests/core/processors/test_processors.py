@@ -17,7 +17,7 @@ from tests.core.processors.made import KINDS, campaigns
 
 
 def test_every_kind_of_measurement_gives_the_same_under_every_kind_of_processor(tmp_path: Path) -> None:
-    some = [one for seed in (0, 1) for one in campaigns(seed)]
+    some = list(campaigns(0))
     found = {core: answers for core in CORES if (answers := under(core, some, tmp_path)) is not None}
     assert len(found) >= 2, "this processor runs the kernels of one kind only"
     first = next(iter(found))
