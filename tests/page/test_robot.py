@@ -19,6 +19,7 @@ from playwright.sync_api import Browser, Page
 
 from kilter_service.page.assets import FOLDER, hashed
 from kilter_service.versions.places import WORST, spread
+from tests.core.palletiser import palletiser, said
 
 from .conftest import opened
 from .made import SCRIPT, Made, made
@@ -148,6 +149,22 @@ def tool(page: Page) -> list[float]:
 def picture(page: Page) -> np.ndarray:
     shot = page.locator("[data-arm] canvas").screenshot()
     return np.asarray(Image.open(io.BytesIO(shot)).convert("L"), dtype=float)
+
+
+@pytest.mark.short_path
+def test_a_linkage_is_drawn_and_no_other_drive(there: Made, page: Page) -> None:
+    """Rods from the axis of the joint that drives to the axis that they tie to it, beside the links."""
+    seen = {}
+    for drive in ("linkage", "series"):
+        document = said(palletiser(), drive) | {"name": f"palletiser-{drive}"}
+        there.client.post("/v1/robots", json=document).raise_for_status()
+        drawn = there.client.get(f"/robots/palletiser-{drive}/arm.json").raise_for_status().json()
+        assert [[drawn["elements"][k][2] for k in pair] for pair in drawn["linkages"]] == [[1, 1]] * (
+            drive == "linkage"
+        )
+        arm_of(page, f"palletiser-{drive}")
+        seen[drive] = picture(page)
+    assert np.abs(seen["linkage"] - seen["series"]).max() > 20.0
 
 
 @pytest.mark.short_path

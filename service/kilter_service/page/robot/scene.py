@@ -24,7 +24,10 @@ PLACE, ERROR, ANGLE = 2, 5, 4  # decimals: 0.01 mm, 0.01 µm, 0.0001 degrees
 
 
 def arm(database: Database, robot: str) -> Document:
-    """Return the nominal chain: elements with what moves them, joints with their limits, and the tool in the flange."""
+    """Return the nominal chain: elements with what moves them, joints with their limits, and the tool in the flange.
+
+    `linkages` are pairs of elements, the axis of a joint and the one that rods tie to it.
+    """
     import numpy as np
 
     found = robots.arm(database, robot)
@@ -46,6 +49,11 @@ def arm(database: Database, robot: str) -> Document:
         "elements": elements,
         "joints": joints,
         "primary": list(found.chain.primary),
+        "linkages": [
+            [found.chain.primary[one.joint], place]
+            for place, one in enumerate(found.chain.elements)
+            if one.drive == "linkage" and one.joint is not None
+        ],
         "tool": np.round(tool, 6).tolist(),
         "meshes": [mesh.link for mesh in meshes.listed(database, robot).meshes],
     }

@@ -18,12 +18,14 @@ export function posed(arm, readings) {
   const segments = [];
   const joints = [];
   const frames = { base: new Matrix4() }; // of what each joint moves
+  const axles = {};
   let link = "base";
   arm.elements.forEach(([axis, value, joint, ratio], place) => {
     const before = at();
     if (joint !== null) {
       const direction = AXES[axis[1]].clone().transformDirection(T);
       joints.push({ at: before, axis: direction, index: joint, slides: axis[0] === "T" });
+      axles[place] = { at: before, axis: direction };
     }
     T.multiply(motion(axis, joint === null ? value : ratio * readings[joint] + value));
     const after = at();
@@ -35,5 +37,6 @@ export function posed(arm, readings) {
   });
   const flange = at();
   T.multiply(new Matrix4().set(...arm.tool.flat()));
-  return { segments, joints, frames, flange, tool: at() };
+  const rods = arm.linkages.map(([from, to]) => [axles[from], axles[to]]);
+  return { segments, joints, frames, rods, flange, tool: at() };
 }

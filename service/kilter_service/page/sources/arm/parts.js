@@ -45,6 +45,10 @@ export function arm(pose, size, meshes) {
     const half = axis.clone().multiplyScalar(1.7 * thick);
     group.add(rod(at.clone().sub(half), at.clone().add(half), 1.45 * thick, joint));
   }
+  for (const [from, to] of pose.rods) for (const side of [-2.1, 2.1]) { // beside the links, seen from either side
+    const aside = from.axis.clone().multiplyScalar(side * thick);
+    group.add(rod(from.at.clone().add(aside), to.at.clone().add(aside), 0.45 * thick, tool));
+  }
   if (pose.flange.distanceTo(pose.tool) > 0.5) group.add(rod(pose.flange, pose.tool, 0.5 * thick, tool));
   const tip = new Mesh(new SphereGeometry(0.8 * thick, 16, 12), tool);
   tip.position.copy(pose.tool);
