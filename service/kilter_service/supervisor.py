@@ -23,7 +23,7 @@ from kilter_service.auth.binding import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.errors import ServiceError
-from kilter_service.health.pulse import running
+from kilter_service.health.pulse import stopped
 from kilter_service.last_words import LastWords
 from kilter_service.private_files import private_folder
 from kilter_service.server_file import ServerFile
@@ -109,8 +109,7 @@ class Child:
 
     def _say_if_frozen(self, pid: int) -> None:
         """Say that somebody stopped the process (SIGSTOP, a debugger); whoever did it may want to go on."""
-        assert self._process is not None
-        frozen = not running(pid) and self._process.poll() is None  # it may have ended since it was asked
+        frozen = stopped(pid)
         if frozen == self._frozen:
             return
         self._frozen = frozen

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 from kilter_client.stream import CorrectedStream
 from kilter_service.auth.token import admin_token
 from kilter_service.backup.service import verify_stored
+from kilter_service.health.pulse import running, stopped
 from kilter_service.settings import Settings
 from kilter_service.supervisor import Child
 from tests.service.conftest import Katana, ready
@@ -135,3 +137,26 @@ def test_what_the_others_do_while_one_is_frozen(server: Frozen, settings: Settin
     for name in ("worker", "corrector", "api"):
         assert server.said().count(f"{name} is frozen") == 1
     assert verify_stored(settings).damaged == []
+
+
+def test_a_process_whose_first_thread_has_ended_is_not_stopped() -> None:
+    """As Linux shows a process that ends: its leader is a zombie while other threads still run."""
+    code = (
+        "import ctypes, threading, time; threading.Thread(target=time.sleep, args=(60,)).start(); "
+        "print('there', flush=True); ctypes.CDLL(None).pthread_exit(None)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        assert process.stdout is not None
+        process.stdout.readline()
+        deadline = time.monotonic() + 20
+        while running(process.pid) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert process.poll() is None
+        assert not running(process.pid)
+        assert not stopped(process.pid)
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
