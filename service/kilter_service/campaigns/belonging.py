@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from kilter_core.errors import CoreError, ObservationError
 from kilter_service.campaigns.assemble import observations
 from kilter_service.campaigns.columns import Column, has
@@ -76,12 +74,13 @@ def judged(robot: Robot, rows: Observations) -> Judged:
 
     Sessions are judged one by one: the instrument or the tool may have moved between them, and a job says how it takes that.
     """
+    from kilter_core.identify.compare import setups
     from kilter_core.identify.plausibility.belonging import refuse_mixed_up  # compiled kernels: not at the start
     from kilter_core.model import Calibration
 
     begin = Calibration.nominal(robot)
     warnings: list[dict[str, Any]] = []
-    for part in _sessions(rows):
+    for part in setups(rows):
         try:
             warnings += [one for one in refuse_mixed_up(begin, part) if one not in warnings]
         except ObservationError as error:
@@ -97,9 +96,3 @@ def judged_whole(table: pa.Table, columns: Sequence[Column], robot: Robot) -> Ju
     whole = Belonging(columns, robot)
     whole.take(table)
     return whole.found()
-
-
-def _sessions(rows: Observations) -> list[Observations]:
-    if rows.session is None:
-        return [rows]
-    return [rows.select(rows.session == code) for code in np.unique(rows.session)]

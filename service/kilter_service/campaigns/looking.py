@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns import reading, service, store
+from kilter_service.campaigns.belonging import MIXED_UP, Judged
 from kilter_service.campaigns.columns import Column, read_columns
 from kilter_service.db import Database
 from kilter_service.robots import store as robots
@@ -45,8 +46,10 @@ def stored(database: Database, campaign_id: str) -> Rows:
     return Rows(table, columns, robot, campaign.conditions)
 
 
-def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Rows, ObservationError | None]:
-    """Return the rows of a file, and what an upload would refuse it for; None: it would be taken.
+def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Rows, str, Judged | None]:
+    """Return the rows of a file, what an upload would refuse it for (empty: it would be taken), and whether they belong.
+
+    The last is None where the upload was refused before that was asked.
 
     Raises:
         ObservationError: columns that mean nothing, or cells that are not numbers.
@@ -59,13 +62,13 @@ def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Row
         core = robots.core_robot(session, robots.usable(session, robot).id)
     names = reading.column_names(path, media)
     columns = read_columns(names, [joint.kind for joint in core.joints])
-    refusal = None
+    refusal, belong = "", None
     try:
-        service.checked_chunks(path, media, names, core)
+        belong = Judged(None, service.checked_chunks(path, media, names, core)[1])
     except ObservationError as error:
-        refusal = error
+        refusal, belong = error.message, Judged(error) if error.code in MIXED_UP else None
     table = pa.concat_tables(list(reading.tables(path, media))).select(names)
-    return Rows(table, columns, core, {}), refusal
+    return Rows(table, columns, core, {}), refusal, belong
 
 
 def spans(database: Database, campaign_id: str) -> dict[int, tuple[float, float]]:

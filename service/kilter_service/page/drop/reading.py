@@ -8,7 +8,6 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service import limited
 from kilter_service.campaigns import looking
-from kilter_service.campaigns.belonging import MIXED_UP, Judged
 from kilter_service.db import Database
 from kilter_service.limited import Ended, Limits
 from kilter_service.page.drop.drafts import Draft
@@ -67,8 +66,7 @@ def _look(database: Database, draft: Draft) -> None:
     from kilter_service.campaigns.facts import facts  # compiled kernels: not at the start of the API process
 
     try:
-        rows, refusal = looking.of_file(database, draft.robot, draft.rows, draft.understood["media"])
-        draft.refusal = "" if refusal is None else refusal.message
-        draft.facts = facts(rows, None if refusal is None or refusal.code not in MIXED_UP else Judged(refusal))
+        rows, draft.refusal, belong = looking.of_file(database, draft.robot, draft.rows, draft.understood["media"])
+        draft.facts = facts(rows, belong)
     except CoreError as error:
         draft.refusal = error.message
