@@ -87,7 +87,14 @@ class Scratch:
         with _held(shared / LOCK):
             clean(shared)
             self.folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=shared))
-            self._lock = _locked(self.folder / LOCK)
+            self._lock = held(self.folder)
+
+    @classmethod
+    def shared_at(cls, folder: Path) -> Scratch:
+        """Share the folder of another process."""
+        made = cls.__new__(cls)
+        made.folder, made._lock = folder, held(folder)
+        return made
 
     @contextmanager
     def folder_for(self, purpose: str) -> Iterator[Path]:
@@ -95,11 +102,15 @@ class Scratch:
         with tempfile.TemporaryDirectory(prefix=f"{purpose}-", dir=self.folder) as folder:
             yield Path(folder)
 
+    def leave(self) -> None:
+        """Leave the folder to the other processes that hold it."""
+        if self._lock is not None:
+            self._lock.close()
+
     def close(self) -> None:
         """Remove the folder."""
         shutil.rmtree(self.folder, ignore_errors=True)
-        if self._lock is not None:
-            self._lock.close()
+        self.leave()
 
 
 def scratch_for_sockets(data: Path) -> Scratch:
@@ -113,12 +124,17 @@ def scratch_for_sockets(data: Path) -> Scratch:
     return Scratch(shared)
 
 
+def held(folder: Path) -> IO[str] | None:
+    """Keep a folder of :class:`Scratch` for as long as the file returned is open, as several processes may at once."""
+    return _locked(folder / LOCK, fcntl.LOCK_SH)
+
+
 def clean(shared: Path) -> None:
     """Remove the folders whose processes have ended."""
     for folder in shared.iterdir():
         if not folder.is_dir() or folder.is_symlink():
             continue
-        lock = _locked(folder / LOCK)
+        lock = _locked(folder / LOCK, fcntl.LOCK_EX)
         if lock is not None:
             shutil.rmtree(folder, ignore_errors=True)
             lock.close()
@@ -132,14 +148,14 @@ def _held(path: Path) -> Iterator[None]:
         yield
 
 
-def _locked(path: Path) -> IO[str] | None:
-    """Lock a file; None when another process holds it."""
+def _locked(path: Path, how: int) -> IO[str] | None:
+    """Lock a file; None when another process holds it, or its folder is gone."""
     try:
         file = path.open("w", encoding="ascii")
     except OSError:
         return None
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, how | fcntl.LOCK_NB)
     except OSError:
         file.close()
         return None

@@ -72,11 +72,11 @@ def worker(settings: Settings, arguments: argparse.Namespace) -> None:
     run(settings)
 
 
-def corrector(settings: Settings, _: argparse.Namespace) -> None:
+def corrector(settings: Settings, arguments: argparse.Namespace) -> None:
     """Run the process that corrects setpoints over zenoh."""
     from kilter_service.corrector.process import run
 
-    run(settings)
+    run(settings, arguments.deserted.is_set)
 
 
 def ros2(settings: Settings, _: argparse.Namespace) -> None:
@@ -235,7 +235,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         logs.configure(settings, given.command)
         if given.command in TRACED:
             tracing.configure(given.command)
-        given.supervised = _end_with_parent()
+        given.deserted = threading.Event()
+        given.supervised = _end_with_parent(given.deserted)
         COMMANDS[given.command][0](settings, given)
     except ValidationError as error:
         for item in error.errors():
@@ -256,14 +257,18 @@ def _end(error: Exception) -> NoReturn:
     sys.exit(2 if known is not None and known.code in USAGE_CODES else 1)
 
 
-def _end_with_parent() -> bool:
-    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went; returns whether it is one."""
+def _end_with_parent(deserted: threading.Event) -> bool:
+    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went; returns whether it is one.
+
+    ``deserted`` is set then: a supervisor that stops in order says so before it is gone.
+    """
     if os.environ.pop("KILTER_SUPERVISED", None) is None:
         return False
 
     def watch() -> None:
         while os.read(0, 1024):
             continue
+        deserted.set()
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()

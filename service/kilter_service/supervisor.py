@@ -22,6 +22,7 @@ from typing import IO, Any
 from kilter_service.auth.binding import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.corrector.endpoints import check_free, check_listening
+from kilter_service.corrector.orphan import goes_on_alone
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import stopped
 from kilter_service.last_words import LastWords
@@ -200,7 +201,8 @@ def serve(settings: Settings) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     with _alone(settings.data), listener(settings) as opened, ServerFile(settings.server_file) as file:
-        check_free(settings.zenoh_listen)
+        if not goes_on_alone(settings.corrector_file):
+            check_free(settings.zenoh_listen)
         children = [
             Child("api", settings, "--fd", str(opened.fileno()), keep=(opened.fileno(),)),
             Child("worker", settings),

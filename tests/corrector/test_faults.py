@@ -20,20 +20,14 @@ import zenoh
 
 from kilter_client.stream import CorrectedStream
 from kilter_core.model import Calibration
-from kilter_service.contract.versions import ActivationWish
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
 from kilter_service.corrector.wire import Flag, Status
-from kilter_service.db import Database, revision
-from kilter_service.db.tables import JobRow
-from kilter_service.robots import service as robots
-from kilter_service.robots.wire import DOCUMENT
 from kilter_service.settings import DATABASE_FILE, Settings
-from kilter_service.versions import activation, store
-from kilter_service.versions.store import NewVersion
 from tests.corrector.live import ROBOT, ROOT, Line, Q, on_time, open_stream, point, until
+from tests.corrector.stored import descendants, store_active
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -278,15 +272,6 @@ def test_the_stream_comes_back_after_the_router_was_restarted(
         behind.stop()
 
 
-def descendants(pid: int) -> set[int]:
-    """Process ids below a process."""
-    try:
-        below = {int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()}
-    except OSError:
-        return set()
-    return below.union(*(descendants(child) for child in below))
-
-
 @pytest.mark.parametrize("ready", [pytest.param(ready, marks=pytest.mark.slow) for ready in (1, 4, 7)] + [5])
 def test_sigterm_during_the_start_leaves_nothing_behind(tmp_path: Path, ready: int) -> None:
     """Told to stop as soon as so many processes exist: with one of them, with all, with those of the corrector."""
@@ -302,25 +287,6 @@ def test_sigterm_during_the_start_leaves_nothing_behind(tmp_path: Path, ready: i
     until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in started))
     assert not (tmp_path / "corrector.json").exists()
     assert not (tmp_path / "server.json").exists()
-
-
-def store_active(settings: Settings, calibration: Calibration) -> None:
-    """A database with one robot and its active version, as job and routes write them."""
-    document = {"name": ROBOT, "convention": "preset", "preset": ROBOT}
-    report: dict[str, object] = {"parameters": [], "metrics": {}, "noise_mm": 0.01}
-    limits = {"max_joint_deg": 1.0, "max_position_mm": 5.0}
-    version = NewVersion(calibration.to_document(), report, {}, [], limits, None, "test")
-    database = Database(settings.database)
-    try:
-        revision.migrate(database)
-        robots.add(database, DOCUMENT.validate_python(document))
-        with database.transaction() as session:
-            session.add(JobRow(id="job_1", kind="identify", robot_id=1, request={}, state="succeeded"))
-            session.flush()
-            added = store.add(session, 1, "job_1", version)
-        activation.activate(database, added, "admin", ActivationWish())
-    finally:
-        database.close()
 
 
 def test_the_stream_outlives_the_api_and_the_database(tmp_path: Path, katana: Calibration) -> None:

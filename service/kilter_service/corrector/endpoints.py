@@ -8,7 +8,7 @@ import socket
 from pathlib import Path
 
 from kilter_service.errors import ServiceError
-from kilter_service.private_files import scratch_for_sockets
+from kilter_service.private_files import Scratch, scratch_for_sockets
 from kilter_service.settings import Settings
 
 ON_THIS_MACHINE = ("unixsock-stream", "unixpipe")
@@ -97,15 +97,33 @@ def check_free(endpoint: str) -> None:
             raise cannot_listen(endpoint, "Address already in use") from error
 
 
+UNIX = "unixsock-stream/"
+
+
+def door_beside(private: str) -> Path:
+    """Where another corrector finds a stream process whose own is gone: beside the socket of the query process."""
+    return folder_of(private) / "door"
+
+
+def folder_of(private: str) -> Path:
+    """Private folder of a corrector, by the endpoint in it."""
+    return Path(private.removeprefix(UNIX)).parent
+
+
 class PrivateSocket:
     """Where the query process meets the stream process: a socket in a folder that nobody else may enter.
 
     So the corrector has one port, and queries come through it; still, the other process does their work.
     """
 
-    def __init__(self, data: Path) -> None:
-        self._scratch = scratch_for_sockets(data)
-        self.endpoint = f"unixsock-stream/{self._scratch.folder / 'socket'}"
+    def __init__(self, data: Path, endpoint: str | None = None) -> None:
+        """Make it, or share the one at ``endpoint``, where a stream process is that another corrector started."""
+        self._scratch = scratch_for_sockets(data) if endpoint is None else Scratch.shared_at(folder_of(endpoint))
+        self.endpoint = endpoint or f"{UNIX}{self._scratch.folder / 'socket'}"
+
+    def leave(self) -> None:
+        """Leave it to the stream process, which goes on."""
+        self._scratch.leave()
 
     def close(self) -> None:
         """Remove the folder."""

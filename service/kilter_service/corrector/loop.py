@@ -25,6 +25,7 @@ from kilter_core.correct.program import warm_up
 from kilter_service.corrector import fast_path, keys, wire
 from kilter_service.corrector.active import Active, nothing_active
 from kilter_service.corrector.gate import Admitted, Gate, unsigned_refusal
+from kilter_service.corrector.orphan import ORPHAN_S, Door, State
 from kilter_service.corrector.session import ENCODING, close, open_listening
 from kilter_service.corrector.slots import Served, Slots, address_of, names_of
 from kilter_service.corrector.specs import StreamSpec
@@ -32,6 +33,7 @@ from kilter_service.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.corrector.wire import Status
 from kilter_service.errors import ServiceError
 from kilter_service.signing import questions, sealed
+from kilter_service.signing.masters import Masters, masters_in
 
 log = logging.getLogger("kilter.corrector.stream")
 
@@ -102,6 +104,12 @@ class StreamLoop:
                 served.verdict, woken_ns = verdict, arrival_ns
                 self._wake_up.signal()
 
+    def follow(self, masters: Masters) -> None:
+        """Take these secrets from here on."""
+        self.gate.masters = masters
+        for served in self.slots.served.values():
+            served.guard.follow()
+
     def _find(self, key: str, sample: zenoh.Sample, arrival_ns: int, last: Served | None) -> Served | None:
         """The stream of a key, remembered as the one that follows ``last``; None when it was answered without one."""
         served = self.slots.served.get(key) or self._start(key, sample.payload.to_bytes(), arrival_ns)
@@ -169,13 +177,18 @@ class StreamLoop:
 
 
 class HousekeepingThread(threading.Thread):
-    """Takes versions from the supervisor, announces them, reports status; closes the session when the supervisor says stop."""
+    """Takes versions from the corrector, announces them, reports status; closes the session when the corrector says stop.
 
-    def __init__(self, loop: StreamLoop, wake_up: WakeUp, pipe: Connection) -> None:
+    When the corrector is gone the stream goes on, and another one finds it through its door.
+    """
+
+    def __init__(self, loop: StreamLoop, wake_up: WakeUp, pipe: Connection, door: Door, endpoint: str) -> None:
         super().__init__(name="housekeeping")
         self._loop = loop
         self._wake_up = wake_up
-        self._pipe = pipe
+        self._pipe: Connection | None = pipe
+        self._door, self._endpoint = door, endpoint
+        self._alone_since = 0.0
         self._queries: deque[zenoh.Query] = deque(maxlen=64)
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._reported_s = 0.0
@@ -189,7 +202,7 @@ class HousekeepingThread(threading.Thread):
         self._wake_up.signal()
 
     def run(self) -> None:
-        """Work until the supervisor says stop, or is gone."""
+        """Work until the corrector says stop, or is gone and no other comes."""
         try:
             while self._take():
                 self._answer_queries()
@@ -201,25 +214,45 @@ class HousekeepingThread(threading.Thread):
             close(self._loop.session)
 
     def _take(self) -> bool:
-        """Sleep until there is something to do, and take one message of the supervisor; False to stop."""
+        """Sleep until there is something to do, and take one message of the corrector; False to stop."""
         pause = PERIOD_S if self._telemetry.watched else STATUS_PERIOD_S
-        ready = wait([self._pipe, self._wake_up.waits], pause)
+        heard = self._door.socket if self._pipe is None else self._pipe
+        ready = wait([heard, self._wake_up.waits], pause)
         self._wake_up.clear()
-        if self._pipe not in ready:
+        if self._pipe is None:
+            return self._wait_for_another(came=heard in ready)
+        if heard not in ready:
             return True
         try:
             message, *rest = self._pipe.recv()
         except (EOFError, OSError):
-            return False
+            return self._go_on_alone()
         if message == "use":
             self._use(rest[0])
         elif message == "masters":
-            self._loop.gate.masters = rest[0]
-            for served in self._loop.slots.served.values():
-                served.guard.follow()
+            self._loop.follow(rest[0])
         elif message == "drop":
             self._drop(rest[0])
         return bool(message != "stop")
+
+    def _go_on_alone(self) -> bool:
+        """Go on without the corrector, which was killed: an arm may be moving. False where nobody is corrected yet."""
+        self._pipe, self._alone_since = None, time.monotonic()
+        if self._loop.active:
+            log.error("the corrector that started the stream is gone: the stream goes on for %.0f s", ORPHAN_S)
+        return bool(self._loop.active)
+
+    def _wait_for_another(self, came: bool) -> bool:
+        """Let a corrector that has come take this process over; False when none came in time, or it wants another."""
+        file = self._loop.spec.keys_file
+        if file is not None:  # a session that is revoked ends, whoever looks
+            with suppress(ServiceError, OSError):
+                self._loop.follow(masters_in(file, make=False))
+        if came:
+            state = State(os.getpid(), self._loop.spec, self._endpoint, dict(self._loop.active))
+            taken, self._pipe = self._door.let_in(state)
+            return taken
+        return time.monotonic() - self._alone_since < ORPHAN_S
 
     def _use(self, active: Active) -> None:
         """Announce the version first, then use it: a controller knows every epoch before it meets it."""
@@ -297,8 +330,9 @@ class HousekeepingThread(threading.Thread):
             )  # fmt: skip
             told.append({"robot": served.robot, "stream": keys.stream_of(served.status_key), **document})
         # A supervisor that does not read must not hold up this thread: then it is not told.
-        if told and select.select([], [self._pipe], [], 0)[1]:
-            self._pipe.send(("status", told))
+        if told and self._pipe is not None and select.select([], [self._pipe], [], 0)[1]:
+            with suppress(OSError):  # it is just ending
+                self._pipe.send(("status", told))
 
 
 def ask_for_real_time() -> bool:
@@ -321,14 +355,14 @@ def stream_main(spec: StreamSpec, pipe: Connection) -> None:
     fast_path.warm_up()  # before real time: a first compilation takes seconds
     real_time = ask_for_real_time()
     try:
-        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.private_endpoint)
+        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.private_endpoint, spec.again)
     except ServiceError as error:
         pipe.send(("refused", error.message, False))
         return
-    with session:
+    with session, Door(spec.private_endpoint) as door:
         wake_up = WakeUp()
         loop = StreamLoop(session, spec, wake_up)
-        housekeeping = HousekeepingThread(loop, wake_up, pipe)
+        housekeeping = HousekeepingThread(loop, wake_up, pipe, door, endpoint)
         pipe.send(("listening", endpoint, real_time))
         gc.collect()
         gc.freeze()

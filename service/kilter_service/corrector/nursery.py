@@ -25,6 +25,7 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, NoReturn
 
+from kilter_service.corrector.orphan import Found
 from kilter_service.corrector.specs import QuerySpec, StreamSpec, enter
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import running
@@ -157,7 +158,9 @@ def _live(entry: str, spec: StreamSpec | QuerySpec, pipe: Connection) -> NoRetur
 class Child:
     """A process of the corrector at the other end of a pipe."""
 
-    def __init__(self, name: str, entry: str, spec: StreamSpec | QuerySpec, nursery: Nursery) -> None:
+    def __init__(
+        self, name: str, entry: str, spec: StreamSpec | QuerySpec, nursery: Nursery, found: Found | None = None
+    ) -> None:
         self.name = name
         self.pid: int | None = None
         self._entry = entry
@@ -166,6 +169,8 @@ class Child:
         self._pipe: Connection | None = None
         self._listens = False
         self._asked_at = 0.0
+        if found is not None:  # it listens already, and was started by a corrector that is gone
+            self.pid, self._pipe, self._listens = found.pid, found.pipe, True
 
     def launch(self) -> None:
         """Order the process."""
@@ -191,7 +196,7 @@ class Child:
                     raise ServiceError(endpoint, code="binding_refused")
                 self._listens = True
                 if isinstance(self._spec, StreamSpec):  # after a restart it listens where its clients look for it
-                    self._spec = replace(self._spec, listen=endpoint)
+                    self._spec = replace(self._spec, again=endpoint)
                 return endpoint, bool(real_time)
         except (EOFError, OSError):
             pass
@@ -227,6 +232,11 @@ class Child:
                 return False
             meanwhile()
         return True
+
+    @property
+    def pipe(self) -> Connection | None:
+        """This end of its pipe."""
+        return self._pipe
 
     @property
     def listens(self) -> bool:

@@ -10,9 +10,12 @@ import json
 import logging
 import os
 import secrets
+import select
 import signal
 import threading
 from collections.abc import Callable, Hashable, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -21,6 +24,7 @@ from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import PrivateSocket, check_listening, is_local
 from kilter_service.corrector.nursery import POLL_S, Child, Nursery, StoppedError
+from kilter_service.corrector.orphan import take_over
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import Pulse, running
@@ -56,6 +60,7 @@ class Corrector:
         self._children: dict[str, Child] = {}
         self._private: PrivateSocket | None = None
         self._announced = False
+        self._told: dict[str, int | None] = {}
         self._masters: Masters | None = None
         self._keys_readable = True
         self._unsigned = settings.stream_unsigned and is_local(settings.zenoh_listen)
@@ -81,30 +86,51 @@ class Corrector:
         check_listening(self._settings)
         self._nursery.start()  # it imports meanwhile
         site, config = self._settings.site, self._settings.zenoh_config
-        self._masters = masters_in(self._settings.stream_keys_file)
-        self._private = PrivateSocket(self._settings.data)
-        common = (self._private.endpoint, self._masters, self._unsigned, config)
-        stream = StreamSpec(site, self.instance, self._settings.zenoh_listen, *common, self._rules)
-        queries = QuerySpec(site, *common)
+        keys = self._settings.stream_keys_file
+        masters = self._masters = masters_in(keys)
+        again = self._endpoint_before()
+
+        def wanted(private: str) -> StreamSpec:
+            listen, rules = self._settings.zenoh_listen, self._rules
+            return StreamSpec(site, self.instance, listen, private, masters, self._unsigned, config, rules, keys, again)
+
+        found = take_over(self.file, wanted(""))
+        self._private = PrivateSocket(self._settings.data, found.spec.private_endpoint if found else None)
+        stream = replace(found.spec, again=found.endpoint) if found else wanted(self._private.endpoint)
+        queries = QuerySpec(site, self._private.endpoint, masters, self._unsigned, config)
         self._children = {
-            "stream": Child("stream", STREAM, stream, self._nursery),
+            "stream": Child("stream", STREAM, stream, self._nursery, found),
             "query": Child("query", QUERY, queries, self._nursery),
         }
-        for child in self._children.values():
-            child.launch()
+        if found:
+            self.instance, self._active = found.spec.instance, dict(found.active)
+            log.info("the stream process %d, which went on alone, is taken over", found.pid)
+        else:
+            self._children["stream"].launch()
+        self._children["query"].launch()
         self._look()  # while they import; they get what it finds when they listen
-        for name in self._children:
-            self._take_child(name)
+        if found:
+            self.endpoints["stream"] = found.endpoint
+            self._children["stream"].send("masters", self._masters)
+        else:
+            self._take_child("stream")
+        self._take_child("query")
+
+    def _endpoint_before(self) -> str | None:
+        """Where a corrector that was killed listened."""
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            return str(json.loads(self.file.read_text(encoding="utf-8"))["endpoints"]["stream"])
+        return None
 
     def _take_child(self, name: str) -> None:
         endpoint, real_time = self._children[name].listening(self._stopped)
         # Queries go through the stream's port.
         self.endpoints[name] = endpoint or self.endpoints["stream"]
         log.info("%s process is at %s%s", name, self.endpoints[name], ", real-time priority" if real_time else "")
+        self._write_file()  # first: whoever serves must be found
         self._children[name].send("masters", self._masters)  # they may have been rotated since its first start
         for active in self._active.values():
             self._children[name].send("use", active)
-        self._write_file()
 
     def _write_file(self) -> None:
         document = {
@@ -116,12 +142,19 @@ class Corrector:
             "unsigned": self._unsigned,
             "zenoh_config": str(self._settings.zenoh_config) if self._settings.zenoh_config else None,
             "private": self._private.endpoint if self._private else None,
+            "processes": self._processes,
         }
+        self._told = self._processes
         self._settings.data.mkdir(parents=True, exist_ok=True)
         part = self.file.with_suffix(".part")
         part.write_text(json.dumps(document, indent=1), encoding="utf-8")
         part.replace(self.file)
         self._announced = True
+
+    @property
+    def _processes(self) -> dict[str, int | None]:
+        """Their process ids, for whoever looks at them from outside."""
+        return {"nursery": self._nursery.pid} | {name: child.pid for name, child in self._children.items()}
 
     @property
     def well(self) -> bool:
@@ -137,6 +170,8 @@ class Corrector:
                 child.stop()
                 child.launch()
                 self._take_child(name)
+        if self._processes != self._told:
+            self._write_file()
         for _, documents in self._children["stream"].heard():
             self._note(documents)
         self._follow_masters()
@@ -198,6 +233,21 @@ class Corrector:
             if child.listens:
                 child.send(*message)
 
+    def rest(self, seconds: float) -> None:
+        """Sleep, and wake at once when a process has ended: each millisecond is one that an arm is not corrected for."""
+        ended = select.poll()
+        for child in self._children.values():
+            if child.pipe is not None:
+                ended.register(child.pipe, 0)
+        ended.poll(seconds * 1000)
+
+    def leave(self) -> None:
+        """End, and leave the stream as it is: another corrector takes it over."""
+        self._nursery.stop()
+        if self._private is not None:
+            self._private.leave()
+        self._source.close()
+
     def stop(self) -> None:
         """Stop both processes and remove the corrector file."""
         for child in self._children.values():
@@ -210,8 +260,8 @@ class Corrector:
         self._source.close()
 
 
-def run(settings: Settings) -> None:
-    """Correct until SIGTERM or Ctrl-C."""
+def run(settings: Settings, deserted: Callable[[], bool] = lambda: False) -> None:
+    """Correct until SIGTERM or Ctrl-C; the stream goes on alone when whoever started this process was killed (``deserted``)."""
     stopped = threading.Event()
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
@@ -223,10 +273,14 @@ def run(settings: Settings) -> None:
     try:
         corrector.start()
         with Pulse(settings, "corrector", settings.site, lambda: corrector.well, lambda: corrector.details) as pulse:
-            while not stopped.wait(POLL_S):
+            while not stopped.is_set():
                 corrector.poll()
                 pulse.round()
+                corrector.rest(POLL_S)
     except StoppedError:
         log.info("stopped before the stream was up")
     finally:
-        corrector.stop()
+        if deserted():
+            corrector.leave()
+        else:
+            corrector.stop()

@@ -58,8 +58,10 @@ def with_free_port(endpoint: str) -> str:
         return f"{address}:{probe.getsockname()[1]}"
 
 
-def open_listening(endpoint: str, file: Path | None, private: str | None = None) -> tuple[zenoh.Session, str]:
-    """Open a session that listens on ``endpoint``; with port 0 a port somebody else took meanwhile is tried again.
+def open_listening(
+    endpoint: str, file: Path | None, private: str | None = None, again: str | None = None
+) -> tuple[zenoh.Session, str]:
+    """Open a session that listens on ``endpoint``; with port 0 first where it was before (``again``), then on a free one.
 
     Raises:
         ServiceError: the system does not allow it, or the port is taken.
@@ -67,13 +69,18 @@ def open_listening(endpoint: str, file: Path | None, private: str | None = None)
     """
     attempts = 5 if endpoint.endswith(":0") else 1
     for attempt in range(attempts):
-        chosen = with_free_port(endpoint)
+        kept = again if attempt == 0 and again is not None and _same_but_port(endpoint, again) else None
+        chosen = kept or with_free_port(endpoint)
         try:
             return zenoh.open(config(chosen, file=file, private=None if is_client(file) else private)), chosen
         except zenoh.ZError as error:
             if attempt == attempts - 1:
                 raise cannot_listen(endpoint, str(error)) from error
     raise AssertionError("unreachable")
+
+
+def _same_but_port(endpoint: str, other: str) -> bool:
+    return endpoint.endswith(":0") and endpoint.rpartition(":")[0] == other.rpartition(":")[0]
 
 
 def open_inside(private: str, file: Path | None, stopped: Callable[[float], bool]) -> zenoh.Session | None:

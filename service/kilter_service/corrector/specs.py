@@ -6,7 +6,7 @@ Light on purpose: the supervisor of both starts them before it imports anything 
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -40,7 +40,10 @@ class Rules:
 
 @dataclass(frozen=True)
 class StreamSpec:
-    """What the stream process gets when it is spawned; at ``private_endpoint`` it meets the query process."""
+    """What the stream process gets when it is spawned; at ``private_endpoint`` it meets the query process.
+
+    ``again`` is where the one before it listened: where the port is left open (0), clients look there first.
+    """
 
     site: str
     instance: str
@@ -50,6 +53,13 @@ class StreamSpec:
     unsigned: bool
     zenoh_config: Path | None = None
     rules: Rules = field(default_factory=Rules)
+    keys_file: Path | None = None
+    again: str | None = None
+
+    def serves_as(self, other: StreamSpec) -> bool:
+        """Whether a stream process that was started with ``other`` does what one started with this would."""
+        theirs = ("instance", "private_endpoint", "masters", "again")
+        return replace(self, **{name: getattr(other, name) for name in theirs}) == other
 
 
 @dataclass(frozen=True)

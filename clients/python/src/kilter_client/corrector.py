@@ -52,7 +52,7 @@ def find_corrector(data: Path | None = None) -> dict[str, Any]:
 
 
 def session_config(zenoh: Any, endpoints: Sequence[str], file: Path | None = None) -> Any:
-    """Peer that connects to the endpoints and to nobody else, and comes back within half a second.
+    """Peer that connects to the endpoints and to nobody else, and comes back within a quarter of a second.
 
     ``file`` is a zenoh configuration with the certificates of this controller.
     """
@@ -61,7 +61,7 @@ def session_config(zenoh: Any, endpoints: Sequence[str], file: Path | None = Non
         "listen/endpoints": [],
         "connect/endpoints": list(dict.fromkeys(endpoints)),
         "connect/timeout_ms": 0,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        "connect/retry": {"period_init_ms": 20, "period_max_ms": 250, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": 1000,

@@ -8,13 +8,13 @@ import itertools
 import queue
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kilter_client.acceptance import Acceptance
-from kilter_client.corrector import StreamError, root_of
+from kilter_client.corrector import StreamError, root_of, session_config
 from kilter_client.in_use import MOST_REPLIES, InUse
 from kilter_client.sessions import Sessions
 from kilter_client.setpoint import Statistics
@@ -22,6 +22,7 @@ from kilter_client.signing import SESSION_EXPIRED, Session, Signer
 
 GONE = b""  # put into the queue when the corrector is gone, to end a wait
 AGAIN = b"again"  # put there when the setpoint was not corrected, but the corrector has given its nonce
+LOOK_S = 0.25  # so often the address of a corrector that is gone is read again
 MOST_WAITING = 64  # answers to one setpoint; more of them are somebody else's
 
 
@@ -46,9 +47,17 @@ class Link:
     _acceptance: Acceptance
 
     def __init__(
-        self, place: Place, statistics: Statistics, in_use: InUse, sessions: Sessions, first: Session | None
+        self,
+        place: Place,
+        statistics: Statistics,
+        in_use: InUse,
+        sessions: Sessions,
+        first: Session | None,
+        zenoh_config: Path | None = None,
+        elsewhere: Callable[[], Place | None] = lambda: None,
     ) -> None:
         _ = place.root  # refuses names that nobody would ever answer
+        self._elsewhere = elsewhere
         self.joints = 0  # known when the stream is open
         self._place = place
         self._statistics = statistics
@@ -60,12 +69,15 @@ class Link:
         self._told = False  # whether anybody ever answered which version is active
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._follower: threading.Thread | None = None
+        self._opening = threading.Lock()
         self._session: Any = None
+        self._zenoh_config = zenoh_config
 
     def close(self) -> None:
         """Close the session; safe to call twice."""
         atexit.unregister(self.close)
-        session, self._session = self._session, None
+        with self._opening:
+            session, self._session = self._session, None
         if session is not None:
             session.close()
             self._ask_again.set()  # the thread sees that there is no session any more
@@ -81,6 +93,9 @@ class Link:
     def alive(self) -> bool:
         """Whether a corrector that serves the robot is known to be there."""
         return bool(self._alive)
+
+    def _open(self, zenoh: Any, endpoints: Sequence[str]) -> Any:
+        return zenoh.open(session_config(zenoh, endpoints, self._zenoh_config))
 
     def _declare(self, zenoh: Any) -> None:
         session = self._session
@@ -154,18 +169,35 @@ class Link:
         self._told = self._told or bool(found)
         self._in_use.confirm(found)
 
-    def _follow(self, session: Any) -> None:
+    def _follow(self) -> None:
         """Ask which version is active whenever somebody says that it has changed; apart from the cycles."""
         while True:
-            self._ask_again.wait(30.0)
+            self._ask_again.wait(30.0 if self._alive else LOOK_S)
             self._ask_again.clear()
-            if self._session is None:
+            if not self._alive:
+                self._look_elsewhere()
+            session = self._session
+            if session is None:
                 return
             if self._signer is not None and self._sessions.due():
                 self._renew(self._signer)
             with contextlib.suppress(Exception):  # the session is being closed
                 self._ask_for_version(session)
             time.sleep(0.02)  # however often somebody says so
+
+    def _look_elsewhere(self) -> None:
+        """Connect to where the corrector is now, if the file that told its address names another."""
+        place = self._elsewhere()
+        if place is None or place == self._place:
+            return
+        import zenoh
+
+        with self._opening:
+            if self._session is None:
+                return
+            before, self._session, self._place = self._session, self._open(zenoh, place.endpoints), place
+            self._declare(zenoh)
+        before.close()
 
     def _renew(self, signer: Signer) -> None:
         """Get another session; the stream changes to it when the corrector has answered its greeting."""

@@ -20,12 +20,14 @@ import queue
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from kilter_client.acceptance import Acceptance
 from kilter_client.carried import Carried, farthest
-from kilter_client.corrector import StreamError, find_corrector, session_config
+from kilter_client.corrector import StreamError, find_corrector
 from kilter_client.frames import QD, QDD, RESET, SETTLED, Answer
 from kilter_client.in_use import InUse
 from kilter_client.link import AGAIN, GONE, Link, Place
@@ -91,22 +93,25 @@ class CorrectedStream(Link):
         statistics: Statistics | None = None,
     ) -> None:
         found: dict[str, Any] = {}
+        by_file = False
         if endpoints is None or site is None:
             found = find_corrector(data)
+            by_file = endpoints is None
             endpoints = endpoints or list(found["endpoints"].values())
             site = site or str(found["site"])
         self.statistics = statistics or Statistics()
         in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0, quickest_s)
+        place = Place(site, robot, stream, tuple(endpoints))
         sessions = Sessions(site, robot, stream, endpoints, found, signed)
         super().__init__(
-            Place(site, robot, stream, endpoints), self.statistics, in_use, sessions, sessions.first(session)
-        )
+            place, self.statistics, in_use, sessions, sessions.first(session), zenoh_config,
+            partial(_where_now, place, data) if by_file else lambda: None,
+        )  # fmt: skip
         self.robot = robot
         self.deadline_s = deadline_s
         self.connect_timeout_s = connect_timeout_s
         self._acceptance = Acceptance(self.statistics, in_use, version, self._ask_again.set, self._signer)
         self._carried = Carried(in_use, self.statistics, settled, hold_cycles, release_s)
-        self._zenoh_config = zenoh_config
         self._settled = settled
         self._flags = RESET | (SETTLED if settled else 0)
         self._wanted: tuple[float, ...] = ()  # the last setpoint, and when it was sent
@@ -126,7 +131,7 @@ class CorrectedStream(Link):
         except ImportError as error:
             raise StreamError("Streams need zenoh: pip install eclipse-zenoh.") from error
         try:
-            self._session = zenoh.open(session_config(zenoh, self._place.endpoints, self._zenoh_config))
+            self._session = self._open(zenoh, self._place.endpoints)
         except zenoh.ZError as error:
             from kilter_client.certificates import why_not  # loads TLS: only where a stream cannot be opened
 
@@ -136,7 +141,7 @@ class CorrectedStream(Link):
         try:
             self._declare(zenoh)
             self._wait_for_version(zenoh, self.connect_timeout_s, self._zenoh_config)
-            self._follower = threading.Thread(target=self._follow, args=(self._session,), name="versions", daemon=True)
+            self._follower = threading.Thread(target=self._follow, name="versions", daemon=True)
             self._follower.start()
         except BaseException:
             self.close()
@@ -296,6 +301,16 @@ class CorrectedStream(Link):
         if again or answer.status in _LOST_ITS_PLACE:
             # At once, not ramped: the correction goes on where it is, and changes no faster than it may.
             self._flags |= RESET | (SETTLED if self._carried.delta or self._settled else 0)
+
+
+def _where_now(place: Place, data: Path | None) -> Place | None:
+    """Where the corrector file says that a stream is now; None while there is none, or it is of another site."""
+    try:
+        found = find_corrector(data)
+        endpoints = tuple(found["endpoints"].values())
+    except (StreamError, KeyError, AttributeError):
+        return None
+    return replace(place, endpoints=endpoints) if found.get("site") == place.site else None
 
 
 def corrected(
