@@ -55,7 +55,7 @@ from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.report import large_residual
-from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
+from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -295,11 +295,10 @@ class _Run:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
         before_after = held.by_pose()
-        if found.chosen and worse(*before_after):
+        told = grown(*before_after) if found.chosen else None
+        if told is not None:
             certain = Difference.of(*reversed(before_after)).worse
-            gap = gap_document(self.prepared, found, held.report())
-            before, after = gap[f"validation_before_{unit}"], gap[f"validation_after_{unit}"]
-            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, certain, unit)
+            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", told, certain, unit)
         if self.confirmation is not None:
             yield from Guard.of(found, self.begin, kept.calibration, self.confirmation).warnings(kept.registered)
         if self.validation is None or kept.registered is None:

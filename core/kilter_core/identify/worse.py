@@ -26,12 +26,26 @@ WORSE_THAN_REGISTRATION = "heldout_worse_than_registration"
 WORSE_THAN_GEOMETRY = "worse_than_geometry"
 
 
-def worse(before: Floats, after: Floats) -> bool:
-    """Whether errors (G,) of poses grew: by more than the standard error of the mean, or by 1 % of their rms."""
+@dataclass(frozen=True)
+class Grown:
+    """An error (m or rad) that grew, ``before`` and ``after``: the ``quantity`` compared is the one to be told."""
+
+    quantity: str
+    before: float
+    after: float
+
+
+MEAN, RMS = "mean by pose", "rms by pose"
+
+
+def grown(before: Floats, after: Floats) -> Grown | None:
+    """What of the errors (G,) of poses grew: the mean by more than its standard error, or the rms by 1 %; None if neither."""
     step = after - before
     error = float(np.std(step, ddof=1) / np.sqrt(len(step))) if len(step) > 1 else 0.0
+    if step.mean() > BY_CHANCE * error > 0.0:
+        return Grown(MEAN, float(before.mean()), float(after.mean()))
     rms = [float(np.sqrt(np.mean(e**2))) for e in (before, after)]
-    return bool(step.mean() > BY_CHANCE * error > 0.0 or rms[1] > MUCH * rms[0])
+    return Grown(RMS, *rms) if rms[1] > MUCH * rms[0] else None
 
 
 @dataclass(frozen=True)
@@ -79,24 +93,33 @@ class PoseErrors:
                    ("geometry", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
         for stage, words, code in simpler:
             before = self.stages.get(stage)
-            if before is not None and worse(before, after):
-                certain = Difference.of(after, before).worse
-                yield worse_warning(code, words, _rms_mm(before), _rms_mm(after), certain)
+            told = None if before is None else grown(before, after)
+            if before is not None and told is not None:
+                yield worse_warning(code, words, told, Difference.of(after, before).worse)
 
 
-def worse_warning(
-    code: str, words: str, before: float, after: float, beyond_chance: bool, unit: str = "mm"
-) -> dict[str, Any]:
+def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit: str = "mm") -> dict[str, Any]:
     """Warn that held-out poses are predicted worse than by something simpler; beyond chance, activation is refused."""
     advice = (
         "do not activate this version. Measure more poses, spread over the joints, or free fewer parameters and effects."
         if beyond_chance
         else "by no more than chance explains. Measure more poses, spread over the joints, before you rely on the difference."
     )
+    scale = 1e3 if unit == "mm" else 180.0 / np.pi
+    before, after = told.before * scale, told.after * scale
+    less, more = _apart(before, after)
     return {
-        "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "beyond_chance": beyond_chance,
-        "message": f"Held-out poses are predicted worse ({after:.3g} {unit}) than with {words} ({before:.3g} {unit}): {advice}",
+        "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "quantity": told.quantity,
+        "beyond_chance": beyond_chance,
+        "message": f"Held-out poses are predicted worse ({more} {unit}, {told.quantity}) than with {words} ({less} {unit}): "
+        f"{advice}",
     }  # fmt: skip
+
+
+def _apart(*values: float) -> tuple[str, ...]:
+    """Numbers with as many digits as it takes to see that they differ."""
+    said = [tuple(f"{value:.{digits}g}" for value in values) for digits in range(3, 9)]
+    return next((words for words in said if len(set(words)) == len(words)), said[-1])
 
 
 def geometry_alone(begin: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration | None:
@@ -131,6 +154,3 @@ def _by_pose(calibration: Calibration, unseen: Measurement) -> Floats:
     group = pose if len(pose) == len(square) else np.arange(len(square))
     return np.asarray(np.sqrt(np.bincount(group, square) / np.bincount(group)))
 
-
-def _rms_mm(errors: Floats) -> float:
-    return float(np.sqrt(np.mean(errors**2))) * 1e3

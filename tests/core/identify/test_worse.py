@@ -12,7 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
-from kilter_core.identify.worse import worse
+from kilter_core.identify.worse import MEAN, RMS, grown, worse_warning
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.gap.simulated import campaign, katana
@@ -38,11 +38,31 @@ def identified(poses: int, noise: float, options: IdentifyOptions, wrong: bool, 
 def test_what_counts_as_worse() -> None:
     rng = np.random.default_rng(1)
     errors = rng.uniform(0.5, 1.5, 50)
-    assert not worse(errors, errors)
-    assert not worse(errors, 0.9 * errors)
-    assert worse(errors, 1.02 * errors)
-    assert not worse(errors, errors + rng.normal(0.0, 0.05, 50) - 0.02)
-    assert worse(errors, np.where(np.arange(50) == 7, 5.0, errors))
+    assert grown(errors, errors) is None
+    assert grown(errors, 0.9 * errors) is None
+    assert grown(errors, 1.02 * errors) is not None
+    assert grown(errors, errors + rng.normal(0.0, 0.05, 50) - 0.02) is None
+    one = grown(errors, np.where(np.arange(50) == 7, 5.0, 0.99 * errors))
+    assert one is not None
+    assert one.quantity == RMS
+    assert one.after == pytest.approx(np.sqrt(np.mean(np.where(np.arange(50) == 7, 5.0, 0.99 * errors) ** 2)))
+
+
+def test_what_is_compared_is_what_is_printed() -> None:
+    """Most poses a little worse and a few much better: the mean grows while the rms falls, and the means are told."""
+    before = np.where(np.arange(200) < 2, 0.2e-3, 0.05e-3)
+    after = np.where(np.arange(200) < 2, 0.1e-3, 0.052e-3)
+    assert np.sqrt(np.mean(after**2)) < np.sqrt(np.mean(before**2))
+    told = grown(before, after)
+    assert told is not None
+    assert told.quantity == MEAN
+    said = worse_warning("worse_than_geometry", "the geometry alone", told, beyond_chance=False)
+    assert said["identified_mm"] == pytest.approx(1e3 * after.mean())
+    assert said["identified_mm"] > said["simpler_mm"]
+    assert "mean by pose" in said["message"]
+    close = worse_warning("worse_than_geometry", "it", replace(told, before=5.2301e-5, after=5.2304e-5), False)
+    assert "0.052304 mm" in close["message"]
+    assert "0.052301 mm" in close["message"]
 
 
 def test_twenty_poses_of_a_perfect_arm_are_worse_than_base_and_tool() -> None:
@@ -50,8 +70,9 @@ def test_twenty_poses_of_a_perfect_arm_are_worse_than_base_and_tool() -> None:
     assert WORSE & codes(found) == {"heldout_worse_than_registration"}
     (said,) = [w for w in found.warnings if w["code"] == "heldout_worse_than_registration"]
     held = found.metrics["validation"]
-    assert said["identified_mm"] == pytest.approx(held["identified"]["rms_mm"])
-    assert said["simpler_mm"] == pytest.approx(held["registration_only"]["rms_mm"])
+    assert said["quantity"] == MEAN
+    assert said["identified_mm"] == pytest.approx(held["identified"]["mean_mm"])
+    assert said["simpler_mm"] == pytest.approx(held["registration_only"]["mean_mm"])
     assert "do not activate" in said["message"]
 
 

@@ -117,19 +117,19 @@ class HoldoutEvaluator:
         return 0 if self.rows is None else len(np.unique(self._groups()))
 
     def _lower(self) -> Floats:
-        """Root (m, m) of the noise covariance of a held-out row."""
+        """Root (m, m) of the noise covariance by which errors are whitened: of a held-out row, or of a visit left out."""
         settings = self.search.problem.settings
+        if self.rows is None:
+            return root_of(np.mean(settings.noise.visit[settings.used], axis=0) * settings.inflation)
         return root_of(settings.noise.row * (settings.inflation if self.moving else 1.0))
 
     def report(self) -> HeldOut:
         """Geometry only, and everything named."""
         before, after = self.errors([]), self.errors(self.search.columns)
         problem, columns = self.search.problem, self.search.columns
-        noise, used = problem.settings.noise, problem.settings.used
         if self.rows is None:
-            lower = root_of(np.mean(noise.visit[used], axis=0) * problem.settings.inflation)
             floor = left_out_floor(problem, columns)
-            return HeldOut(before, after, lower, floor, "leave one pose out", 0, problem.settings.inflation)
+            return HeldOut(before, after, self._lower(), floor, "leave one pose out", 0, problem.settings.inflation)
         spike = ~self.kept
         spread = self._spread()
         floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
@@ -200,11 +200,14 @@ class HoldoutEvaluator:
         return source.residual(values)
 
     def by_pose(self) -> tuple[Floats, Floats]:
-        """Whitened rms errors (G,) of the held-out poses by geometry alone and by everything named."""
-        group = np.unique(self._groups(), return_inverse=True)[1]
-        count = np.bincount(group)
-        both = (self.errors([]), self.errors(self.search.columns))
-        before, after = (np.sqrt(np.bincount(group, np.sum(e**2, axis=1)) / count) for e in both)
+        """Rms errors (G,) m or rad of the held-out poses by geometry alone and by everything named, as they are printed."""
+        group = np.unique(self._groups()[self.kept], return_inverse=True)[1]
+        own = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+        source, lower = self.search.problem.settings.source, self._lower()
+        before, after = (
+            np.array([source.rms(e[pose] @ lower.T) for pose in own])
+            for e in (self.errors([])[self.kept], self.errors(self.search.columns)[self.kept])
+        )
         return before, after
 
     def gain_of(self, place: int) -> tuple[float, float, float]:
