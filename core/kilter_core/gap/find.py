@@ -184,7 +184,7 @@ class _Run:
             warnings=(
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *self._unplanned(effects),
+                *self._unplanned(effects), *kept.alike(),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip

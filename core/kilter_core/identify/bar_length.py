@@ -1,24 +1,33 @@
-"""Whether a ball bar is as long as its readings say: by the sphere on which the joints put the tool."""
+"""Whether a ball bar is as long as its readings say: by the sphere on which the joints put the tool, and by the fit.
+
+The nominal arm only raises the question, because an arm that is to be calibrated is wrong by more than many bars are. What
+answers it is the fit: with the length as read and with the length that the joints command, whose deviations are then left
+by noise alone, and whose parameters are those of an arm.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from kilter_core.arm.robot import Robot
+from kilter_core.identify.least_squares import Fit
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
 SHARE, LEAST_M = 0.01, 1e-3  # robots are truer than one part in a hundred
 FEWEST = 8
+MARGIN = 6.0  # 2 log of a Bayes factor of 20, in favour of another length than was read
+SMALLEST_M = 1e-7  # no bar and no arm leaves less
 FLAT = 1e-3  # of the spread across a plane: the bar went round in it
 
 
-def other_lengths(robot: Robot, rows: Observations) -> list[tuple[int, float, float]]:
-    """Bars (number, length read, length that the joints command; m) for which the two cannot both be."""
+def other_lengths(arm: Calibration, rows: Observations) -> list[tuple[int, float, float]]:
+    """Bars (number, length read, length by the joints of ``arm``; m) for which the two differ by more than robots err."""
     if rows.bar is None or rows.bar_length is None:
         return []
-    p = Calibration.nominal(robot).predict(rows).position
+    p = arm.predict(rows).position
     out = []
     for number in np.unique(rows.bar[rows.bar > 0]):
         mine = rows.bar == number
@@ -27,6 +36,26 @@ def other_lengths(robot: Robot, rows: Observations) -> list[tuple[int, float, fl
         if found is not None and abs(found - read) > max(SHARE * read, LEAST_M):
             out.append((int(number), read, found))
     return out
+
+
+def scaled(rows: Observations, bar: int, factor: float) -> Observations:
+    """Rows whose readings of one bar are multiplied by a factor."""
+    assert rows.bar is not None
+    assert rows.bar_length is not None
+    return replace(rows, bar_length=np.where(rows.bar == bar, factor, 1.0) * rows.bar_length)
+
+
+def explains_better(other: Fit, fit: Fit) -> bool:
+    """Whether a fit with another length says the same rows better, with parameters as plausible: by likelihood and priors."""
+    return _badness(other) < _badness(fit) - MARGIN
+
+
+def _badness(fit: Fit) -> float:
+    """Twice the negative log of likelihood, of noise of unknown size, times that of the priors."""
+    left = fit.residual.points[np.isfinite(fit.residual.points)]
+    problem, rows = fit.problem, len(fit.residual.points)
+    moved = (fit.values[problem.free] - problem.prior_mean) / problem.prior_sigma
+    return rows * float(np.log(max(float(left @ left) / rows, SMALLEST_M**2))) + float(moved @ moved)
 
 
 def _radius(p: Floats) -> float | None:

@@ -103,15 +103,7 @@ def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dic
         }
     spread = workspace_uncertainty(fit)
     if spread is not None and spread.too_alike:
-        yield {
-            "code": "poses_ill_conditioned",
-            "here_mm": spread.here * 1e3,
-            "elsewhere_mm": spread.elsewhere * 1e3,
-            "message": f"The result knows the tool to {spread.here * 1e3:.3g} mm in these poses but only to "
-            f"{spread.elsewhere * 1e3:.3g} mm over the joint limits: the poses are too alike ({spread.narrow} used "
-            f"{spread.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
-            "use the result near these poses only.",
-        }
+        yield spread.warning()
     if fit.problem.measurement.observes_base and (train.position is not None or train.markers is not None):
         points = fit.problem.model.predict(fit.problem.batch, fit.values).position
         yield from large_residual(_rms(fit.residual.points), points)

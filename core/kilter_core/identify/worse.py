@@ -153,4 +153,3 @@ def _by_pose(calibration: Calibration, unseen: Measurement) -> Floats:
     # Distances and contacts are between rows: each counts for itself.
     group = pose if len(pose) == len(square) else np.arange(len(square))
     return np.asarray(np.sqrt(np.bincount(group, square) / np.bincount(group)))
-

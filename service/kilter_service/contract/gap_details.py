@@ -247,6 +247,7 @@ class Untestable(AtJoints):
 
     reason: str | None = Field(None, description="Why.")
     remedy: str | None = Field(None, description="What to measure so that it can be tested.")
+    missing: str | None = Field(None, description="What it lacks, in words that it shares with others of the list.")
 
 
 class Detectable(Stored):

@@ -1,8 +1,8 @@
-"""Checks of drawn sheets before the fit: whether their quarter points were given in the right order."""
+"""Checks of drawn sheets before the fit, whether their quarter points were given in the right order; of ball bars after it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +13,11 @@ from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
+    from kilter_core.identify import Identification
     from kilter_core.identify.plausibility.sheet_order import SheetOrder
     from kilter_core.observations import Observations
+
+    Again = Callable[[str, Observations], Identification | None]
 
 OPTION, GIVEN = "sheet_order", "given"
 
@@ -37,20 +40,38 @@ def doubts(
     return list(_judged(robot, drawn)) if drawn else []
 
 
-def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> list[dict[str, Any]]:
-    """Warnings about ball bars that are longer or shorter than the joints command."""
-    from kilter_core.identify.bar_length import other_lengths
+def bar_lengths(
+    found: Identification, robot: Robot, campaigns: Iterable[tuple[str, Observations]], again: Again
+) -> list[dict[str, Any]]:
+    """Warnings about ball bars of another length than was read, after the fit: the nominal arm only raises the question.
 
-    return [
-        {
-            "code": "bar_length_doubtful",
-            "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
-            f"from the ball at its fixed end ({found / read:.4g} times). Is the stated nominal length wrong? Give the right "
-            f"one (kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
-        }
-        for campaign, rows in campaigns
-        for bar, read, found in other_lengths(robot, rows)
-    ]
+    ``again(campaign, rows)`` is the same identification with other rows of a campaign, None of one that was not fitted.
+    """
+    from kilter_core.identify.bar_length import explains_better, other_lengths, scaled
+    from kilter_core.model import Calibration
+
+    nominal = Calibration.nominal(robot)
+    asked = [(name, rows, *one) for name, rows in campaigns for one in other_lengths(nominal, rows)]
+    out = []
+    for campaign, rows, bar, read, length in asked:
+        other = again(campaign, scaled(rows, bar, length / read))
+        if other is None:
+            wrong = bar in {number for number, _, _ in other_lengths(found.calibration, rows)}
+        else:
+            wrong = explains_better(other.fit, found.fit)
+        if wrong:
+            out.append(_other_length(campaign, bar, read, length))
+    return out
+
+
+def _other_length(campaign: str, bar: int, read: float, found: float) -> dict[str, Any]:
+    return {
+        "code": "bar_length_doubtful",
+        "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
+        f"from the ball at its fixed end ({found / read:.4g} times), and the rows fit that length better. Is the stated "
+        "nominal length wrong? Give the right one (kilter ballbar-join --radius-mm, or the line above the log) and upload "
+        "again.",
+    }
 
 
 def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:

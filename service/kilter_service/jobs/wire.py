@@ -173,7 +173,11 @@ def _testability(found: FoundByCheck) -> Testability:
         )
     untestable = [
         Untestable(
-            id=u.id, joints=None if u.joints is None else [j + 1 for j in u.joints], reason=u.reason, remedy=u.remedy
+            id=u.id,
+            joints=None if u.joints is None else [j + 1 for j in u.joints],
+            reason=u.reason,
+            remedy=u.remedy,
+            missing=u.missing or None,
         )
         for u in found.not_testable
     ]

@@ -11,6 +11,7 @@ from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.aliases import aliases_of
 from kilter_core.gap.evidence.cancelling import cancelling_members
 from kilter_core.gap.evidence.testability import testability as judged
+from kilter_core.gap.evidence.testability import untestable
 from kilter_core.gap.report.report import effect_row
 from kilter_core.gap.search.candidates import library_of, with_testable
 from kilter_core.gap.search.forward_selection import SearchResult, search
@@ -52,6 +53,48 @@ def test_a_drifting_first_joint_may_be_a_turning_base() -> None:
     assert aliases["drift"] > 0.999
     assert "random_walk" not in aliases  # it imitates anything: holding a shape says nothing
     assert effect["verdict"] == "class_confirmed"
+
+
+def test_a_walk_in_more_pieces_is_no_other_cause() -> None:
+    """A slow drift shows in few pieces as in many: that is one name, and its own alias would make it a class of itself."""
+    options = replace(QUICK, effects=("random_walk", "drift"))
+    rows = campaign(katana(), [("drift", None, (4e-8, 3e-8, 0.0, 0.0, 0.0, 0.0))], seed=3)
+    _, found = searched(rows, options)
+    candidates = found.selector.scorer.candidates
+    walks = [k for k, c in enumerate(candidates) if c.id == "random_walk"]
+    assert len(walks) > 1
+    for walk in walks:
+        problem = refit(found.problem.settings, found.problem.values, found.selector.columns((walk,)))
+        rivals = aliases_of(replace(found, problem=problem, chosen=(walk,)), walk)
+        assert "random_walk" not in {a.candidate.id for a in rivals}
+        assert "drift" in {a.candidate.id for a in rivals}
+
+
+def test_what_is_missing_is_said_in_words_that_effects_share() -> None:
+    bare = replace(campaign(katana(), []), t=None, temperature_c=None)
+    prepared = prepare_data(Calibration.nominal(katana()), bare, QUICK)
+    rows = untestable(prepared.library, judged(prepared.problem, prepared.library), prepared.problem, bare)
+    groups: dict[str, set[str]] = {}
+    for row in rows:
+        groups.setdefault(row.missing, set()).add(row.id)
+    assert "" not in groups
+    assert {"drift", "zero_drift", "settling", "random_walk"} <= groups["columns: t_s"]
+    assert "thermal_growth" in groups["columns: temperature_c"]
+    assert len(groups) < len(rows) / 2
+
+
+def test_a_search_warns_of_poses_that_are_too_alike() -> None:
+    robot, rng = katana(), np.random.default_rng(2)
+    near = 0.3 + rng.uniform(-0.1, 0.1, (40, robot.n_joints))
+    for q, warned in ((near, True), (campaign(robot, []).q, False)):
+        rows = Observations(q, position=Calibration.nominal(robot).predict(Observations(q)).position)
+        assert rows.position is not None
+        noisy = replace(rows, position=rows.position + 3e-5 * rng.standard_normal((len(q), 3)))
+        report = find_gap(robot, noisy, replace(QUICK, effects=("eccentricity",)), validation=0)
+        assert ("poses_ill_conditioned" in {w["code"] for w in report.warnings}) == warned
+    rows = campaign(robot, [], measured="markers")
+    report = find_gap(robot, rows, replace(QUICK, effects=("eccentricity",)), validation=0)
+    assert "poses_ill_conditioned" not in {w["code"] for w in report.warnings}
 
 
 def test_a_drifting_third_joint_is_no_turning_base() -> None:

@@ -40,7 +40,7 @@ def aliases_of(search: SearchResult, place: int) -> tuple[Alias, ...]:
             behind = min(behind, max(float(lenient[place] - lenient[k]), 0.0))
         if behind > MARGIN and not (scores.S[k] > HELD**2 * scores.S[place] and _holds(given.A, rival, chosen)):
             continue
-        own = int(k) in search.chosen or _nested(chosen, rival) or scores.d[k] == 0
+        own = int(k) in search.chosen or _nested(chosen, rival) or _another_pace(chosen, rival) or scores.d[k] == 0
         if own or not selector.plausible(gram, (*rest, int(k)), int(k)):
             continue
         rho = correlation(given.A, chosen.columns, rival.columns)
@@ -80,6 +80,11 @@ def _holds(A: Floats, rival: Candidate, chosen: Candidate) -> bool:
 def _listed(alias: Alias, singles: set[tuple[str, int]]) -> bool:
     """Whether a family only repeats one of its joints that is in the list already."""
     return any((alias.candidate.id, k) in singles for k in alias.candidate.columns)
+
+
+def _another_pace(one: Candidate, other: Candidate) -> bool:
+    """Whether both are the same effect of the whole arm, tried at another pace or in other pieces: the same name."""
+    return one.id == other.id and one.joints is None and other.joints is None
 
 
 def _nested(one: Candidate, other: Candidate) -> bool:

@@ -22,6 +22,8 @@ BARELY = 1e-4  # share of a signature left off geometry below which errors of th
 NEVER = 1e6  # times the plausible: what would show only there is a signature of rounding errors
 ALIASED = 0.9
 SHOWN = 24
+ABSORBED = "another kind of measurement: geometry imitates it"
+TOO_SMALL = "more poses, or less noise: a plausible size would not show"
 
 
 @dataclass(frozen=True)
@@ -65,21 +67,21 @@ def untestable(
     library: Library, judged: Testability, problem: LinearizedProblem, rows: Observations
 ) -> tuple[Untestable, ...]:
     """Candidates that cannot be tested, one entry per effect and reason, with the remedy."""
-    grouped: dict[tuple[str, str, str], list[int]] = {}
-    whole: dict[tuple[str, str, str], None] = {}
+    grouped: dict[tuple[str, str, str, str], list[int]] = {}
+    whole: dict[tuple[str, str, str, str], None] = {}
     for c in library.candidates:
         if c.level == FAMILY or c.empirical or all(judged.able[k] for k in c.columns):
             continue
         if c.joints is None and any(judged.able[k] for k in c.columns):
             continue
-        reason = _reason(c, judged, problem, rows, library)
-        key = (c.id, reason, c.effects[0].remedy)
+        reason, missing = _reason(c, judged, problem, rows, library)
+        key = (c.id, reason, c.effects[0].remedy, missing)
         if c.joints is None:
             whole[key] = None
         else:
             grouped.setdefault(key, []).extend(c.joints)
-    made = [Untestable(i, tuple(sorted(set(j))), r, m) for (i, r, m), j in grouped.items()]
-    return (*library.refused, *made, *(Untestable(i, None, r, m) for i, r, m in whole))
+    made = [Untestable(i, tuple(sorted(set(j))), *rest) for (i, *rest), j in grouped.items()]
+    return (*library.refused, *made, *(Untestable(i, None, *rest) for i, *rest in whole))
 
 
 @dataclass(frozen=True)
@@ -145,26 +147,33 @@ def _shown(single: Sequence[Candidate], C: Floats, chosen: Sequence[Candidate]) 
     return own + [int(i) for i in closest if int(i) not in own][: max(SHOWN - len(own), 0)]
 
 
-def _reason(c: Candidate, judged: Testability, problem: LinearizedProblem, rows: Observations, library: Library) -> str:
+def _reason(
+    c: Candidate, judged: Testability, problem: LinearizedProblem, rows: Observations, library: Library
+) -> tuple[str, str]:
+    """Why a candidate cannot be tested, and what is missing for it in words that others share."""
     columns = list(c.columns)
     if c.effects[0].changes_loads and not np.all(judged.smallest[columns] < np.inf):
-        return "It shows through effects of the load only, and none was named that shows it."
+        return "It shows through effects of the load only, and none was named that shows it.", "an effect of the load"
     if np.all(problem.scale[columns] == 0.0):
         if "moments" in c.effects[0].needs:
-            return "No load moment acts there: gravity and payload put none on it, or the masses are not known."
-        return "It moves nothing in these observations: what it needs is constant zero."
+            why = "No load moment acts there: gravity and payload put none on it, or the masses are not known."
+            return why, "a load moment on the joint"
+        return "It moves nothing in these observations: what it needs is constant zero.", "values other than zero"
     constant = _constant(c, rows)
+    varied = f"variety: {constant}" if constant else ""
     if np.all(judged.visible[columns] <= BARELY):
         why = f" ({constant})" if constant else ""
-        return f"The geometric parameters absorb it completely{why}."
+        return f"The geometric parameters absorb it completely{why}.", varied or ABSORBED
     worst = int(columns[int(np.argmax(judged.smallest[columns]))])
     p = library.parameters[worst]
     plausible = max(abs(p.lower), abs(p.upper))
     if not judged.smallest[worst] < NEVER * plausible:
-        return f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
+        why = f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
+        return why, varied or ABSORBED
     unit, scale = on_wire(p.unit)
     size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
-    return f"Only {p.name} above {size} would show, more than the plausible {plausible * scale:.3g}."
+    why = f"Only {p.name} above {size} would show, more than the plausible {plausible * scale:.3g}."
+    return why, varied or TOO_SMALL
 
 
 def _constant(c: Candidate, rows: Observations) -> str:

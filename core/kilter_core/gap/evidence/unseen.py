@@ -30,7 +30,7 @@ class Unseen:
         """What is to be measured there."""
         c = self.candidate
         reason = "It is named at other joints; these rows do not show it here: it stays nominal, and nothing is stored."
-        return Untestable(c.id, self.joints, reason, c.effects[0].remedy)
+        return Untestable(c.id, self.joints, reason, c.effects[0].remedy, "poses that show these joints")
 
     def warning(self) -> dict[str, Any]:
         """The same as a warning."""

@@ -146,7 +146,7 @@ def untestable_row(u: Untestable) -> dict[str, Any]:
     """What cannot be tested, and how to test it."""
     return {
         "id": u.id, "joints": None if u.joints is None else [j + 1 for j in u.joints], "reason": u.reason,
-        "remedy": u.remedy,
+        "remedy": u.remedy, "missing": u.missing or None,
     }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,11 +19,13 @@ from kilter_core.identify.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
 from kilter_core.identify.report import null_rows, rows_of, unobservable_names
+from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_rows
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import indices
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,16 @@ class Stored:
         """What the poses cannot distinguish, as an identification says it."""
         found = self.posterior
         return [] if found.J is None else null_rows(null_directions(found.J, found.names, found.prior_sigma))
+
+    def alike(self) -> Iterator[dict[str, Any]]:
+        """Warn of poses too alike to know the tool elsewhere, as an identification does."""
+        if self.registered is None or (self.shown.position is None and self.shown.markers is None):
+            return
+        model = self.calibration.model
+        free = indices(model.names, self.posterior.names)
+        spread = spread_of(model, free, self.posterior.covariance, self.calibration.values, self.shown.q)
+        if spread is not None and spread.too_alike:
+            yield spread.warning()
 
     def covariance(self) -> dict[str, Any]:
         """Covariance document of a version."""

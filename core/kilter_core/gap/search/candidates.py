@@ -17,11 +17,12 @@ from kilter_core.effects.unknown_joint_curve import UnknownJointCurve
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.errors import OptionError
 from kilter_core.gap.search.wanted import Asked, wanted
-from kilter_core.observations import Observations
+from kilter_core.observations import CONDITIONS, Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Bools
 
 JOINT, FAMILY, WHOLE = "joint", "family", "whole"
+OF_THE_ROBOT = "something in the description of the robot or of the rows"
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Untestable:
-    """What these data cannot say, why, and what to measure."""
+    """What these data cannot say, why, and what to measure; ``missing`` is what it lacks, in words that others share."""
 
     id: str
     joints: tuple[int, ...] | None
     reason: str
     remedy: str
+    missing: str = ""
 
 
 @dataclass(frozen=True)
@@ -128,14 +130,15 @@ class _Shelf:
         missing = kind.needs - frozenset({"moments"} | set(self.rows._present()))
         if missing:
             columns = " and no ".join(sorted(missing))
-            self.refused.append(Untestable(kind.id, None, f"The observations have no {columns}.", kind.remedy))
+            lacking = f"columns: {', '.join(CONDITIONS.get(name, name) for name in sorted(missing))}"
+            self.refused.append(Untestable(kind.id, None, f"The observations have no {columns}.", kind.remedy, lacking))
             return
         for config in _variants(kind, self.robot, self.rows):
             try:
                 whole = kind(**config).on(self.robot, self.rows)
                 whole.parameters(self.robot)
             except OptionError as error:
-                self.refused.append(Untestable(kind.id, None, error.message, kind.remedy))
+                self.refused.append(Untestable(kind.id, None, error.message, kind.remedy, OF_THE_ROBOT))
                 continue
             self._add_variant(kind, whole, config)
         self._add_whole_curves(kind)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.identify.least_squares import Fit
+from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Ints
 
 SAMPLES = 200
 TOO_ALIKE = 10.0  # uncertainty over the limits, as a multiple of that in the poses, from which it is said
@@ -31,22 +33,42 @@ class WorkspaceUncertainty:
         """Whether the poses show too little about others."""
         return self.elsewhere > TOO_ALIKE * self.here
 
+    def warning(self) -> dict[str, Any]:
+        """The same in words."""
+        return {
+            "code": "poses_ill_conditioned",
+            "here_mm": self.here * 1e3,
+            "elsewhere_mm": self.elsewhere * 1e3,
+            "message": f"The result knows the tool to {self.here * 1e3:.3g} mm in these poses but only to "
+            f"{self.elsewhere * 1e3:.3g} mm over the joint limits: the poses are too alike ({self.narrow} used "
+            f"{self.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
+            "use the result near these poses only.",
+        }
+
 
 def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:
     """Spread of a fit's poses; None where no instrument saw the tool in a frame of its own, or the chain was held."""
     problem = fit.problem
-    model, n = problem.model, problem.model.n_geometric
-    geometric = np.flatnonzero(problem.free < n)
-    if not problem.measurement.observes_base or not np.any((problem.free >= 6) & (problem.free < n - 6)):
+    if not problem.measurement.observes_base:
         return None
-    q = problem.measurement.observations.q
+    return spread_of(problem.model, problem.free, fit.covariance, fit.values, problem.measurement.observations.q)
+
+
+def spread_of(
+    model: RobotModel, free: Ints, covariance: Floats, values: Floats, q: Floats
+) -> WorkspaceUncertainty | None:
+    """Spread of the poses ``q (N, n)`` of a fit with parameters ``free (F,)`` of the model's ``values (P,)``."""
+    n = model.n_geometric
+    geometric = np.flatnonzero(free < n)
+    if not np.any((free >= 6) & (free < n - 6)):
+        return None
     lower, upper = within_a_turn(model.robot, q)
     bare = replace(model, effects=())
-    covariance = fit.covariance[np.ix_(geometric, geometric)]
+    known = covariance[np.ix_(geometric, geometric)]
 
     def sigma(rows: Floats) -> float:
-        _, J = bare.jacobian(Observations(rows), fit.values[:n], problem.free[geometric])
-        return float(np.sqrt(max(np.sum((J[:, :3] @ covariance) * J[:, :3]), 0.0) / (3 * len(rows))))  # rounding
+        _, J = bare.jacobian(Observations(rows), values[:n], free[geometric])
+        return float(np.sqrt(max(np.sum((J[:, :3] @ known) * J[:, :3]), 0.0) / (3 * len(rows))))  # rounding
 
     some = q[np.linspace(0, len(q) - 1, min(len(q), SAMPLES)).astype(np.int64)]
     elsewhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))

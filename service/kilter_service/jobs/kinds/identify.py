@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.jobs.identify import IdentifyOptions
@@ -15,7 +16,7 @@ from kilter_service.jobs.setups import Setups
 from kilter_service.jobs.sheets import bar_lengths, doubts
 
 if TYPE_CHECKING:
-    from kilter_core.identify import Folds, Prior
+    from kilter_core.identify import Folds, Identification, Prior
     from kilter_core.identify import IdentifyOptions as Asked
     from kilter_core.observations import Observations
 
@@ -40,11 +41,12 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     options = _core(job.options)
     setups = Setups(options.refit, job.devices)
     named = _named(job)
-    remarks = doubts(job.robot, named, job.devices, job.options.sheet_order) + bar_lengths(job.robot, named)
+    remarks = doubts(job.robot, named, job.devices, job.options.sheet_order)
     train, validation = _rows(job, setups)
     each = job.each or one_by_one
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each)
     report = found.to_document()
+    remarks += bar_lengths(found, job.robot, named, lambda name, rows: _again(job, name, rows))
     report["base_refitted"] = setups.named(report["base_refitted"])
     counts = {name: len(rows) for name, rows in job.campaigns.items()}
     report["set_aside"] = _by_campaign(report["set_aside"], counts)
@@ -56,6 +58,18 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     )
     drawn = identify_figures(found, report, job) | uncertainty_figure(found, train, options.seed)
     return JobOutput({**report, "figures": plain(drawn)}, content)
+
+
+def _again(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
+    """The same fit with other rows of a campaign; None where the campaign was not fitted."""
+    from kilter_core.identify import identify
+
+    if campaign not in job.campaigns:
+        return None
+    other = replace(job, campaigns={**job.campaigns, campaign: rows})
+    train, validation = _rows(other, Setups(job.options.refit, job.devices))
+    held = validation if isinstance(validation, float) else None  # the same rows are fitted
+    return identify(job.robot, train, held, _core(job.options), job.calibration, None, _prior(job))
 
 
 def foresee(job: JobInput, found: Foresight) -> None:

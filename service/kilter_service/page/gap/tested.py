@@ -31,7 +31,7 @@ def candidates(result: GapResult, options: GapOptions, unit: str) -> list[Candid
 
 def _named(effects: Sequence[NamedEffect], unit: str) -> Iterator[Candidate]:
     for effect in effects:
-        gain = f"takes {number(effect.gain_mm)} {unit} off the rms error; " if effect.gain_mm is not None else ""
+        gain = _gain(effect.gain_mm, unit)
         level = (effect.verdict or "").replace("_", " ")
         look = "warn" if effect.verdict == "provisional" else "good"
         yield Candidate(
@@ -41,6 +41,15 @@ def _named(effects: Sequence[NamedEffect], unit: str) -> Iterator[Candidate]:
             behind = f"{number(rival.behind, 2)} points behind, " if rival.behind else "does as well, "
             reason = f"{behind}its signature correlates {number(rival.correlation, 2)} with {called(effect)}"
             yield Candidate(called(rival), "cannot be told apart", "warn", reason)
+
+
+def _gain(gain: float | None, unit: str) -> str:
+    """What an effect takes off the plain rms error, or that it takes off the weighed one only."""
+    if gain is None:
+        return ""
+    if gain < 0.0:
+        return f"explains the surer readings better, and adds {number(-gain)} {unit} to the plain rms error; "
+    return f"takes {number(gain)} {unit} off the rms error; "
 
 
 def _refused(result: GapResult, options: GapOptions) -> Iterator[Candidate]:
@@ -88,10 +97,13 @@ def _why(score: Refused | None, options: GapOptions, named: int) -> str:
     return f"{said}, but has not the sign or size of such an effect, or does not keep it when all is fitted again"
 
 
-def untestable(rows: Sequence[Untestable]) -> list[tuple[str, str, str]]:
-    """Return what these rows cannot say: the effect, why, and what would help; equal reasons together."""
-    found: dict[tuple[str, str, str], list[int]] = {}
+def untestable(rows: Sequence[Untestable]) -> dict[str, list[tuple[str, str, str]]]:
+    """Return what these rows cannot say, by what is missing: the effect, why, and what would help; equal reasons together."""
+    found: dict[tuple[str, str, str, str], list[int]] = {}
     for row in rows:
-        key = (row.id, row.reason or "", row.remedy or "")
+        key = (row.missing or row.reason or "", row.id, row.reason or "", row.remedy or "")
         found.setdefault(key, []).extend(row.joints or [])
-    return [(named(name, joints), reason, remedy) for (name, reason, remedy), joints in found.items()]
+    groups: dict[str, list[tuple[str, str, str]]] = {}
+    for (missing, name, reason, remedy), joints in found.items():
+        groups.setdefault(missing, []).append((named(name, joints), reason, remedy))
+    return groups

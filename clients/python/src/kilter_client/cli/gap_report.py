@@ -83,6 +83,12 @@ def _remarks(effect: Mapping[str, Any]) -> None:
     unseen = sorted(set(effect.get("joints") or ()) - set(effect.get("seen_joints") or effect.get("joints") or ()))
     if unseen:
         say(f"  {effect['id']} is not seen at joint {', '.join(map(str, unseen))}: zero is within the interval")
+    gain = effect.get("gain_mm")
+    if gain is not None and gain < 0.0:
+        say(
+            f"  {_name(effect)} adds {number(-gain, 2)} to the plain rms error: it is named because it explains the surer "
+            "readings better, each weighed by its noise"
+        )
     if effect.get("too_small_to_matter"):
         say(f"  {_name(effect)} moves the tool by {number(effect.get('moves_mm'), 2)} mm: too small to matter")
     told = effect.get("replication")
@@ -111,7 +117,8 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
     rows = [(rows, name, number(gap.get(f"{key}_{unit}"), 4)) for key, rows, name in GAP_ROWS]
     show_rows(("rows", "", f"rms {unit}"), rows, title="The gap", numbers=False)
     if gap.get(f"noise_{unit}") is not None:
-        say(f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{unit}'])} {unit}")
+        said = f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{unit}'])} {unit}"
+        say(said if unit == "deg" else f"{said}; the noise floor above is what it leaves of an error in space")
     bars = (result.get("figures") or {}).get("gap_bar", {}).get("data") or []
     if bars:
         across, along = ("x", "y") if bars[0].get("orientation") == "h" else ("y", "x")
@@ -155,13 +162,17 @@ def _control(result: Mapping[str, Any]) -> None:
 
 
 def _not_testable(rows: Sequence[Mapping[str, Any]]) -> None:
+    """What is missing, and which effects wait for it; reasons and remedies of each are in the JSON."""
     if not rows:
         return
-    show_rows(
-        ("effect", "joints", "why", "how to test it"),
-        [(str(r["id"]), _joints(r), str(r["reason"]), str(r["remedy"])) for r in rows],
-        title="What these data cannot test",
-    )
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(str(row.get("missing") or row["reason"]), []).append(row)
+    say(f"What these data cannot test, by what is missing ({len(rows)}; how to test each: --json, not_testable):")
+    for missing, own in groups.items():
+        say(f"  {missing}: {', '.join(dict.fromkeys(_name(row) for row in own))}")
+        if len(own) == 1:
+            say(f"    how to test it: {own[0]['remedy']}")
 
 
 def _next_poses(poses: Sequence[Mapping[str, Any]]) -> None:

@@ -78,7 +78,7 @@ class ShownSearch(Shown, Asking):
         named = ", ".join(f"{one.id} ({one.verdict})" for one in self.effects) or "no effect named"
         size = self.gap
         shrank = "" if size is None else f": {number(size.before_mm, 3)} mm -> {number(size.after_mm, 3)} mm"
-        noise = "" if size is None else f", noise {number(size.noise_mm, 3)} mm"
+        noise = "" if size is None else f" (noise alone: {number(size.noise_rms_mm, 3)} mm)"
         return f"gap {self.verdict}{shrank}{noise}; {named}"
 
     def _tables(self) -> Iterator[str]:
@@ -90,7 +90,9 @@ class ShownSearch(Shown, Asking):
 
 def _effect(one: Any) -> tuple[str, ...]:
     joints = ", ".join(map(str, one.joints))
-    return one.id, joints, str(one.verdict), number(one.gain_mm, 3), number(one.p_value, 2)
+    gain = number(one.gain_mm, 3)
+    weighed = " (a gain of weighed errors only)" if one.gain_mm is not None and one.gain_mm < 0.0 else ""
+    return one.id, joints, str(one.verdict), gain + weighed, number(one.p_value, 2)
 
 
 class ShownEvaluation(Shown):

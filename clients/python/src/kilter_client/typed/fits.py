@@ -172,6 +172,8 @@ class Remark(Record):
     """Masses and centres far from what was stated."""
     message: str
     """What is the matter, and what helps."""
+    quantity: str | None
+    """Which errors were compared: `mean by pose` or `rms by pose`."""
     ratio: float | None
     """What is left, in multiples of the noise."""
     row: int | None

@@ -227,6 +227,8 @@ class Untestable(Record):
     """Id of the effect."""
     joints: tuple[int, ...]
     """Joints it acts at, from 1; None: it does not act at joints."""
+    missing: str | None
+    """What it lacks, in words that it shares with others of the list."""
     reason: str | None
     """Why."""
     remedy: str | None

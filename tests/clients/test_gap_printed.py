@@ -1,0 +1,55 @@
+"""What the gap command prints of a result: what is missing, and gains that only weighing shows."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from kilter_client.cli.gap_report import show_gap
+from kilter_client.results.shown_jobs import ShownSearch
+from kilter_service.contract.gap_details import NamedEffect
+from kilter_service.contract.gap_details import Untestable as Row
+from kilter_service.contract.jobs.gap import GapOptions, GapResult
+from kilter_service.page.gap.tested import candidates, untestable
+
+GAP = {"before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
+WALK = {"id": "random_walk", "joints": None, "verdict": "provisional", "gain_mm": -0.006, "p_value": 1e-9}
+UNTESTABLE = [
+    {"id": "drift", "joints": None, "reason": "no t", "remedy": "revisit a pose", "missing": "columns: t_s"},
+    {"id": "settling", "joints": None, "reason": "no t", "remedy": "revisit it often", "missing": "columns: t_s"},
+    {"id": "backlash_load", "joints": [1], "reason": "none acts", "remedy": "two loads", "missing": "a load moment"},
+]
+
+
+def printed(capsys: pytest.CaptureFixture[str], **more: Any) -> str:
+    show_gap({"verdict": "closed", "sentence": "", "gap": GAP, **more})
+    return capsys.readouterr().out
+
+
+def test_effects_that_wait_for_the_same_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = printed(capsys, not_testable=UNTESTABLE).splitlines()
+    assert "  columns: t_s: drift, settling" in lines
+    assert "  a load moment: backlash_load j1" in lines
+    assert "    how to test it: two loads" in lines
+    groups = untestable([Row(**row) for row in UNTESTABLE])
+    assert [len(group) for group in groups.values()] == [2, 1]
+
+
+def test_a_gain_of_weighed_errors_is_said_to_be_one(capsys: pytest.CaptureFixture[str]) -> None:
+    out = printed(capsys, effects=[WALK])
+    assert "random_walk adds 0.006 to the plain rms error" in out
+    plain = printed(capsys, effects=[WALK | {"gain_mm": 0.006}])
+    assert "plain rms error" not in plain
+    (row,) = candidates(GapResult(effects=[NamedEffect(**WALK)]), GapOptions(), "mm")
+    assert "adds 0.00600 mm to the plain rms error" in row.reason
+
+
+def test_the_library_prints_lengths_in_space_beside_lengths_in_space() -> None:
+    class Search(ShownSearch):
+        verdict, sentence, effects, gap = "closed", None, (), SimpleNamespace(**GAP)
+
+    said = Search()._line()
+    assert "0.235 mm -> 0.0505 mm (noise alone: 0.0527 mm)" in said
+    assert "0.0304" not in said
