@@ -17,6 +17,19 @@ CURVES = (
     "hose_torque", "quadratic_curve", "spline_curve", "belt_error", "third_harmonic", "local_bump", "encoder_scale",
     "eccentricity", "second_harmonic", "gravity_spring",
 )  # fmt: skip
+# What acts at the same place in the same way, as the generator knows it: a claim of the class holds for each of them.
+KIN = {
+    "joint_twist": {"axial_compliance", "hardening", "direction_compliance", "backlash_load", "reading_tilt"},
+    "joint_curve": {*CURVES, "gear_error"},
+    "joint_coupling": {"joint_coupling", "sine_product"},
+    "reversal": {"backlash", "friction_windup"},
+    "joint_tilt": {"clearance_tilt", "radial_compliance", "base_compliance"},
+    "load_sag": {"link_bending", "tool_sag"},
+    "loads": {"payload_error"},
+    "station": {"drift", "settling", "random_walk"},
+    "joint_zero": {"zero_drift", "zero_thermal"},
+    "thermal": {"thermal_growth", "link_growth", "column_bending", "thermal_drift"},
+}
 
 
 def empirical(said: Named) -> bool:
@@ -71,15 +84,24 @@ def _right(effect: Named, truth: Truth) -> bool:
     if beside_the_point(effect, truth) or any(named(effect, h) or member(effect, h) for h in hidden):
         return True
     return class_claim(effect) and any(
-        covers(effect, h) or member_of_class(effect, h) or _curve_of(effect, h) for h in hidden
+        covers(effect, h) or member_of_class(effect, h) or _curve_of(effect, h) or _kin(effect, h) for h in hidden
     )
+
+
+def _kin(effect: Named, hidden: Named) -> bool:
+    """Whether the class that is claimed, and no more, holds the hidden effect, at its joint."""
+    if (effect.get("claim") or {}).get("said") != "class":
+        return False
+    if hidden["id"] not in KIN.get(effect["physical_class"]["id"], set()):
+        return False
+    joints, true = set(effect.get("joints") or ()), set(hidden["joints"])
+    return not joints or not true or bool(joints & true)
 
 
 def class_claim(effect: Named) -> bool:
     """Whether a class is claimed, not its head alone."""
-    return effect["verdict"] == "class_confirmed" or (
-        effect["verdict"] == "replicated" and bool(effect.get("alias_set"))
-    )
+    claimed = bool(effect.get("alias_set")) or (effect.get("claim") or {}).get("said") == "class"
+    return effect["verdict"] == "class_confirmed" or (effect["verdict"] == "replicated" and claimed)
 
 
 def beside_the_point(effect: Named, truth: Truth) -> bool:

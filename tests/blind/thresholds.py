@@ -117,9 +117,11 @@ def _decided(effect: Row, gate: Gate, factor: float) -> Row:
 def _level(effect: Row, gates: Mapping[str, bool]) -> str:
     if not all(gates.values()):
         return "provisional"
-    if effect["alias_set"]:
-        return "class_confirmed"
-    return "replicated" if effect["verdict"] == "replicated" else "confirmed"
+    replication = effect.get("replication") or {}
+    if "replicated" in (effect["verdict"], replication.get("outcome")):
+        return "replicated"
+    said = (effect.get("claim") or {}).get("said", "one_of" if effect["alias_set"] else "member")
+    return "confirmed" if said == "member" else "class_confirmed"
 
 
 @dataclass(frozen=True)

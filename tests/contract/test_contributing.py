@@ -32,6 +32,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -42,6 +43,8 @@ class ToyWobble(Effect):
 
     id = "toy_wobble"
     summary = "wobble with three periods a turn"
+    physical = JOINT_CURVE
+    separated_by = (Separator.TURN,)
     source = "a test"
     remedy = "move the joint over its whole range"
 

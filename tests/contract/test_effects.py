@@ -186,6 +186,28 @@ def slopes(local: Local, batch: Batch, parameter: int) -> dict[str, Floats]:
     return out
 
 
+def test_every_effect_states_its_physical_class_and_what_names_it_there() -> None:
+    for effect in EFFECTS.values():
+        robot = robot_named("katana450-chapter5")
+        made = effect(**OPTIONS.get(effect.id, [{}])[0]).on(robot, observed(robot, 12))
+        about = made.class_on(robot)
+        assert about.id
+        assert "{" not in about.at(made.joints)
+        # Shapes without a cause, and what nothing but a rival can take away, need no more than their rivals.
+        assert about.outside or about.id == "shape", effect.id
+        assert len(set(made.separators(robot))) == len(made.separators(robot))
+
+
+def test_a_slide_keeps_its_scale_and_a_revolute_joint_has_a_smooth_error() -> None:
+    robot = robot_named("odd")
+    slide, turning = (make_effect("encoder_scale", (j,)).on(robot) for j in (2, 0))
+    assert slide.class_on(robot).at((2,)) == "scale of joint 3"
+    assert slide.separators(robot) == ()
+    assert any("thermal length" in one for one in slide.class_on(robot).outside)
+    assert turning.class_on(robot).at((0,)) == "smooth error of joint 1"
+    assert turning.separators(robot)
+
+
 def test_no_value_no_correction(case: Case) -> None:
     batch, model = case.batch(), case.model
     zero = np.zeros(len(case.effect.parameters(case.robot)))

@@ -67,7 +67,7 @@ def test_a_quarter_is_held_out_unasked_and_counts_as_unseen(
     campaign = arm.upload()
     worker.start()
     held, whole = (arm.hunt(until, campaign, options=EFFECTS, **more) for more in ({}, {"validation": 0}))
-    assert [e["verdict"] for e in held["effects"]] == ["confirmed"]
+    assert [e["verdict"] for e in held["effects"]] == ["class_confirmed"]
     assert [e["verdict"] for e in whole["effects"]] == ["provisional"]
     assert held["predictive"]["of"] > 0
     assert whole["predictive"] is None

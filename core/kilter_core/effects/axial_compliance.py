@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -17,6 +18,8 @@ class AxialCompliance(Effect):
 
     id = "axial_compliance"
     summary = "joint compliance about the axis, proportional to the load moment"
+    physical = JOINT_TWIST
+    separated_by = (Separator.LOADS,)
     source = "thesis eq. 4.15, 5.19"
     needs = frozenset({"moments"})
     reads = (("axial", (0,)),)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import REVERSAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -21,6 +22,8 @@ class Backlash(Effect):
 
     id = "backlash"
     summary = "reversal error with the direction of the joint's last motion"
+    physical = REVERSAL
+    separated_by = (Separator.SIDES,)
     source = "gap-finder library; Slamani, Nubiola and Bonev 2012"
     needs = frozenset({"direction"})
     aliases = ("friction_windup", "backlash_load")

@@ -21,6 +21,7 @@ from kilter_core.effects.base import (
     soft_sign,
     width_of,
 )
+from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -36,6 +37,8 @@ class BacklashLoad(Effect):
 
     id = "backlash_load"
     summary = "backlash on the side of the axial load moment"
+    physical = JOINT_TWIST
+    separated_by = (Separator.LOADS,)
     source = "thesis eq. 5.19"
     needs = frozenset({"moments"})
     reads = (("axial", (0,)),)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.loads.slopes import LoadSlopes
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
+from kilter_core.effects.physical import PhysicalClass, Separator
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.observations import CONDITIONS, Conditions, Observations
 from kilter_core.parameters import Parameter
@@ -154,9 +155,11 @@ def option(default: Any, text: str, **limits: Any) -> Any:
 class Effect(ABC):
     """One physical error source. ``joints`` are the joints it acts on, from 0; None means all it can act on.
 
-    The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
-    when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
-    to measure so that it can be tested or distinguished), ``empirical`` (a shape without a cause), ``at_joints`` (whether
+    The class says what a search for missing effects must know: the ``physical`` class it belongs to, what its name is
+    ``separated_by`` from the others of that class (empty: by its rivals alone), ``needs`` (columns), ``stage``,
+    ``signs`` ("positive" when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest),
+    ``remedy`` (what to measure so that it can be tested or distinguished), ``empirical`` (a shape without a cause),
+    ``at_joints`` (whether
     ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better),
     ``supple`` (imitates many others, so that holding their shape says nothing), and ``nuisance`` (never searched; carried
     beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
@@ -167,6 +170,8 @@ class Effect(ABC):
     id: ClassVar[str]
     summary: ClassVar[str]
     source: ClassVar[str]
+    physical: ClassVar[PhysicalClass]
+    separated_by: ClassVar[tuple[Separator, ...]] = ()
     needs: ClassVar[frozenset[str]] = frozenset()
     stage: ClassVar[str] = (
         "joint"  # or "base", or "measurement": an error of the instrument, never corrected on the arm
@@ -231,6 +236,18 @@ class Effect(ABC):
 
         """
         return self
+
+    def class_on(self, robot: Robot) -> PhysicalClass:
+        """The physical class it belongs to on this robot."""
+        return self.physical
+
+    def separators(self, robot: Robot) -> tuple[Separator, ...]:
+        """Evidence that separates it from the others of its class on this robot."""
+        return self.separated_by
+
+    def followed(self, n: int) -> tuple[tuple[int, float], ...]:
+        """Joints whose values its shape follows, each with how often the shape repeats within one revolution."""
+        return tuple((j, 1.0) for j in self.acting(n))
 
     def acting(self, n: int) -> tuple[int, ...]:
         """Joints the effect acts on, for an arm of n joints."""

@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear
+from kilter_core.effects.physical import BASE_TILT, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -19,6 +20,8 @@ class BaseCompliance(Effect):
 
     id = "base_compliance"
     summary = "tilt of base or its mount under the moment of the arm"
+    physical = BASE_TILT
+    separated_by = (Separator.LOADS,)
     source = "base and mount compliance"
     needs = frozenset({"moments"})
     reads = (("base_wrench", (3, 4)),)

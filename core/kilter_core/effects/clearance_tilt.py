@@ -11,6 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import SOFTENING, Batch, Derivative, Effect, Local, option, soft_sign, width_of
+from kilter_core.effects.physical import JOINT_TILT, Separator
 from kilter_core.errors import OptionError
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -29,6 +30,8 @@ class ClearanceTilt(Effect):
 
     id = "clearance_tilt"
     summary = "tilt of fixed size towards the transverse load, by joint clearance"
+    physical = JOINT_TILT
+    separated_by = (Separator.LOADS,)
     source = "thesis eq. 5.16-5.18, 5.15 corrected"
     needs = frozenset({"moments"})
     reads = (("wrench", (3, 4)),)

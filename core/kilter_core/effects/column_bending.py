@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -19,6 +20,8 @@ class ColumnBending(Effect):
 
     id = "column_bending"
     summary = "column under the arm bends with temperature"
+    physical = THERMAL
+    separated_by = (Separator.TEMPERATURE,)
     source = "ISO 230-3, environmental temperature variation: a gradient across a column bends it"
     needs = frozenset({"temperature_c"})
     stage = "base"

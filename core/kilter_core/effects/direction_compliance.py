@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -19,6 +20,8 @@ class DirectionCompliance(Effect):
 
     id = "direction_compliance"
     summary = "compliance differs with the direction of approach"
+    physical = JOINT_TWIST
+    separated_by = (Separator.LOADS, Separator.SIDES)
     source = "hysteresis of gears, loading and unloading branch: Seyfferth et al. 1995; Tuttle 1992"
     needs = frozenset({"moments", "direction"})
     reads = (("axial", (0,)),)

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -24,6 +25,8 @@ class Drift(Effect):
 
     id = "drift"
     summary = "slow motion of the base or of the instrument with time"
+    physical = STATION
+    separated_by = (Separator.SENSOR,)
     source = "ISO 9283, drift of pose characteristics; Barfoot, State Estimation for Robotics, 7.1"
     needs = frozenset({"t"})
     stage = "base"

@@ -11,6 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -25,6 +26,8 @@ class Eccentricity(Effect):
 
     id = "eccentricity"
     summary = "once-per-revolution error of a joint: encoder disc or output gear off centre"
+    physical = JOINT_CURVE
+    separated_by = (Separator.TURN,)
     source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     aliases = ("encoder_scale", "gravity_spring", "second_harmonic", "axial_compliance")
     remedy = "move the joint over more than 180 degrees; repeat poses with a second payload, which it ignores"

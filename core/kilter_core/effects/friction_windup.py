@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import REVERSAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -21,6 +22,8 @@ class FrictionWindup(Effect):
 
     id = "friction_windup"
     summary = "wind-up of the drive by friction, on the side of the last motion"
+    physical = REVERSAL
+    separated_by = (Separator.SIDES,)
     source = "Seyfferth, Maghzal and Angeles 1995; Tuttle 1992, harmonic drives"
     needs = frozenset({"direction"})
     aliases = ("backlash", "backlash_load")

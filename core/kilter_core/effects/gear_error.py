@@ -11,6 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -27,6 +28,8 @@ class GearError(Effect):
 
     id = "gear_error"
     summary = "cyclic transmission error of the gear at multiples of the motor's turn"
+    physical = JOINT_CURVE
+    separated_by = (Separator.TURN,)
     source = "Jia 2021, strain wave gears at 1x and 2x of the wave generator"
     aliases = ("unknown_joint_curve",)
     remedy = "know the gear ratio exactly, and measure the joint at several angles within one turn of its motor"
@@ -65,6 +68,11 @@ class GearError(Effect):
             for wave, k in names
             for p in self.per_joint(robot, f"gear_{wave}{k}", "rad", sigma, -wide, wide, f"amplitude of {wave} {k} N q")
         )
+
+    def followed(self, n: int) -> tuple[tuple[int, float], ...]:
+        """It repeats with the motor, not with the joint."""
+        slowest = min(self.orders)
+        return tuple((j, slowest * ratio) for j, ratio in zip(self.acting(n), self.ratios or (), strict=True))
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivatives by the amplitudes."""

@@ -11,6 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -30,6 +31,8 @@ class GravitySpring(Effect):
 
     id = "gravity_spring"
     summary = "torque of a balancer spring through the compliance of its joint"
+    physical = JOINT_CURVE
+    separated_by = (Separator.TURN,)
     source = "Klimchik et al. 2013, arXiv 1311.6674 and 1311.6810"
     aliases = ("eccentricity", "encoder_scale", "axial_compliance", "second_harmonic")
     remedy = "give the spring's pins and free length, move the joint over its whole range, add a second payload"

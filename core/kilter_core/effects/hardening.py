@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -22,6 +23,8 @@ class Hardening(Effect):
 
     id = "hardening"
     summary = "gear gets stiffer under load, beside its compliance"
+    physical = JOINT_TWIST
+    separated_by = (Separator.LOADS,)
     source = "Harmonic Drive: stiffness K1 < K2 < K3 by load; the curve's first two terms"
     needs = frozenset({"moments"})
     reads = (("axial", (0,)),)

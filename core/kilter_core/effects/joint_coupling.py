@@ -8,6 +8,7 @@ from typing import Self
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import JOINT_FOLLOWS, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -27,6 +28,8 @@ class JointCoupling(Effect):
 
     id = "joint_coupling"
     summary = "a joint follows another: residual coupling of a wrist"
+    physical = JOINT_FOLLOWS
+    separated_by = (Separator.TURN,)
     source = "wrist coupling: J5 with q4, J6 with q4 and q5"
     aliases = ("encoder_scale",)
     remedy = "move the two joints independently of each other"
@@ -60,6 +63,10 @@ class JointCoupling(Effect):
             wide, text = 50.0 * sigma, f"ratio at which joint {i + 1} follows joint {j + 1}"
             made.append(Parameter(f"coupling_q{j + 1}_{i + 1}", unit, 0.0, sigma, -wide, wide, text))
         return tuple(made)
+
+    def followed(self, n: int) -> tuple[tuple[int, float], ...]:
+        """It follows its drivers."""
+        return tuple((j, 1.0) for _, j in self._pairs())
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by k."""

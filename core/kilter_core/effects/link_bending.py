@@ -12,6 +12,7 @@ from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import LINK_SAG, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -34,6 +35,8 @@ class LinkBending(Effect):
 
     id = "link_bending"
     summary = "bending of a link under its own weight and the load at its end"
+    physical = LINK_SAG
+    separated_by = (Separator.LOADS,)
     source = "Euler-Bernoulli cantilever; Klimchik et al. 2014 on which link stiffnesses can be distinguished"
     needs = frozenset({"moments"})
     reads = (("wrench", (0, 1, 2, 3, 4, 5)), ("end_wrench", (0, 1, 2, 3, 4, 5)))

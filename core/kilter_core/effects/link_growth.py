@@ -10,6 +10,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -26,6 +27,8 @@ class LinkGrowth(Effect):
 
     id = "link_growth"
     summary = "one link grows with temperature"
+    physical = THERMAL
+    separated_by = (Separator.TEMPERATURE,)
     source = "linear expansion; Yin et al. 2014: links beside motors warm up alone"
     needs = frozenset({"temperature_c"})
     signs = "positive"

@@ -11,6 +11,7 @@ from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, weighed
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Link, Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import LOADS
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -28,6 +29,7 @@ class LoadError(Effect):
 
     id = "load_error"
     summary = "masses and centres of links and payload not as stated, seen through the effects that follow loads"
+    physical = LOADS
     source = "thesis eq. 4.21, linear in mass and first moment"
     needs = frozenset({"moments"})
     aliases = ("payload_error",)

@@ -8,6 +8,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear
+from kilter_core.effects.physical import INSTRUMENT
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -18,6 +19,7 @@ class MeasurementScale(Effect):
 
     id = "measurement_scale"
     summary = "scale error of the instrument"
+    physical = INSTRUMENT
     source = "measurement scale: absorbed exactly by the link lengths"
     stage = "measurement"
     aliases = ("thermal_growth", "encoder_scale")

@@ -11,6 +11,7 @@ from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import LOADS, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -30,6 +31,8 @@ class PayloadError(Effect):
 
     id = "payload_error"
     summary = "mass or centre of the payload not as stated, seen through what follows the load"
+    physical = LOADS
+    separated_by = (Separator.LOADS,)
     source = "thesis eq. 4.21 with eq. 4.15, differentiated by the payload"
     needs = frozenset({"payload_kg"})
     aliases = ("axial_compliance", "link_bending")

@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear
+from kilter_core.effects.physical import JOINT_TILT, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -19,6 +20,8 @@ class RadialCompliance(Effect):
 
     id = "radial_compliance"
     summary = "tilt of the bearing in proportion to the transverse load moment"
+    physical = JOINT_TILT
+    separated_by = (Separator.LOADS,)
     source = "Li, Gao and Liu 2020, axial and radial deformation of joints"
     needs = frozenset({"moments"})
     reads = (("wrench", (3, 4)),)

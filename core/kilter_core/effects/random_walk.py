@@ -11,6 +11,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -33,6 +34,8 @@ class RandomWalk(Effect):
 
     id = "random_walk"
     summary = "base or instrument wanders with time"
+    physical = STATION
+    separated_by = (Separator.SENSOR,)
     source = "Wiener process as prior of a pose; Barfoot, State Estimation for Robotics, 3.4"
     needs = frozenset({"t"})
     stage = "base"

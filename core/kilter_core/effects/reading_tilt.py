@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -23,6 +24,8 @@ class ReadingTilt(Effect):
 
     id = "reading_tilt"
     summary = "encoder reads the tilt of its own joint as rotation"
+    physical = JOINT_TWIST
+    separated_by = (Separator.LOADS,)
     source = (
         "thesis, future work: encoder readings affected by the tilt of the joint; first order in the load across it"
     )

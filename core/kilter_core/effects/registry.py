@@ -24,6 +24,7 @@ from kilter_core.effects.hardening import Hardening
 from kilter_core.effects.joint_coupling import JointCoupling
 from kilter_core.effects.link_bending import LinkBending
 from kilter_core.effects.link_growth import LinkGrowth
+from kilter_core.effects.link_torsion import LinkTorsion
 from kilter_core.effects.load_error import LoadError
 from kilter_core.effects.measurement_scale import MeasurementScale
 from kilter_core.effects.payload_error import PayloadError
@@ -59,6 +60,7 @@ _ALL: tuple[type[Effect], ...] = (
     JointCoupling,
     GravitySpring,
     LinkBending,
+    LinkTorsion,
     BaseCompliance,
     ThermalGrowth,
     PayloadError,

@@ -11,6 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -22,6 +23,8 @@ class SecondHarmonic(Effect):
 
     id = "second_harmonic"
     summary = "twice-per-revolution error of a joint: coupling or ovality"
+    physical = JOINT_CURVE
+    separated_by = (Separator.TURN,)
     source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     aliases = ("eccentricity", "encoder_scale", "gravity_spring")
     remedy = "move the joint over more than 180 degrees: on a short range it looks like the first harmonic"

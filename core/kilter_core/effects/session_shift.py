@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import TOOL, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import TOOL_SHIFT
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -24,6 +25,7 @@ class SessionShift(Effect):
 
     id = "session_shift"
     summary = "markers or reflector shifted between sessions"
+    physical = TOOL_SHIFT
     source = "marker misplacement: constant in the tool frame per session"
     needs = frozenset({"session"})
     stage = "measurement"

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -29,6 +30,8 @@ class Settling(Effect):
 
     id = "settling"
     summary = "base or instrument settles exponentially"
+    physical = STATION
+    separated_by = (Separator.SENSOR,)
     source = "ISO 230-3, thermal distortion after start-up: first-order response; ISO 9283, drift"
     needs = frozenset({"t"})
     stage = "base"

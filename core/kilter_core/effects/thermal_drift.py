@@ -8,6 +8,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -22,6 +23,8 @@ class ThermalDrift(Effect):
 
     id = "thermal_drift"
     summary = "motion of the base or of the instrument with temperature"
+    physical = THERMAL
+    separated_by = (Separator.TEMPERATURE,)
     source = "ISO 230-3, environmental temperature variation"
     needs = frozenset({"temperature_c"})
     stage = "base"

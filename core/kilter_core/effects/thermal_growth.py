@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -22,6 +23,8 @@ class ThermalGrowth(Effect):
 
     id = "thermal_growth"
     summary = "links grow with temperature"
+    physical = THERMAL
+    separated_by = (Separator.TEMPERATURE,)
     source = "Yin et al. 2014, warm-up of robot joints; linear expansion of steel and aluminium"
     needs = frozenset({"temperature_c"})
     signs = "positive"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear
+from kilter_core.effects.physical import DELAY
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -16,6 +17,7 @@ class TimeOffset(Effect):
 
     id = "time_offset"
     summary = "delay between the joint readings and the measured positions"
+    physical = DELAY
     source = "time offset of controller and tracker; first order in dt"
     needs = frozenset({"qd"})
     stage = "measurement"

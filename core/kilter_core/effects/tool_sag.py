@@ -10,6 +10,7 @@ import numpy as np
 from kilter_core.arm.robot import STANDARD_GRAVITY, Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import TOOL_SAG, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -27,6 +28,8 @@ class ToolSag(Effect):
 
     id = "tool_sag"
     summary = "tool or adapter sags under the payload"
+    physical = TOOL_SAG
+    separated_by = (Separator.LOADS,)
     source = "Euler-Bernoulli cantilever, deflection of its end in proportion to the load"
     needs = frozenset({"moments", "payload_kg"})
     signs = "positive"

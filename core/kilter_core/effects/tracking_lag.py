@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.physical import DELAY
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -17,6 +18,7 @@ class TrackingLag(Effect):
 
     id = "tracking_lag"
     summary = "servo lag of a joint behind its setpoint"
+    physical = DELAY
     source = "Slamani, Nubiola and Bonev 2012, contouring errors against speed"
     needs = frozenset({"qd"})
     signs = "positive"

@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import SHAPE
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -26,6 +27,7 @@ class UnknownField(Effect):
 
     id = "unknown_field"
     summary = "smooth error field in the workspace without a known cause"
+    physical = SHAPE
     source = "empirical: strain and monomials of second degree of the tool point"
     aliases = ("measurement_scale", "thermal_growth", "base_compliance")
     remedy = "measure a grid of tool points, each reached with several postures of the arm"

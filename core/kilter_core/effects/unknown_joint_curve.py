@@ -11,6 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -26,6 +27,7 @@ class UnknownJointCurve(Effect):
 
     id = "unknown_joint_curve"
     summary = "error curve of a joint without a known cause"
+    physical = JOINT_CURVE
     source = "empirical: cyclic orders 3 to 6, and the product of the sines of two joints"
     aliases = ("second_harmonic", "gear_error")
     remedy = "sweep the joint alone in small steps in both directions, and look at the curve"

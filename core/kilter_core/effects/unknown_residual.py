@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import SHAPE
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -33,6 +34,7 @@ class UnknownResidual(Effect):
 
     id = "unknown_residual"
     summary = "what no effect explains, learned from the joint angles"
+    physical = SHAPE
     source = "thesis 2.3.3: radial basis functions on the joint angles; Gaussian process with few centres"
     stage = "base"
     empirical = True

@@ -12,6 +12,7 @@ from numpy.polynomial import legendre
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -32,6 +33,7 @@ class UnknownSmoothCurve(Effect):
 
     id = "unknown_smooth_curve"
     summary = "smooth error curve of a joint without a known cause"
+    physical = JOINT_CURVE
     source = "empirical: Legendre polynomials on the range that the joint moved"
     aliases = ("encoder_scale", "eccentricity", "second_harmonic", "gravity_spring")
     remedy = "sweep the joint alone in small steps over its whole range, best over more than one turn"

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import JOINT_ZERO, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -25,6 +26,8 @@ class ZeroDrift(Effect):
 
     id = "zero_drift"
     summary = "zero of a joint moves with time"
+    physical = JOINT_ZERO
+    separated_by = (Separator.SENSOR,)
     source = "Yin et al. 2014, joint by joint warm-up: which parameters move; ISO 9283, drift of pose characteristics"
     needs = frozenset({"t"})
     aliases = ("drift", "zero_thermal", "settling")

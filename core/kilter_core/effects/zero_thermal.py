@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.physical import JOINT_ZERO, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -19,6 +20,8 @@ class ZeroThermal(Effect):
 
     id = "zero_thermal"
     summary = "zero of a joint moves with temperature"
+    physical = JOINT_ZERO
+    separated_by = (Separator.TEMPERATURE,)
     source = "Yin et al. 2014, warm-up of robot joints: the zeros move first"
     needs = frozenset({"temperature_c"})
     aliases = ("thermal_drift", "zero_drift", "column_bending", "thermal_growth", "link_growth")

@@ -23,6 +23,7 @@ from kilter_core.gap.evidence.matters import Misfit, misfit, moves_mm
 from kilter_core.gap.evidence.narrowed import narrowed
 from kilter_core.gap.evidence.refused import refused
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
+from kilter_core.gap.evidence.separators import separated
 from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.testability import (
     Testability,
@@ -243,7 +244,7 @@ class _Run:
             chance(found, place, self.options.alpha),
             (train_rms(found.problem, rest) - train_rms(found.problem, found.columns)) * unit,
             local_bump_test(found, place, self.prepared.visits.observations.q),
-            held.poses, joints, any_,
+            held.poses, joints, any_, separated=separated(found, place),
         )  # fmt: skip
 
     def _control_document(self, found: SearchResult, shuffled: tuple[Control, ...]) -> dict[str, Any]:

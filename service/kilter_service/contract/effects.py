@@ -119,6 +119,12 @@ class LinkBendingEffect(_AtJoints):
     )
 
 
+class LinkTorsionEffect(_AtJoints):
+    """Twist of a link about its own long axis under the moment it carries."""
+
+    id: Literal["link_torsion"] = Field(description="Id of the effect.")
+
+
 class BaseComplianceEffect(_Whole):
     """Tilt of base or its mount under the moment of the arm."""
 
@@ -355,20 +361,20 @@ class LoadErrorEffect(_Whole):
 EffectName = Literal[
     "clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
     "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
-    "base_compliance", "thermal_growth", "payload_error", "friction_windup", "time_offset", "tracking_lag", "drift",
-    "measurement_scale", "session_shift", "zero_drift", "zero_thermal", "link_growth", "settling", "random_walk",
-    "column_bending", "thermal_drift", "tool_sag", "hardening", "direction_compliance", "reading_tilt",
-    "unknown_smooth_curve", "unknown_joint_curve", "unknown_field", "unknown_residual", "load_error"
+    "link_torsion", "base_compliance", "thermal_growth", "payload_error", "friction_windup", "time_offset",
+    "tracking_lag", "drift", "measurement_scale", "session_shift", "zero_drift", "zero_thermal", "link_growth",
+    "settling", "random_walk", "column_bending", "thermal_drift", "tool_sag", "hardening", "direction_compliance",
+    "reading_tilt", "unknown_smooth_curve", "unknown_joint_curve", "unknown_field", "unknown_residual", "load_error"
 ]
 EffectDocument = Annotated[
     ClearanceTiltEffect | BacklashEffect | BacklashLoadEffect | AxialComplianceEffect | RadialComplianceEffect |
     EccentricityEffect | SecondHarmonicEffect | GearErrorEffect | EncoderScaleEffect | JointCouplingEffect |
-    GravitySpringEffect | LinkBendingEffect | BaseComplianceEffect | ThermalGrowthEffect | PayloadErrorEffect |
-    FrictionWindupEffect | TimeOffsetEffect | TrackingLagEffect | DriftEffect | MeasurementScaleEffect |
-    SessionShiftEffect | ZeroDriftEffect | ZeroThermalEffect | LinkGrowthEffect | SettlingEffect | RandomWalkEffect
-    | ColumnBendingEffect | ThermalDriftEffect | ToolSagEffect | HardeningEffect | DirectionComplianceEffect |
-    ReadingTiltEffect | UnknownSmoothCurveEffect | UnknownJointCurveEffect | UnknownFieldEffect |
-    UnknownResidualEffect | LoadErrorEffect,
+    GravitySpringEffect | LinkBendingEffect | LinkTorsionEffect | BaseComplianceEffect | ThermalGrowthEffect |
+    PayloadErrorEffect | FrictionWindupEffect | TimeOffsetEffect | TrackingLagEffect | DriftEffect |
+    MeasurementScaleEffect | SessionShiftEffect | ZeroDriftEffect | ZeroThermalEffect | LinkGrowthEffect |
+    SettlingEffect | RandomWalkEffect | ColumnBendingEffect | ThermalDriftEffect | ToolSagEffect | HardeningEffect |
+    DirectionComplianceEffect | ReadingTiltEffect | UnknownSmoothCurveEffect | UnknownJointCurveEffect |
+    UnknownFieldEffect | UnknownResidualEffect | LoadErrorEffect,
     Field(discriminator="id"),
 ]
 # fmt: on

@@ -104,6 +104,36 @@ class Replication(Stored):
     without_mm: Mm | None = Field(None, description="The same by the search's fit without the effect, mm.")
 
 
+class Separation(Stored):
+    """Evidence that would separate an effect from the others of its physical class."""
+
+    name: str = Field(description="`turn`, `loads`, `sides`, `temperature` or `sensor`.")
+    words: str | None = Field(None, description="What is asked for.")
+    met: bool | None = Field(None, description="Whether these rows have it.")
+    number: float | None = Field(
+        None,
+        description="What decided: revolutions, visits from the rarer side, or standard deviations; null: nothing there.",
+    )
+
+
+class Claim(Stored):
+    """What is claimed: the narrowest set that the data single out."""
+
+    said: str = Field(description="Of what it is said: a `member` by its name, `one_of` several, or the `class`.")
+    words: str = Field(description="The claim in words.")
+    settled: bool | None = Field(None, description="Whether the model as a whole agrees with the rows.")
+    evidence: list[Separation] | None = Field(None, description="What a member's name needs beside its shape.")
+
+
+class PhysicalClass(Stored):
+    """What acts at the same place in the same way, members of the library or not."""
+
+    id: str = Field(description="Id of the class.")
+    label: str = Field(description="The class with its joint, in words.")
+    members: list[str] | None = Field(None, description="Members that the library has, by id.")
+    outside: list[str] | None = Field(None, description="Members that it does not have, in words.")
+
+
 class NamedEffect(AtJoints):
     """An effect that was named, and how sure that is."""
 
@@ -113,7 +143,11 @@ class NamedEffect(AtJoints):
         None, description="`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."
     )
     empirical: bool | None = Field(None, description="Whether it is a shape without a cause.")
-    class_: str | None = Field(None, alias="class", description="The class that cannot be distinguished; null: none.")
+    claim: Claim | None = Field(None, description="What is claimed: the narrowest set that the data single out.")
+    physical_class: PhysicalClass | None = Field(None, description="What acts at the same place in the same way.")
+    class_: str | None = Field(
+        None, alias="class", description="The class that is claimed, in words; null: a member, or one of several."
+    )
     alias_set: list[Alias] | None = Field(None, description="Rivals that do as well.")
     parameters: list[Amplitude] | None = Field(None, description="Its amplitudes.")
     seen_joints: list[int] | None = Field(None, description="Joints at which the rows show it, from 1.")

@@ -29,7 +29,9 @@ def against(found: Searched, active: Active | None) -> SearchToday:
 
 
 def called(effect: NamedEffect) -> str:
-    """Name an effect; where these data cannot tell it from others of its class, all of them."""
+    """Name an effect; where these data cannot tell it from others of its class, the class or all of them."""
+    if effect.claim is not None and effect.claim.said != "member":
+        return effect.claim.words.replace("_", " ")
     rivals = [_plain(one.id, one.joints or []) for one in effect.alias_set or []] if _undecided(effect) else []
     names = list(dict.fromkeys([_plain(effect.id, effect.joints or []), *rivals]))
     return names[0] if len(names) == 1 else f"{' or '.join(names)} (these data cannot tell)"

@@ -68,7 +68,7 @@ def test_only_poses_that_did_not_choose_confirm(robot):
     rows = campaign(robot, [CURVE], poses=80, seed=1)
     held, chosen_by_all = find_gap(robot, rows, QUICK), find_gap(robot, rows, QUICK, validation=0)
     (first,), (second,) = held.effects, chosen_by_all.effects
-    assert (first.verdict, second.verdict) == ("confirmed", "provisional")
+    assert (first.verdict, second.verdict) == ("class_confirmed", "provisional")
     assert [name for name, passed in second.gates.items() if not passed] == ["unseen_poses"]
     row = chosen_by_all.to_document()["effects"][0]
     assert "a quarter is then held out" in row["to_confirm"][0]
@@ -96,7 +96,7 @@ def test_one_broken_beam_among_the_held_out_poses_decides_nothing(robot):
     broken.position[held_out(rows, None, 0)[1][3]] += 2e-3
     report = find_gap(robot, broken, QUICK)
     assert report.gap["held_out_set_aside"] == 1
-    assert [j.verdict for j in report.effects] == [j.verdict for j in clean.effects] == ["confirmed"]
+    assert [j.verdict for j in report.effects] == [j.verdict for j in clean.effects] == ["class_confirmed"]
     assert report.gap["closure"] == pytest.approx(clean.gap["closure"], abs=0.1)
 
 
@@ -106,6 +106,8 @@ def test_what_is_seen_again_with_the_same_amplitude_is_replicated(robot, small):
     report = find_gap(robot, small, QUICK, confirmation=again(robot, [CURVE]))
     (effect,) = report.effects
     assert effect.verdict == "replicated"
+    # Seen again is the shape; the joint did not make a turn, so it is still no more than its class.
+    assert effect.claim.words == "error curve of joint 5, in the shape of second harmonic"
     told = report.to_document()["effects"][0]["replication"]
     assert told["outcome"] == "replicated"
     assert told["p_value"] < 0.01

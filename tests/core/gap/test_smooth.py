@@ -77,7 +77,7 @@ def test_a_belt_is_no_eccentricity(turns: float) -> None:
 
 def test_over_a_turn_and_more_a_curve_keeps_its_name() -> None:
     robot = katana()
-    rows = measured(robot, lambda q: 4e-4 * np.sin(q) + 3e-4 * np.cos(q), 6, half=1.02 * np.pi)
+    rows = measured(robot, lambda q: 4e-4 * np.sin(q) + 3e-4 * np.cos(q), 6, half=1.1 * np.pi)
     (effect,) = rows_of(
         find_gap(robot, rows, replace(QUICK, effects=("eccentricity", "backlash", "unknown_smooth_curve")))
     )
@@ -89,8 +89,27 @@ def test_over_a_turn_and_more_a_curve_keeps_its_name() -> None:
     )
 
 
-def test_a_name_that_the_data_prove_stands_below_a_turn_too() -> None:
+def test_a_clear_shape_below_a_turn_is_said_of_the_class_with_its_shape() -> None:
     robot = katana()
     rows = measured(robot, lambda q: 8e-3 * np.sin(q) + 8e-3 * np.cos(q), 6)
     names = rows_of(find_gap(robot, rows, replace(QUICK, effects=("eccentricity", "backlash", "unknown_smooth_curve"))))
-    assert [(e["id"], e["class"]) for e in names] == [("eccentricity", None)]
+    said = "error curve of joint 2, in the shape of eccentricity"
+    assert [(e["id"], e["verdict"], e["class"], e["claim"]["words"]) for e in names] == [
+        ("eccentricity", "class_confirmed", said, said)
+    ]
+    assert names[0]["physical_class"]["label"] == "error curve of joint 2"
+    assert "belt" in names[0]["physical_class"]["outside"]
+    (asked,) = names[0]["claim"]["evidence"]
+    assert (asked["name"], asked["met"]) == ("turn", False)
+    assert asked["number"] == pytest.approx(150.0 / 360.0, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_nearly_straight_curve_is_never_a_scale(seed: int) -> None:
+    """A belt or a hose that pulls almost evenly: the only rival with one parameter is the straight line itself."""
+    robot = katana()
+    rows = measured(robot, lambda q: 6e-4 * (q + 0.06 * (seed - 1.5) * q**2), seed)
+    (effect,) = rows_of(find_gap(robot, rows, replace(QUICK, effects=("encoder_scale", "backlash"))))
+    assert (effect["id"], effect["class"]) == ("encoder_scale", "smooth error of joint 2")
+    assert effect["claim"]["said"] == "class"
+    assert effect["verdict"] in ("class_confirmed", "provisional")

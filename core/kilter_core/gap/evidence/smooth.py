@@ -55,7 +55,9 @@ def smooth_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
     smooth = [j for j in candidate.joints or () if view.smooth(j)]
     unsure = [j for j in smooth if view.partial(j)]
     shared = [j for j in unsure if _others(search, place, j)]
-    unnamed = 2 * len(shared) > len(candidate.joints or ()) or view.replaced(unsure)
+    # A straight line is spanned by itself and by any curve of little bend: over less than a turn it names nothing.
+    plain = bool(unsure) and not candidate.effects[0].class_on(_model(search).robot).shaped
+    unnamed = plain or 2 * len(shared) > len(candidate.joints or ()) or view.replaced(unsure)
     if not smooth or not (unnamed or view.improved(smooth)):
         return ()
     joints = unsure or smooth

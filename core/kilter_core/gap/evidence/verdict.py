@@ -8,10 +8,12 @@ import numpy as np
 
 from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, correlation
+from kilter_core.gap.evidence.claim import MEMBER, Claim
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.intervals import Amplitude
 from kilter_core.gap.evidence.matters import Misfit
 from kilter_core.gap.evidence.replication import Replication
+from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.stability import INCLUDED
 from kilter_core.gap.search.candidates import Candidate, Library
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -40,6 +42,7 @@ class Evidence:
     seen: bool = True  # whether the data show any of it
     moves_mm: float = float("inf")  # rms displacement of the tool by it, over the poses
     replication: Replication | None = None
+    separated: tuple[Separated, ...] = ()  # evidence for the name within its physical class
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,12 @@ class Judged:
     gates: dict[str, bool]
     numbers: dict[str, float | None]
     alias_set: tuple[Alias, ...]
+    claim: Claim
 
     @property
     def called(self) -> str:
-        """Name for people, with whatever the data cannot tell it from."""
-        names = dict.fromkeys((self.evidence.candidate.label, *(a.candidate.label for a in self.alias_set)))
-        return " or ".join(names) + (" (these data cannot tell)" if len(names) > 1 else "")
+        """Name for people: the narrowest set that the data single out."""
+        return self.claim.words
 
 
 def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
@@ -79,16 +82,18 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfi
     }
     if replication is not None:
         gates["confirmation"] = not replication.contradicted
-    return Judged(evidence, _level(gates, rivals, replication), gates, numbers, rivals)
+    robot = search.problem.settings.source.model.robot
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, gates["adequate"])
+    return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
 
 
-def _level(gates: dict[str, bool], rivals: tuple[Alias, ...], replication: Replication | None) -> str:
-    """The highest level that the gates allow; a class stays one, because its members return in every campaign."""
+def _level(gates: dict[str, bool], claim: Claim, replication: Replication | None) -> str:
+    """The highest level that the gates allow: what was seen again is replicated, and no more than its claim says."""
     if not all(gates.values()):
         return "provisional"
-    if rivals:
-        return "class_confirmed"
-    return "replicated" if replication is not None and replication.replicated else "confirmed"
+    if replication is not None and replication.replicated:
+        return "replicated"
+    return "confirmed" if claim.said == MEMBER else "class_confirmed"
 
 
 def _numbers(

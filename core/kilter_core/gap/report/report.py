@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.evidence.aliases import Alias
+from kilter_core.gap.evidence.claim import CLASS
 from kilter_core.gap.evidence.matters import Misfit
 from kilter_core.gap.evidence.unseen import Unseen
 from kilter_core.gap.evidence.verdict import Judged
@@ -95,7 +96,8 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
         **evidence.candidate.named(),
         "verdict": judged.verdict,
         "empirical": evidence.candidate.empirical,
-        "class": next((a.member for a in judged.alias_set if a.member), None),
+        "class": judged.claim.words if judged.claim.said == CLASS else None,
+        **judged.claim.to_document(),
         "alias_set": [alias_row(a) for a in judged.alias_set],
         "parameters": [
             amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) | {"seen": a.seen}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.page.gap.called import called, plural
+from kilter_service.page.gap.called import claimed, plural
 from kilter_service.page.gap.claim import LEVELS
 from kilter_service.page.words import listed, number
 
@@ -47,8 +47,7 @@ def _which(result: GapResult) -> str:
         amounts = ", ".join(
             f"{number(p.value)} {'' if p.unit in (None, '1') else p.unit}".strip() for p in effect.parameters or []
         )
-        rivals = listed([called(rival) for rival in effect.alias_set or []])
-        said.append(f"{called(effect)} ({amounts})" + (f", or its alias {rivals}" if rivals else ""))
+        said.append(f"{claimed(effect)} ({amounts})")
     return f"{listed(said)}."
 
 

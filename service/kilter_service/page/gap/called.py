@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from kilter_service.contract.gap_details import AtJoints
-from kilter_service.page.words import number, of_joints
+from kilter_service.contract.gap_details import AtJoints, NamedEffect
+from kilter_service.page.words import listed, number, of_joints
 
 JOINT = re.compile(r"_(\d+)$")
 SMALLEST_P = 1e-4
@@ -15,6 +15,16 @@ SMALLEST_P = 1e-4
 def called(effect: AtJoints) -> str:
     """Name an effect and its joints."""
     return named(effect.id, effect.joints or [])
+
+
+def claimed(effect: NamedEffect) -> str:
+    """Say what is claimed of an effect: the narrowest set that the data single out."""
+    if effect.claim is None:  # an earlier result, without claims
+        rivals = [called(one) for one in effect.alias_set or []]
+        return called(effect) + (f", or its alias {listed(rivals)}" if rivals else "")
+    if effect.claim.said == "member":
+        return called(effect)
+    return effect.claim.words.replace("_", " ")
 
 
 def named(name: str, joints: Sequence[int]) -> str:

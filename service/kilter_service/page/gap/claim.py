@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, NamedEffect, Replication
-from kilter_service.page.gap.called import called, chance, plural
-from kilter_service.page.words import number, percent
+from kilter_service.page.gap.called import chance, claimed, plural
+from kilter_service.page.words import listed, number, percent
 
 LEVELS: Mapping[str, str] = {
     "provisional": "Likely, but a test was not passed.",
-    "class_confirmed": "Every test was passed, but these data cannot tell it from its aliases.",
+    "class_confirmed": "Every test was passed, but these data cannot tell which member of its class it is.",
     "confirmed": "Every test was passed, on poses that took no part in the search.",
-    "replicated": "Every test was passed, and it was seen again in a campaign of another day or set-up.",
+    "replicated": "Every test was passed, and what is claimed was seen again in a campaign of another day or set-up.",
 }
 OUTCOMES: Mapping[str, str] = {
     "replicated": "It was seen again with the same amplitude.",
@@ -22,7 +22,7 @@ OUTCOMES: Mapping[str, str] = {
     "not_testable": "It cannot be tested there.",
 }
 RAISED = {
-    "class_confirmed": "Tell it from its aliases: measure the poses asked for, or look at the joint itself.",
+    "class_confirmed": "Tell it from its class: measure what its name needs and the poses asked for, or look at the joint.",
     "confirmed": "Measure a campaign on another day, with the instrument set up anew, and take it in as a confirmation.",
     "replicated": "This is the highest level.",
 }
@@ -103,7 +103,7 @@ def claim_of(effect: NamedEffect) -> Claim:
     """Say how sure an effect is."""
     level = effect.verdict or "provisional"
     higher = list(effect.to_confirm or []) or [RAISED[level]] if level in RAISED else list(effect.to_confirm or [])
-    return Claim(called(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, list(_remarks(effect)))
+    return Claim(claimed(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, list(_remarks(effect)))
 
 
 def _tests(effect: NamedEffect) -> Iterator[Test]:
@@ -120,12 +120,26 @@ def _remarks(effect: NamedEffect) -> Iterator[str]:
         yield f"Not seen at joint {', '.join(map(str, unseen))}: zero is within the interval there."
     if effect.too_small_to_matter:
         yield f"It moves the tool by {number((effect.moves_mm or 0.0) * 1e3, 2)} µm: too small to matter."
-    if effect.class_:
-        yield f"It stands for its class: {effect.class_}."
+    yield from _class(effect)
     if effect.empirical:
         yield "It is a shape without a cause: never take it for physics."
     if effect.replication is not None:
         yield _replication(effect.replication)
+
+
+def _class(effect: NamedEffect) -> Iterator[str]:
+    """What else it may be, and what would name it."""
+    if effect.physical_class is None or effect.claim is None:
+        if effect.class_:
+            yield f"It stands for its class: {effect.class_}."
+        return
+    if effect.claim.said != "class":
+        return
+    members = [one.replace("_", " ") for one in effect.physical_class.members or []]
+    yield f"It may be any of its class: {listed([*members, *(effect.physical_class.outside or [])])}."
+    lacking = [one.words for one in effect.claim.evidence or [] if not one.met and one.words]
+    if lacking:
+        yield f"A name inside the class needs {listed(lacking)}."
 
 
 def _replication(told: Replication) -> str:

@@ -13,7 +13,7 @@ from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
 from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
-from kilter_service.page.gap.called import called
+from kilter_service.page.gap.called import claimed
 from kilter_service.page.shared import steps
 from kilter_service.paging import Page
 
@@ -57,7 +57,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "where": where.heat_map(result.where or []),
         "where_table": where.table(result.where or []),
         "clearest": where.clearest(result.where or []),
-        "effects": [(called(effect), effect) for effect in result.effects or []],
+        "effects": [(claimed(effect), effect) for effect in result.effects or []],
         "candidates": tested.candidates(result, job.options, unit),
         "untestable": tested.untestable(result.not_testable or []),
         "curves": curves.curves(result.figures, unit),

@@ -10,9 +10,9 @@ from kilter_service.contract.versions import Version
 from kilter_service.page.words import of_joints
 
 VERDICTS = {
-    "replicated": "seen again in a measurement of another day or set-up",
+    "replicated": "seen again in a measurement of another day or set-up, no narrower than its claim",
     "confirmed": "confirmed within this measurement; another day or set-up has not shown it again",
-    "class_confirmed": "confirmed as one of several that these rows cannot tell apart",
+    "class_confirmed": "confirmed as one of a class that these rows cannot tell apart",
     "provisional": "provisional: not all tests were passed",
 }
 EXTRAPOLATES = (
@@ -58,6 +58,9 @@ def _named(search: GapResult | None) -> Iterator[str]:
         where = f" of {of_joints(effect.joints)}" if effect.joints else ""
         if verdict:
             yield f"The effect {effect.id}{where} is {verdict}."
+        if effect.claim is not None and effect.claim.said == "class" and effect.physical_class is not None:
+            others = [*(effect.physical_class.members or []), *(effect.physical_class.outside or [])]
+            yield f"What these rows show is no more than: {effect.claim.words}. It may be any of {', '.join(others)}."
         alike = [one.id for one in effect.alias_set or []]
         if alike:
             yield f"These rows cannot tell {effect.id}{where} from {', '.join(alike)}: either would explain them."

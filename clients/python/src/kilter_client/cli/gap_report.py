@@ -68,14 +68,27 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     head_row = ("effect", "joints", "verdict", f"gain {unit}", "p", "or one of", "parameter", "amplitude", "interval")
     show_rows(head_row, rows, title="What is missing")
     for effect in effects:
-        if effect.get("class"):
-            say(f"  {_name(effect)} stands for its class: {effect['class']}")
+        _class(effect)
         failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]
         if failed:
             say(f"  {_name(effect)} is not more than {effect['verdict']}: not passed {', '.join(failed)}")
             for remedy in effect.get("to_confirm") or ():
                 say(f"    {remedy}")
         _remarks(effect)
+
+
+def _class(effect: Mapping[str, Any]) -> None:
+    """What is claimed, where that is not one member by its name: all it may be, and what would name it."""
+    claim, about = effect.get("claim") or {}, effect.get("physical_class") or {}
+    if claim.get("said") != "class":
+        if effect.get("class"):
+            say(f"  {_name(effect)} stands for its class: {effect['class']}")
+        return
+    others = ", ".join([*(about.get("members") or ()), *(about.get("outside") or ())])
+    say(f"  {_name(effect)} stands for its class: {claim['words']} (any of: {others})")
+    lacking = " and ".join(str(e["words"]) for e in claim.get("evidence") or () if not e.get("met"))
+    if lacking:
+        say(f"    a name inside the class needs {lacking}")
 
 
 def _remarks(effect: Mapping[str, Any]) -> None:

@@ -76,6 +76,12 @@ EFFECTS: list[dict[str, str]] = [
         "summary": "bending of a link under its own weight and the load at its end",
     },
     {
+        "id": "link_torsion",
+        "acts_on": "joints",
+        "needs": "link masses",
+        "summary": "twist of a link about its own long axis under the moment it carries",
+    },
+    {
         "id": "base_compliance",
         "acts_on": "base",
         "needs": "link masses",

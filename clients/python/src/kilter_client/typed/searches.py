@@ -79,6 +79,34 @@ class Alias(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Separation(Record):
+    """Evidence that would separate an effect from the others of its physical class."""
+
+    met: bool | None
+    """Whether these rows have it."""
+    name: str
+    """`turn`, `loads`, `sides`, `temperature` or `sensor`."""
+    number: float | None
+    """What decided: revolutions, visits from the rarer side, or standard deviations; None: nothing there."""
+    words: str | None
+    """What is asked for."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Claim(Record):
+    """What is claimed: the narrowest set that the data single out."""
+
+    evidence: Records[Separation]
+    """What a member's name needs beside its shape."""
+    said: str
+    """Of what it is said: a `member` by its name, `one_of` several, or the `class`."""
+    settled: bool | None
+    """Whether the model as a whole agrees with the rows."""
+    words: str
+    """The claim in words."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HeldOutGain(Record):
     """What held-out poses gain by an effect."""
 
@@ -88,6 +116,20 @@ class HeldOutGain(Record):
     """Gain in the log-likelihood of the held-out poses."""
     standard_error: float | None
     """Standard error of the gain."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PhysicalClass(Record):
+    """What acts at the same place in the same way, members of the library or not."""
+
+    id: str
+    """Id of the class."""
+    label: str
+    """The class with its joint, in words."""
+    members: tuple[str, ...]
+    """Members that the library has, by id."""
+    outside: tuple[str, ...]
+    """Members that it does not have, in words."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -131,8 +173,10 @@ class NamedEffect(Record):
     RENAMED: ClassVar[Mapping[str, str]] = {"class_": "class"}
     alias_set: Records[Alias]
     """Rivals that do as well."""
+    claim: Claim | None
+    """What is claimed: the narrowest set that the data single out."""
     class_: str | None
-    """The class that cannot be distinguished; None: none."""
+    """The class that is claimed, in words; None: a member, or one of several."""
     empirical: bool | None
     """Whether it is a shape without a cause."""
     evidence: Evidence | None
@@ -155,6 +199,8 @@ class NamedEffect(Record):
     """Chance of such a gain by nothing, over the whole library."""
     parameters: Records[Amplitude]
     """Its amplitudes."""
+    physical_class: PhysicalClass | None
+    """What acts at the same place in the same way."""
     replication: Replication | None
     """What the confirmation says; None: there was none."""
     seen_joints: tuple[int, ...]

@@ -1,0 +1,79 @@
+"""Physical classes: what acts at the same place in the same way, members of the library or not.
+
+A shape that repeats does not prove a cause: within a class a member is named only by evidence that separates it from the
+others. Every effect states its class and that evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+
+@dataclass(frozen=True)
+class PhysicalClass:
+    """A class: its ``id``, its ``label`` with {joint} for the joints, and in words the ``outside`` members of no library.
+
+    ``shaped`` says whether the shape that a member gives it tells anything more.
+    """
+
+    id: str
+    label: str
+    outside: tuple[str, ...] = ()
+    shaped: bool = True
+
+    def at(self, joints: Sequence[int] | None) -> str:
+        """Label at joints (from 0)."""
+        shown = ", ".join(str(j + 1) for j in joints or ())
+        return self.label.format(joint=f"joint{'s' if len(joints or ()) > 1 else ''} {shown}" if shown else "the arm")
+
+
+class Separator(Enum):
+    """Evidence that separates a member from the others of its class; the value says it in words."""
+
+    TURN = "more than one turn of the joint"
+    LOADS = "its dependence on the load, at two loads"
+    SIDES = "approaches from both sides"
+    TEMPERATURE = "a temperature that does not go along with time"
+    SENSOR = "a sensor at the place itself: a link encoder, an inclinometer or a reflector on the base"
+
+
+JOINT_TWIST = PhysicalClass(
+    "joint_twist", "twist about the axis of {joint} under load", ("gear", "harmonic drive", "bearing", "coupling")
+)
+LINK_TWIST = PhysicalClass(JOINT_TWIST.id, "twist of the link after {joint} under load", JOINT_TWIST.outside)
+JOINT_CURVE = PhysicalClass("joint_curve", "error curve of {joint}", ("belt", "hose", "cable", "worn gear"))
+# Nearly a straight line: any smooth curve of little bend, so the shape says nothing.
+SMOOTH_CURVE = PhysicalClass(JOINT_CURVE.id, "smooth error of {joint}", JOINT_CURVE.outside, shaped=False)
+JOINT_SCALE = PhysicalClass(
+    "joint_scale", "scale of {joint}", ("pitch of the screw or belt", "thermal length of the scale")
+)
+JOINT_FOLLOWS = PhysicalClass(
+    "joint_coupling", "error of {joint} that follows another joint", ("hose or cable across both joints", "shared belt")
+)
+REVERSAL = PhysicalClass(
+    "reversal", "reversal error of {joint}", ("hysteresis of the gear", "presliding of a bearing", "drag of a cable")
+)
+JOINT_TILT = PhysicalClass("joint_tilt", "tilt of {joint} under load", ("bearing", "flange", "mount of the base"))
+BASE_TILT = PhysicalClass(JOINT_TILT.id, "tilt of the base or of joint 1 under load", JOINT_TILT.outside)
+LINK_SAG = PhysicalClass("load_sag", "sag of the link after {joint} under load", ("flange", "telescope", "weld"))
+TOOL_SAG = PhysicalClass(LINK_SAG.id, "sag of the tool under load", ("adapter", "gripper", "flange"))
+LOADS = PhysicalClass("loads", "loads that are not as stated", ("weight of hoses", "forgotten adapter", "other masses"))
+STATION = PhysicalClass(
+    "station",
+    "motion of base or instrument with time, or with whatever went with it",
+    ("knocked tripod or base", "floor", "temperature"),
+)
+JOINT_ZERO = PhysicalClass(
+    "joint_zero",
+    "zero of {joint} that moved with time or temperature, or with whatever went with it",
+    ("knocked joint", "slipping coupling", "bending mount"),
+)
+THERMAL = PhysicalClass(
+    "thermal", "something that went with temperature", ("sun on one side", "warm motor", "bending column or mount")
+)
+TOOL_SHIFT = PhysicalClass("tool", "shift of tool or marker between sessions", ("remounted marker", "bumped tool"))
+INSTRUMENT = PhysicalClass("instrument", "error of the instrument", ("refraction", "its own calibration"))
+DELAY = PhysicalClass("delay", "delay between readings and positions", ("filter", "buffer", "clock"))
+SHAPE = PhysicalClass("shape", "shape without a cause")

@@ -1,0 +1,75 @@
+"""What is claimed of a named effect: the narrowest set that the data single out, said alike on every surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_core.arm.robot import Robot
+from kilter_core.effects import EFFECTS
+from kilter_core.effects.physical import PhysicalClass
+from kilter_core.gap.evidence.likeness import Alias
+from kilter_core.gap.evidence.separators import Separated
+from kilter_core.gap.search.candidates import Candidate
+
+MEMBER, ONE_OF, CLASS = "member", "one_of", "class"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """``said`` of a member by its name, of one of several, or of the physical class; ``words`` are for people.
+
+    ``label`` is the class with its joint, ``members`` are those of the library, ``evidence`` is what separates a member
+    from it, ``settled`` whether nothing is left of which the effect may be a part.
+    """
+
+    said: str
+    words: str
+    physical: PhysicalClass
+    label: str
+    members: tuple[str, ...]
+    evidence: tuple[Separated, ...]
+    settled: bool
+
+    @staticmethod
+    def of(
+        candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool
+    ) -> Claim:
+        """Find the narrowest set.
+
+        Members are named only where every piece of evidence is there, and where nothing else is left that may be part
+        of it (``settled``).
+        """
+        physical = candidate.effects[0].class_on(robot)
+        label = physical.at(candidate.joints)
+        kin = (e.id for e in EFFECTS.values() if e.physical.id == physical.id and not e.empirical)
+        about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled)
+        names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
+        member = next((a.member for a in rivals if a.member), "")
+        if candidate.empirical:
+            return Claim(MEMBER, candidate.label, *about)
+        if member:
+            return Claim(CLASS, member, *about)
+        if not settled or not all(e.met for e in evidence):
+            shapes = [candidate.id.replace("_", " "), *names[1:]]
+            shape = f", in the shape of {' or '.join(shapes)}" if physical.shaped else ""
+            return Claim(CLASS, label + shape, *about)
+        if len(names) > 1:
+            return Claim(ONE_OF, " or ".join(names) + " (these data cannot tell)", *about)
+        return Claim(MEMBER, candidate.label, *about)
+
+    def to_document(self) -> dict[str, Any]:
+        """The claim, its class with all members, and the evidence asked for."""
+        return {
+            "claim": {
+                "said": self.said, "words": self.words, "settled": self.settled,
+                "evidence": [{"name": e.separator.name.lower(), "words": e.separator.value, "met": e.met,
+                              "number": e.number} for e in self.evidence],
+            },
+            "physical_class": {
+                "id": self.physical.id, "label": self.label,
+                "members": list(self.members),
+                "outside": list(self.physical.outside),
+            },
+        }  # fmt: skip

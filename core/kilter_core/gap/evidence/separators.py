@@ -1,0 +1,144 @@
+"""Evidence that separates a named effect from the others of its physical class, tested on the data (trap 16).
+
+A shape that repeats does not prove a cause: torsion of a link is the gear of the next joint, a hose is a scale error, and
+whatever went with time is a drift. What separates a member is a condition that the others of its class do not follow, so
+the part of the effect that follows this condition must be seen by itself, and be of the same amplitude as the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kilter_core.effects.physical import Separator
+from kilter_core.gap.evidence.smooth import TURN
+from kilter_core.gap.search.bases import orthonormal
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import fitted
+from kilter_core.gap.search.projection import Projection
+from kilter_core.gap.search.scan import residual_given
+from kilter_core.observations import Observations
+from kilter_core.types import Floats
+
+ALONE = 3.0  # standard deviations in which the part that follows the condition must show by itself
+ALIKE = 3.0  # standard deviations within which its amplitude must be that of the rest
+COURSE = 3  # degree of the polynomial of time that a temperature must leave
+EACH_SIDE = 4  # visits from each side
+
+
+@dataclass(frozen=True)
+class Separated:
+    """Whether a piece of evidence separates the name from its class, and the number that says so."""
+
+    separator: Separator
+    met: bool
+    number: float | None = None
+
+
+def separated(search: SearchResult, place: int) -> tuple[Separated, ...]:
+    """Test for what a chosen name needs beside its shape; empty where nothing but its rivals can take it away."""
+    candidate = search.selector.scorer.candidates[place]
+    robot = search.problem.settings.source.model.robot
+    wanted = dict.fromkeys(s for effect in candidate.effects for s in effect.separators(robot))
+    return tuple(TESTS[one](search, place) for one in wanted)
+
+
+def _turns(search: SearchResult, place: int) -> Separated:
+    source = search.problem.settings.source
+    q, joints = source.batch.q, source.model.robot.joints
+    followed = [x for e in search.selector.scorer.candidates[place].effects for x in e.followed(len(joints))]
+    turns = min(
+        (factor * float(np.ptp(q[:, j])) / TURN if joints[j].kind == "revolute" else 0.0 for j, factor in followed),
+        default=0.0,
+    )
+    return Separated(Separator.TURN, turns >= 1.0, turns)
+
+
+def _sides(search: SearchResult, place: int) -> Separated:
+    settings = search.problem.settings
+    direction = settings.source.observations.direction
+    if direction is None:
+        return Separated(Separator.SIDES, False)
+    joints = list(search.selector.scorer.candidates[place].joints or range(direction.shape[1]))
+    seen = direction[settings.used][:, joints]
+    least = int(min(np.sum(seen > 0, axis=0).min(), np.sum(seen < 0, axis=0).min()))
+    return Separated(Separator.SIDES, least >= EACH_SIDE, float(least))
+
+
+def _loads(search: SearchResult, place: int) -> Separated:
+    rows = search.problem.settings.source.observations
+    if rows.payload_kg is None or np.ptp(rows.payload_kg) == 0.0:
+        return Separated(Separator.LOADS, False)
+    return _beside(search, place, Separator.LOADS, replace(rows, payload_kg=np.zeros(len(rows))))
+
+
+def _temperature(search: SearchResult, place: int) -> Separated:
+    rows = search.problem.settings.source.observations
+    if rows.temperature_c is None:
+        return Separated(Separator.TEMPERATURE, False)
+    clock = np.arange(len(rows), dtype=np.float64) if rows.t is None else rows.t
+    x = (clock - clock.min()) / (float(np.ptp(clock)) or 1.0)
+    powers = np.vander(x, COURSE + 1)
+    course = powers @ np.linalg.lstsq(powers, rows.temperature_c, rcond=None)[0]
+    return _beside(search, place, Separator.TEMPERATURE, replace(rows, temperature_c=course))
+
+
+def _sensor(search: SearchResult, place: int) -> Separated:
+    rows, candidate = search.problem.settings.source.observations, search.selector.scorer.candidates[place]
+    read = rows.tilt if candidate.joints is None else rows.link_q
+    if read is None:
+        return Separated(Separator.SENSOR, False)
+    own = read if candidate.joints is None else read[:, list(candidate.joints)]
+    return Separated(Separator.SENSOR, bool(np.all(np.any(np.isfinite(own), axis=0))))
+
+
+def _beside(search: SearchResult, place: int, separator: Separator, without: Observations) -> Separated:
+    """The effect in two parts, as it would be under the conditions ``without`` and what the real ones add, each fitted.
+
+    Both have the coefficient 1 where the effect is what its name says.
+    """
+    problem = search.problem
+    settings, columns = problem.settings, list(search.selector.scorer.candidates[place].columns)
+    values = dict(zip(search.columns, fitted(problem, search.columns)[0], strict=True))
+    amounts = np.array([values[k] for k in columns])
+    source = settings.source.without_geometry()
+    other = source.on_rows(without).batch
+    parts = [
+        settings.whitening.columns(source.linear(problem.values, batch, columns).W) @ amounts
+        for batch in (other, source.batch)
+    ]
+    both = np.stack([parts[0], parts[1] - parts[0]], axis=1)
+    rest = search.selector.columns([k for k in search.chosen if k != place])
+    basis = orthonormal(problem.projected(rest)) if rest else np.zeros((len(both), 0))
+    left = Projection.of(problem.soft, problem.U, both).less(basis).rows(slice(None))
+    return _judged(
+        separator, left, residual_given(problem, rest), search.selector.variance(problem.gram, search.chosen)
+    )
+
+
+def _judged(separator: Separator, parts: Floats, r: Floats, variance: float) -> Separated:
+    """Whether the second of two parts (R, 2) shows by itself and as large as the first."""
+    size = np.linalg.norm(parts, axis=0)
+    shown = size > 1e-6 * max(float(size.max()), 1e-300)
+    if not shown[1]:
+        return Separated(separator, False, 0.0)
+    kept = parts[:, shown] / size[shown]
+    inverse = np.linalg.pinv(kept.T @ kept, rcond=1e-9, hermitian=True)
+    scale = 1.0 / size[shown]
+    amount, covariance = (inverse @ (kept.T @ r)) * scale, variance * inverse * np.outer(scale, scale)
+    alone = float(amount[-1] / max(float(np.sqrt(covariance[-1, -1])), 1e-300))
+    if len(amount) == 1:
+        return Separated(separator, alone > ALONE, alone)
+    apart = abs(amount[1] - amount[0]) / np.sqrt(max(float(np.array([-1, 1]) @ covariance @ [-1, 1]), 1e-300))
+    return Separated(separator, alone > ALONE and bool(apart < ALIKE), alone)
+
+
+TESTS: Mapping[Separator, Callable[[SearchResult, int], Separated]] = {
+    Separator.TURN: _turns,
+    Separator.LOADS: _loads,
+    Separator.SIDES: _sides,
+    Separator.TEMPERATURE: _temperature,
+    Separator.SENSOR: _sensor,
+}

@@ -1,0 +1,67 @@
+"""What names a member of a physical class: two loads, both sides, a temperature beside time; else the class is claimed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.report.report import effect_row
+from kilter_core.observations import Observations
+from tests.core.gap.simulated import Hidden, campaign, katana
+
+QUICK = GapOptions(resamples=20, permutations=5, bootstraps=499, next_poses=0)
+
+
+def said(rows: Observations, *effects: str) -> dict[str, Any]:
+    report = find_gap(katana(), rows, replace(QUICK, effects=effects))
+    (effect,) = (effect_row(j, report.library, report.misfit) for j in report.effects)
+    return effect
+
+
+def asked(effect: dict[str, Any]) -> dict[str, bool]:
+    return {e["name"]: e["met"] for e in effect["claim"]["evidence"]}
+
+
+COMPLIANCE: Hidden = ("axial_compliance", (1,), (4e-4,))
+LOADED = ("axial_compliance", "backlash", "encoder_scale")
+
+
+def test_a_compliance_is_named_where_its_share_of_a_second_load_is_seen() -> None:
+    effect = said(campaign(katana(), [COMPLIANCE], seed=1, loads=(0.0, 1.0)), *LOADED)
+    assert (effect["id"], effect["claim"]["said"], asked(effect)) == ("axial_compliance", "member", {"loads": True})
+    assert effect["claim"]["words"] == "axial_compliance j2"
+    assert {"link_torsion", "axial_compliance"} <= set(effect["physical_class"]["members"])
+    assert effect["verdict"] == "confirmed"
+
+
+def test_with_one_load_it_is_a_twist_about_its_axis() -> None:
+    effect = said(campaign(katana(), [COMPLIANCE], seed=1, loads=(1.0,)), *LOADED)
+    assert (effect["id"], effect["claim"]["said"], asked(effect)) == ("axial_compliance", "class", {"loads": False})
+    assert effect["class"] == "twist about the axis of joint 2 under load, in the shape of axial compliance"
+    assert effect["verdict"] == "class_confirmed"
+
+
+def test_what_follows_the_posture_and_not_the_load_is_no_compliance() -> None:
+    """The same arm errs as if no payload hung on it: a spring or a hose, not the gear."""
+    rows = campaign(katana(), [COMPLIANCE], seed=1, loads=(0.0,), poses=90)
+    lied = replace(rows, payload_kg=np.random.default_rng(5).choice([0.0, 1.0], 90)[rows.pose_id])
+    report = find_gap(katana(), lied, replace(QUICK, effects=("axial_compliance", "backlash")))
+    found = [effect_row(j, report.library, report.misfit) for j in report.effects]
+    assert found
+    assert all(e["claim"]["said"] == "class" and e["verdict"] != "confirmed" for e in found)
+
+
+def test_a_temperature_that_goes_along_with_time_names_nothing() -> None:
+    warm = [("zero_thermal", (2,), (1e-4,))]
+    free = said(campaign(katana(), warm, seed=3), "zero_thermal", "backlash")
+    assert (free["claim"]["said"], asked(free), free["verdict"]) == ("member", {"temperature": True}, "confirmed")
+    rows = campaign(katana(), warm, seed=3)
+    assert rows.temperature_c is not None
+    together = said(replace(rows, t=600.0 * (rows.temperature_c - 20.0)), "zero_thermal", "backlash")
+    assert (together["id"], asked(together)) == ("zero_thermal", {"temperature": False})
+    assert together["class"] is not None
+    assert "whatever went with it" in together["class"]
+    assert together["verdict"] == "class_confirmed"
