@@ -19,7 +19,7 @@ from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_docum
 from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
 from kilter_core.gap.evidence.local_bump import local_bump_test
-from kilter_core.gap.evidence.matters import Misfit, misfit, moves_mm
+from kilter_core.gap.evidence.matters import Misfit, floor_mm, misfit, moves_mm
 from kilter_core.gap.evidence.narrowed import narrowed
 from kilter_core.gap.evidence.refused import refused
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
@@ -35,6 +35,7 @@ from kilter_core.gap.evidence.testability import (
     untestable,
 )
 from kilter_core.gap.evidence.unseen import seen_only
+from kilter_core.gap.evidence.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.verdict import Evidence, Judged, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.ends import at_ends
@@ -170,12 +171,15 @@ class _Run:
         kept = stored(found, self.begin, prepared.rows, self.options)
         left = misfit(found, fit, rows, self.options)
         effects, control, held = self._judged(found, fit, left, kept)
-        verdict = run_verdict(effects, fit, left)
+        verdict, unseen = run_verdict(effects, fit, left), unseen_fit(held, 1e-3 * floor_mm(rows, self.options))
+        if unseen is not None:
+            verdict = unseen.verdict(verdict)
         judging = held.report()
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
         return GapReport(
-            stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit, left), effects=effects, where=places,
+            stored=kept, verdict=verdict, effects=effects, unseen=unseen,
+            sentence=sentence(verdict, effects, fit, left) + ("" if unseen is None else unseen.sentence()), where=places,
             gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),

@@ -216,6 +216,19 @@ class GapSize(Stored):
     steps: list[GapStep] | None = Field(None, description="Steps of the search.")
 
 
+class UnseenFit(Stored):
+    """Whether held-out rows, which no choice saw, agree with the model within the noise and what was fitted."""
+
+    chi2: float | None = Field(None, description="Squared errors in multiples of noise and of what was fitted.")
+    freedom: int | None = Field(None, description="Numbers that were held out.")
+    chi2_per_freedom: float | None = Field(None, description="The one over the other; 1 is noise alone.")
+    p_value: float | None = Field(None, description="Chance of so much by noise.")
+    poses: int | None = Field(None, description="Poses that were held out.")
+    left_mm: Mm | None = Field(None, description="What is left of them, rms error in space, mm.")
+    noise_mm: Mm | None = Field(None, description="What noise and what was fitted leave of them, rms in space, mm.")
+    refuted: bool | None = Field(None, description="Whether more is left, and more of it than is too small to matter.")
+
+
 class Adequacy(Stored):
     """Whether what is left is no more than the noise."""
 
@@ -229,6 +242,7 @@ class Adequacy(Stored):
     misfit_upper_mm: Mm | None = Field(None, description="Upper bound of it, mm.")
     matters_mm: Mm | None = Field(None, description="Size that matters, mm.")
     too_small_to_matter: bool | None = Field(None, description="Whether the misfit is below it.")
+    held_out: UnseenFit | None = Field(None, description="The same of rows that no choice saw; null: not judged.")
 
 
 class RepeatDrift(Stored):

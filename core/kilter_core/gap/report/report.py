@@ -12,6 +12,7 @@ from kilter_core.gap.evidence.aliases import Alias
 from kilter_core.gap.evidence.claim import CLASS
 from kilter_core.gap.evidence.matters import Misfit
 from kilter_core.gap.evidence.unseen import Unseen
+from kilter_core.gap.evidence.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
 from kilter_core.gap.report.remedies import to_confirm
@@ -48,6 +49,9 @@ class GapReport:
     warnings: tuple[dict[str, Any], ...]
     figures: dict[str, Any]
     library: Library
+    unseen: UnseenFit | None = (
+        None  # how rows that no choice saw agree; None: none were held out, or nothing to judge by
+    )
 
     @property
     def calibration(self) -> Calibration:
@@ -71,7 +75,9 @@ class GapReport:
             "gap": self.gap,
             "measurements": self.measurements,
             "predictive": self.predictive,
-            "adequacy": self.adequacy.to_document() | self.misfit.to_document(),
+            "adequacy": self.adequacy.to_document()
+            | self.misfit.to_document()
+            | {"held_out": None if self.unseen is None else self.unseen.to_document()},
             "noise": self.noise,
             "not_testable": [untestable_row(u) for u in self.not_testable],
             "smallest_detectable": self.smallest_detectable,

@@ -25,7 +25,13 @@ from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings
 from kilter_core.gap.search.link_source import LinkSource
 from kilter_core.gap.search.masses import blurred, tool_source
 from kilter_core.gap.search.renewal import renewed, under
-from kilter_core.gap.search.row_warnings import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
+from kilter_core.gap.search.row_warnings import (
+    JUDGED_AGAIN,
+    identical_repeats,
+    instrument_warnings,
+    noise_warnings,
+    outlier_warnings,
+)
 from kilter_core.gap.search.source import Source
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepared as start_of
@@ -240,11 +246,13 @@ class _Preparation:
         size = visit_residual.shape[1]
         points = visits.observations.position if size == 3 else None
         linear = source.unit == "rad" or visits.observations.rotation is not None
-        if self.options.noise_mm is not None and not linear:
-            return stated_noise(self.options.noise_mm * 1e-3, visits, size)
         found = None
         if len(rows) > len(np.unique(visits.condition)):
             found = repeat_noise(row_residual, visit_residual, visits, points)
+        if found is not None and source.unit != "rad":
+            self.warnings += instrument_warnings(found, self._stated(visits))
+        if self.options.noise_mm is not None and not linear:
+            return stated_noise(self.options.noise_mm * 1e-3, visits, size)
         if found is not None:
             if not found.absolute:
                 self._warn(
@@ -265,6 +273,13 @@ class _Preparation:
         )
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return source.even(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost))
+
+    def _stated(self, visits: Visits) -> float | None:
+        """Standard deviation m of a coordinate of a row, as the instrument states it: the columns of rows, else the option."""
+        sigma = visits.observations.sigma
+        if sigma is None:
+            return None if self.options.noise_mm is None else self.options.noise_mm * 1e-3
+        return float(np.sqrt(np.nanmean(sigma**2 * visits.count[:, None])))
 
     def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
         if problem.nu < SPARE:

@@ -17,6 +17,7 @@ Warning_ = dict[str, Any]
 
 JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
 COPY = 1e-9  # m or rad: no instrument repeats itself so exactly
+BEYOND = 3.0  # times the instrument, from which repeats show that something moves
 COARSE = 0.05  # share of equal coordinates between repeats from which the instrument rounds: equal rows prove nothing
 
 
@@ -73,6 +74,21 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
             "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
             "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
         }
+
+
+def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[Warning_]:
+    """Say that repeats scatter by far more than the instrument, ``stated`` m of a coordinate, does."""
+    if stated is None or not stated > 0.0 or noise.between is None or noise.coordinate < BEYOND * stated:
+        return
+    ratio = noise.coordinate / stated
+    within = "" if noise.within is None else f" ({noise.within * 1e3:.3g} mm without leaving the pose)"
+    yield {
+        "code": "noise_beyond_instrument", "ratio": ratio,
+        "message": f"Repeats differ by {noise.coordinate * 1e3:.3g} mm (standard deviation of a coordinate){within}, "
+        f"{ratio:.2g} times what the instrument states ({stated * 1e3:.3g} mm): something moves between visits. Hysteresis "
+        "and friction memory of the joints (presliding), a loose mount or nest, or warming do that; errors smaller than this "
+        "cannot be seen. Approach poses from the same side and on the same way, and check mounts.",
+    }  # fmt: skip
 
 
 def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:

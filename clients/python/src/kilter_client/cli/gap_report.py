@@ -142,6 +142,12 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
         say(f"held-out rows: {how}")
     if closure is not None:
         say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
+    unseen = (result.get("adequacy") or {}).get("held_out")
+    if unseen:
+        say(
+            f"chi-square of {unseen['poses']} held-out poses, which no choice saw: {number(unseen['chi2_per_freedom'], 3)} "
+            f"per number, p {number(unseen['p_value'], 2)}"
+        )
 
 
 def _bar(names: Sequence[str], values: Sequence[float]) -> None:

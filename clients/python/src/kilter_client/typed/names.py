@@ -142,6 +142,7 @@ MODULE_OF = {
     "Token": "others",
     "Tombstone": "comparisons",
     "UnknownParameter": "checks",
+    "UnseenFit": "search_numbers",
     "Untestable": "searches",
     "Upload": "campaigns",
     "Uploaded": "campaigns",

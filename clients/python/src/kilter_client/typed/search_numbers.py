@@ -8,6 +8,28 @@ from kilter_client.results.record import Record, Records
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class UnseenFit(Record):
+    """Whether held-out rows, which no choice saw, agree with the model within the noise and what was fitted."""
+
+    chi2: float | None
+    """Squared errors in multiples of noise and of what was fitted."""
+    chi2_per_freedom: float | None
+    """The one over the other; 1 is noise alone."""
+    freedom: int | None
+    """Numbers that were held out."""
+    left_mm: float | None
+    """What is left of them, rms error in space, mm."""
+    noise_mm: float | None
+    """What noise and what was fitted leave of them, rms in space, mm."""
+    p_value: float | None
+    """Chance of so much by noise."""
+    poses: int | None
+    """Poses that were held out."""
+    refuted: bool | None
+    """Whether more is left, and more of it than is too small to matter."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Adequacy(Record):
     """Whether what is left is no more than the noise."""
 
@@ -17,6 +39,8 @@ class Adequacy(Record):
     """The one over the other; 1 is noise alone."""
     freedom: float | None
     """Degrees of freedom."""
+    held_out: UnseenFit | None
+    """The same of rows that no choice saw; None: not judged."""
     lack_of_fit_f: float | None
     """Lack of fit over pure error."""
     matters_mm: float | None
