@@ -209,7 +209,7 @@ def test_what_cannot_be_read_is_refused_in_place(
 
 def test_a_viewer_reads_and_changes_nothing(server: httpx.Client, campaign: str) -> None:
     token = server.post("/v1/tokens", json={"name": "reader", "role": "viewer"}).json()["token"]
-    with httpx.Client(base_url=server.base_url, headers={"Authorization": f"Bearer {token}"}) as viewer:
+    with httpx.Client(base_url=server.base_url, headers={"Authorization": f"Bearer {token}"}, timeout=60) as viewer:
         assert "This needs the role operator" in viewer.get(JOBS).text
         for address in (f"{JOBS}/check", JOBS, "/jobs/job_0000000000000000/cancel"):
             assert viewer.post(address, data=texts(campaign)).status_code == 403

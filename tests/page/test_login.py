@@ -34,7 +34,7 @@ def token_of(server: httpx.Client, role: str, name: str) -> dict[str, str]:
 @contextmanager
 def logged_in(server: httpx.Client, token: str) -> Iterator[httpx.Client]:
     """Somebody with the cookie and without a header."""
-    with httpx.Client(base_url=server.base_url) as client:
+    with httpx.Client(base_url=server.base_url, timeout=60) as client:
         answer = client.post("/login", data={"token": token, "then": "/"})
         assert answer.status_code == 303, answer.text
         yield client
@@ -55,7 +55,7 @@ def test_every_route_of_the_page_has_a_stated_role() -> None:
 
 def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(server: httpx.Client) -> None:
     token = server.headers["authorization"].removeprefix("Bearer ")
-    given = httpx.post(server.base_url.join("/login"), data={"token": token}).headers["set-cookie"]
+    given = httpx.post(server.base_url.join("/login"), data={"token": token}, timeout=60).headers["set-cookie"]
     assert given.startswith(f"{COOKIE}=")
     assert {"httponly", "samesite=strict", "path=/"} <= {part.strip().lower() for part in given.split(";")}
     assert token not in given
@@ -90,7 +90,7 @@ def test_the_login_ends_with_the_token_and_with_logging_out(server: httpx.Client
 
 
 def test_a_wrong_token_is_refused_in_the_form(server: httpx.Client) -> None:
-    refused = httpx.post(server.base_url.join("/login"), data={"token": "x" * 40})
+    refused = httpx.post(server.base_url.join("/login"), data={"token": "x" * 40}, timeout=60)
     assert refused.status_code == 401
     assert "not one of this server" in refused.text
     assert "set-cookie" not in refused.headers
@@ -117,7 +117,7 @@ def test_the_cookie_is_for_https_only_where_the_browser_speaks_it(tmp_path: Path
 @pytest.mark.parametrize("then", ["https://elsewhere.test/", "//elsewhere.test", "/\\elsewhere.test", "javascript:x"])
 def test_a_link_to_the_login_leads_nowhere_else(server: httpx.Client, then: str) -> None:
     token = server.headers["authorization"].removeprefix("Bearer ")
-    answer = httpx.post(server.base_url.join("/login"), data={"token": token, "then": then})
+    answer = httpx.post(server.base_url.join("/login"), data={"token": token, "then": then}, timeout=60)
     assert answer.headers["location"] == "/"
 
 

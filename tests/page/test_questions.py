@@ -72,7 +72,10 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
 @pytest.fixture
 def page(chromium: Browser, asked: Lab) -> Iterator[Page]:
     headers = {"Authorization": f"Bearer {asked.token}"}
-    with httpx.Client(base_url=asked.server.url, headers=headers) as client, opened(chromium, client) as page:
+    with (
+        httpx.Client(base_url=asked.server.url, headers=headers, timeout=60) as client,
+        opened(chromium, client) as page,
+    ):
         page.goto(f"/robots/{asked.robot}")
         yield page
 

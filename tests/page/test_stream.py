@@ -171,7 +171,9 @@ def test_setpoints_without_an_active_version_are_a_bypass(cell: Cell) -> None:
 
 def test_a_token_of_another_robot_sees_nothing(cell: Cell) -> None:
     made = cell.client.post("/v1/tokens", json={"name": "limited", "role": "viewer", "robots": ["other"]}).json()
-    with httpx.Client(base_url=cell.client.base_url, headers={"Authorization": f"Bearer {made['token']}"}) as client:
+    with httpx.Client(
+        base_url=cell.client.base_url, headers={"Authorization": f"Bearer {made['token']}"}, timeout=60
+    ) as client:
         for path in ("/robots/katana/stream", "/robots/katana/stream/events", "/robots/nobody/stream/events"):
             assert client.get(path).status_code == 404
         assert cell.events("other", 0.5, client)[-1]["robot"] == "other"

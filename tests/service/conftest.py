@@ -134,7 +134,7 @@ def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
         time.sleep(0.005)
     assert server.started
     try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", timeout=30) as client:
+        with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", timeout=120) as client:
             yield client
     finally:
         server.should_exit = True

@@ -215,8 +215,8 @@ def elsewhere(world: World) -> Settings:
 def test_a_clock_that_is_set_a_day_ahead_and_back(world: World, until: Callable[..., None]) -> None:
     world.prepare()
     made = world.http.post("/v1/tokens", json={"name": "visitor", "role": "viewer", "days": 1}).json()
-    login = httpx.post(f"{world.url}/login", data={"token": world.token})
-    page = httpx.Client(base_url=world.url, cookies=login.cookies)
+    login = httpx.post(f"{world.url}/login", data={"token": world.token}, timeout=60)
+    page = httpx.Client(base_url=world.url, cookies=login.cookies, timeout=60)
     world.work()
     until(lambda: bool(world.sources and world.stored), seconds=25)
     with world.client(made["token"]) as limited, page:

@@ -118,7 +118,7 @@ def test_who_follows_is_cut_off_within_a_second_of_the_revocation(
         stream = stack.enter_context(own.stream("GET", f"/v1/jobs/{job}/events", headers=headers))
         lines = stream.iter_lines()
         assert next(lines).startswith("id: ")
-        with httpx.Client(base_url=client.base_url, headers=client.headers) as admin:
+        with httpx.Client(base_url=client.base_url, headers=client.headers, timeout=60) as admin:
             admin.delete(f"/v1/tokens/{token_id}").raise_for_status()
         began = time.monotonic()
         told = list(lines)  # ends by itself

@@ -78,7 +78,7 @@ def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
     assert server.ready["pid"] == server.process.pid
     assert server.ready["zenoh"].startswith("tcp/127.0.0.1:")
     assert not server.ready["zenoh"].endswith(":0")
-    assert httpx.get(f"{url}/v1/health/ready").json()["status"] == "ready"
+    assert httpx.get(f"{url}/v1/health/ready", timeout=60).json()["status"] == "ready"
     assert oct(settings.token_file.stat().st_mode)[-3:] == "600"
 
     before = children(server.process.pid)

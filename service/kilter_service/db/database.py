@@ -26,8 +26,9 @@ LOOK_TIMEOUT_S = 2  # the shortest that libpq knows
 SILENCE = {"keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3, "tcp_user_timeout": 25_000}
 # PostgreSQL asks, too, and frees the write lock that the machine held.
 KEEPALIVES = {"tcp_keepalives_idle": 10, "tcp_keepalives_interval": 5, "tcp_keepalives_count": 3}
-# A frozen process answers such questions and still holds the lock; a change takes milliseconds between its queries.
-MOST_IDLE_S = 30
+# A frozen process answers such questions and still holds its locks; a change takes milliseconds between its queries. Less
+# than a client waits for an answer, which may be waiting for that lock.
+MOST_IDLE_S = 10
 READS = "kilter_reads"  # execution option of connections that only read
 NOTES = "kilter_notes"  # of those that change one row by one statement
 WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that whoever changes something holds
@@ -126,6 +127,7 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
 def _prepare_postgresql(connection: Any, _record: Any) -> None:
     words = [f"SET {name} = {value}" for name, value in KEEPALIVES.items()]
     words.append("SET default_transaction_isolation = 'read committed'")
+    words.append(f"SET idle_in_transaction_session_timeout = '{MOST_IDLE_S}s'")
     with connection.cursor() as cursor:
         cursor.execute("; ".join(words))
     connection.commit()
@@ -140,11 +142,13 @@ def _begin_sqlite(connection: Connection) -> None:
 
 def _begin_postgresql(connection: Connection) -> None:
     if connection.get_execution_options().get(READS, False):
-        connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY")
+        # Who reads holds nobody up, and may send on what it reads for minutes.
+        connection.exec_driver_sql(
+            "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY; SET LOCAL idle_in_transaction_session_timeout = 0"
+        )
         return
     if connection.get_execution_options().get(NOTES, False):
         return  # a statement locks the row it changes
     # READ COMMITTED: every query after the lock sees what the holder before has stored.
     connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
-    connection.exec_driver_sql(f"SET LOCAL idle_in_transaction_session_timeout = '{MOST_IDLE_S}s'")
     connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITER})")
