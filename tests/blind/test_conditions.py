@@ -187,10 +187,10 @@ def test_noncentrality_counts_the_poses_searched() -> None:
 
 
 def test_a_set_that_must_be_decidable_is() -> None:
-    wanted = [c for c in cases(3, 60) if c.demanded][:20]
+    wanted = [c for c in cases(3, 60) if c.demanded][:10]
     made = [generate(c) for c in wanted]
     able = [all(e.decidable for e in m.truth.effects) for m in made]
-    assert sum(able) >= 19
+    assert all(able)
     assert all(m.case.alternatives == () and not m.case.demanded for m in made)
     again = generate(made[3].case)
     np.testing.assert_array_equal(again.columns["x_mm"], made[3].columns["x_mm"])

@@ -155,16 +155,16 @@ def forced(robot, rows, rng):
 
 
 def test_a_name_forced_upon_noise_is_not_seen_again(robot):
-    """Thirty names given to noise, each on arms of its own: 1 % of them may be seen in other noise."""
+    """Fifteen names given to noise, each on arms of its own: 1 % of them may be seen in other noise."""
     rng, outcomes = np.random.default_rng(0), []
-    for seed in range(30):
+    for seed in range(15):
         rows = campaign(robot, poses=40, revisits=12, seed=100 + seed, arm=seed)
         other = campaign(robot, poses=30, revisits=10, seed=500 + seed, arm=seed)
         candidate, kept = forced(robot, rows, rng)
         seen = Confirmation.of(kept.calibration, kept.posterior, other, QUICK, lambda f, s: None)
         outcomes.append(replication(seen, robot, other, candidate, None).outcome)
     assert set(outcomes) <= {"not_seen", "replicated"}
-    assert outcomes.count("replicated") <= 3  # more in one of 40 000 such tests
+    assert outcomes.count("replicated") <= 2  # more in one of 2000 such tests
 
 
 def test_a_confirmation_with_rows_of_the_search_is_refused_whatever_its_file(robot, small):
