@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 from alembic import context
+from sqlalchemy import inspect
 
 from kilter_service.db.database import open_engine
+from kilter_service.db.revision import HEAD
+from kilter_service.db.sealed import complete
+from kilter_service.db.seals import sealer
 from kilter_service.db.tables import Instant, Row
 from kilter_service.settings import Settings
 
@@ -24,6 +28,9 @@ def run() -> None:
         context.configure(connection=connection, target_metadata=Row.metadata, render_as_batch=True, render_item=render)
         with context.begin_transaction():
             context.run_migrations()
+        # In one transaction with what it seals: tables that are new, or columns that a revision has added.
+        if inspect(connection).has_table("sealed_tables") and context.get_context().get_current_revision() == HEAD:
+            complete(connection, sealer())
     engine.dispose()
 
 

@@ -24,7 +24,17 @@ from kilter_service.zenoh_config import command as zenoh_command
 
 ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder
 TRACED = frozenset({"api", "worker"})
-USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged", "jobs_taken"})
+USAGE_CODES = frozenset(
+    {
+        "binding_refused",
+        "token_file_open",
+        "token_weak",
+        "stream_keys_damaged",
+        "jobs_taken",
+        "seal_key_other",
+        "seal_key_unusable",
+    }
+)
 Command = Callable[[Settings, argparse.Namespace], None]
 
 
@@ -146,6 +156,13 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     verify(settings, arguments)
 
 
+def seal(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Seal all rows anew: with a new key, or after a change by hand."""
+    from kilter_service.backup.commands import seal
+
+    seal(settings, arguments)
+
+
 def compile_kernels(_: Settings, __: argparse.Namespace) -> None:
     """Compile the numeric kernels once, for every process of this installation; nothing else is touched."""
     from kilter_service.compiling import compile_kernels
@@ -176,6 +193,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "backup": (backup, "kilterd backup /backups"),
     "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
     "verify": (verify, "kilterd verify"),
+    "seal": (seal, "KILTER_SEAL_KEY=/etc/kilter/seal-key kilterd seal"),
     "doctor": (doctor, "kilterd doctor --json"),
     "compile": (compile_kernels, "sudo /opt/kilter/bin/kilterd compile"),
 }
@@ -209,6 +227,10 @@ def parser() -> argparse.ArgumentParser:
         if name in PATHS:
             shown, count, help_text = PATHS[name]
             added.add_argument("path", metavar=shown, nargs=count, help=help_text)
+        if name == "seal":
+            added.add_argument(
+                "--accept", action="store_true", help="take the rows as they are, whatever their seals say"
+            )
         if name == "doctor":
             added.add_argument("--json", action="store_true", help="print one JSON document")
         if name == "api":

@@ -65,6 +65,7 @@ class Settings(BaseSettings):
         default="tcp/127.0.0.1:7447", description="endpoint the corrector listens on; port 0: free"
     )
     stream_keys: Path | None = Field(default=None, description="file of the stream's master secret")
+    seal_key: Path | None = Field(default=None, description="file of the key that rows are sealed with")
     stream_unsigned: bool = Field(default=True, description="take unsigned setpoints on loopback")
     site: str = Field(default="local", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="site name in zenoh keys")
     temperature_c: float | None = Field(default=None, description="temperature of the arms, for thermal growth")
@@ -171,6 +172,7 @@ class Settings(BaseSettings):
             "ZENOH_CONFIG": str(self.zenoh_config) if self.zenoh_config else None,
             "ZENOH_LISTEN": self.zenoh_listen,
             "STREAM_KEYS": str(self.stream_keys) if self.stream_keys else None,
+            "SEAL_KEY": str(self.seal_key) if self.seal_key else None,
             "STREAM_UNSIGNED": str(self.stream_unsigned).lower(),
             "SITE": self.site,
             "TEMPERATURE_C": None if self.temperature_c is None else str(self.temperature_c),

@@ -1,4 +1,4 @@
-"""`kilterd backup`, `restore` and `verify` as commands."""
+"""`kilterd backup`, `restore`, `verify` and `seal` as commands."""
 
 from __future__ import annotations
 
@@ -43,3 +43,20 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
         )
         sys.exit(1)
     print(f"All is whole: {found.looked_at()}; {found.checked()}.")
+
+
+def seal(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Seal all rows anew: with a new key, or after a change by hand."""
+    from kilter_service.backup import service
+
+    found = service.seal(settings, accept=arguments.accept)
+    for sentence in found:
+        print(sentence)
+    if found:
+        print(
+            f"kilterd: {len(found)} findings, and nothing was sealed: bring back a backup that is whole, or take the rows as "
+            "they are with --accept.",
+            file=sys.stderr,
+        )
+        sys.exit(1)
+    print("All rows are sealed, and the audit says so.")

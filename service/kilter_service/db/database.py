@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
-from kilter_service.db import audited
+from kilter_service.db import audited, sealed, seals
 from kilter_service.db.outages import DatabaseAwayError, outages
 from kilter_service.private_files import private_file, private_folder
 
@@ -42,8 +42,10 @@ class Database:
         self.engine = open_engine(url, connect_timeout_s)
         file = self.engine.url.database if self.engine.dialect.name == "sqlite" else None
         self._folder = Path(file).parent if file else None
+        self.sealer = seals.sealer()
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
         audited.listen(self._changing)
+        sealed.listen(self._changing, self.sealer)
         self._noting = sessionmaker(self.engine.execution_options(**{NOTES: True}), expire_on_commit=False)
         self._reading = sessionmaker(self.engine.execution_options(**{READS: True}), expire_on_commit=False)
 

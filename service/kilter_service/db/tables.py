@@ -40,6 +40,10 @@ class Instant(TypeDecorator[datetime]):
     impl = DateTime(timezone=True)
     cache_ok = True
 
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Write a time as UTC."""
+        return value.astimezone(UTC) if value is not None and value.tzinfo is not None else value
+
     def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
         """Read a time as UTC."""
         return value.replace(tzinfo=UTC) if value is not None and value.tzinfo is None else value
@@ -314,6 +318,27 @@ class MeshRow(Row):
     sha256: Mapped[str] = mapped_column(String(64))
     content: Mapped[bytes] = mapped_column(LargeBinary)
     created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class SealRow(Row):
+    """What a row was stored as: a digest for each of its columns. It is written with the row (`db/sealed.py`)."""
+
+    __tablename__ = "seals"
+    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
+    id: Mapped[str] = mapped_column(String(200), primary_key=True)
+    digests: Mapped[str] = mapped_column(Text)
+
+
+class SealedTableRow(Row):
+    """How many rows a table has, a total over their seals, which columns have digests, and which key seals this."""
+
+    __tablename__ = "sealed_tables"
+    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
+    rows: Mapped[int]
+    total: Mapped[str] = mapped_column(String(64))
+    columns: Mapped[str] = mapped_column(Text)
+    keyed_by: Mapped[str] = mapped_column(String(16))
+    seal: Mapped[str] = mapped_column(String(32))
 
 
 def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
