@@ -110,8 +110,10 @@ def test_the_secrets_that_the_how_to_saves_come_back(tmp_path: Path) -> None:
     assert (tmp_path / "etc" / "zenoh" / "authority" / "key.pem").read_text() == "key"
 
 
-def opened(client: httpx.Client, token: str, lifetime_h: float = 24.0) -> httpx.Response:
-    body, headers = {"stream": "main", "lifetime_h": lifetime_h}, {"Authorization": f"Bearer {token}"}
+def opened(
+    client: httpx.Client, token: str, lifetime_h: float = 24.0, stream: str = "main", **more: bool
+) -> httpx.Response:
+    body, headers = {"stream": stream, "lifetime_h": lifetime_h, **more}, {"Authorization": f"Bearer {token}"}
     return client.post("/v1/robots/arm/stream/sessions", json=body, headers=headers)
 
 
@@ -136,12 +138,12 @@ def test_a_session_ends_with_its_token(client: httpx.Client, settings: Settings)
     longest = opened(client, ends, lifetime_h=168.0).json()
     expires = next(one["expires_at"] for one in client.get("/v1/tokens").json()["tokens"] if one["id"] == ends_id)
     assert from_document(longest).expires_s <= datetime.fromisoformat(expires).timestamp()
-    more, other = opened(client, ends).json(), opened(client, stays).json()
+    more, other = opened(client, ends).json(), opened(client, stays, stream="other").json()
     client.delete(f"/v1/tokens/{ends_id}").raise_for_status()
     known = masters_in(settings.stream_keys_file)
     for document, held in ((longest, False), (more, False), (other, True)):
         session = from_document(document)
-        assert (known.key_of(session.id, "local", "arm", "main") is not None) == held
+        assert (known.key_of(session.id, "local", "arm", document["stream"]) is not None) == held
     assert opened(client, ends).json()["code"] == "token_ended"
     # The secret is rotated: what was revoked stays so.
     changed(settings.stream_keys_file, lambda now: now.rotated(3600.0))
@@ -163,3 +165,28 @@ def test_secrets_that_cannot_be_written_are_said_with_the_remedy(client: httpx.C
     lock.rmdir()
     client.delete(f"/v1/tokens/{token_id}").raise_for_status()  # sent again, it is done
     assert bytes.fromhex(session) in masters_in(file).revoked
+
+
+def test_a_stream_of_somebody_else_is_taken_over_only_when_that_is_asked_for(
+    client: httpx.Client, settings: Settings
+) -> None:
+    client.post("/v1/robots", json=PRESET)
+    (_, left), (_, right) = made(client, "left-cell"), made(client, "right-cell")
+    first = opened(client, left).raise_for_status().json()
+    assert opened(client, left).status_code == 201  # its own are renewed
+    refused = opened(client, right)
+    assert (refused.status_code, refused.json()["code"]) == (409, "stream_held")
+    said = refused.json()["detail"]
+    for part in ("'main'", "'arm'", "'left-cell'", first["expires_at"][:16].replace("T", " "), "take_over=true"):
+        assert part in said
+    assert opened(client, right, stream="second").status_code == 201  # as the sentence says
+    before = len(client.get("/v1/audit").json()["entries"])
+    taken = opened(client, right, take_over=True).raise_for_status().json()
+    known = masters_in(settings.stream_keys_file)
+    assert known.key_of(bytes.fromhex(first["session"]), "local", "arm", "main") is None
+    assert known.key_of(bytes.fromhex(taken["session"]), "local", "arm", "main") is not None
+    entries = client.get("/v1/audit").json()["entries"]
+    assert len(entries) == before + 1
+    assert (entries[-1]["actor"], "left-cell" in json.dumps(entries[-1]["changes"])) == ("right-cell", True)
+    assert opened(client, left).json()["code"] == "stream_held"  # and now it is the other's
+    assert opened(client, left, take_over=True).status_code == 201

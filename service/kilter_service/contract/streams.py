@@ -22,6 +22,11 @@ class NewStreamSession(Strict):
     lifetime_h: Annotated[float, Field(gt=0.0, le=168.0)] = Field(
         24.0, description="How long the session is valid, hours; a controller asks for the next one before it ends."
     )
+    take_over: bool = Field(
+        False,
+        description="End the sessions that others hold of this stream, at once; without it a stream that somebody else "
+        "holds is refused. The audit says who took over from whom.",
+    )
 
 
 class StreamSession(Strict):

@@ -23,7 +23,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from kilter_service.corrector.orphan import Found
 from kilter_service.corrector.specs import QuerySpec, StreamSpec, enter
@@ -44,14 +44,26 @@ class StoppedError(Exception):
     """The corrector was stopped before its processes listened."""
 
 
+class Forked(NamedTuple):
+    """A process of the corrector, at the other end of a pipe, and its id once it has told it."""
+
+    pipe: Connection
+    pid: int | None = None
+
+
 class Nursery:
-    """The process that forks the others, from its first order to :meth:`stop`."""
+    """The process that forks the others, from its first order to :meth:`stop`.
+
+    One is forked ahead and waits to be told what to be: so nothing is lost when the stream's process is killed just after this
+    one was, while the next of its kind still imports.
+    """
 
     def __init__(self) -> None:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._seen_at = 0.0  # when it was last seen not to be stopped from outside
         self._ready_at: float | None = None  # it has imported, and forks at once
+        self._spare: Forked | None = None
 
     @property
     def alive(self) -> bool:
@@ -79,6 +91,13 @@ class Nursery:
         self._seen_at, self._ready_at = time.monotonic(), None
         theirs.close()
 
+    def keep_spare(self) -> None:
+        """Have a process forked ahead, if there is none."""
+        if self._spare is not None and not ended(self._spare.pipe):
+            return
+        self._drop_spare()
+        self._spare = Forked(self._fork())
+
     def stop_if_frozen(self, asked_at: float) -> None:
         """End the process when it has not forked what was asked for at that time; while it imports that may take long."""
         if not self.alive:
@@ -97,15 +116,44 @@ class Nursery:
                 self._pipe.recv()
                 self._ready_at = time.monotonic()
 
-    def order(self, entry: str, spec: StreamSpec | QuerySpec) -> Connection:
-        """Order a process; returns the end of its pipe, which is closed at the other end when the process is gone."""
+    @property
+    def spare_pid(self) -> int | None:
+        """Process id of the one forked ahead, once it has told it."""
+        if self._spare is None:
+            return None
+        with suppress(EOFError, OSError):
+            if self._spare.pid is None and self._spare.pipe.poll():
+                self._spare = self._spare._replace(pid=int(self._spare.pipe.recv()))
+        return self._spare.pid
+
+    def order(self, entry: str, spec: StreamSpec | QuerySpec) -> Forked:
+        """Order a process; its pipe is closed at the other end when the process is gone."""
         self.start()
+        spare = self._spare if running(self.spare_pid or 0) else None
+        if spare is None:
+            made = Forked(self._fork())
+        else:
+            made, self._spare = self._spare or spare, None
+        with suppress(OSError):  # gone meanwhile
+            made.pipe.send((entry, spec))
+        return made
+
+    def _fork(self) -> Connection:
         assert self._pipe is not None
         ours, theirs = multiprocessing.Pipe()
         with theirs, suppress(OSError):  # a nursery that has just ended: nobody holds the other end
-            self._pipe.send((entry, spec))
             send_handle(self._pipe, theirs.fileno(), self.pid)
         return ours
+
+    def _drop_spare(self) -> None:
+        if self._spare is not None:
+            self._spare.pipe.close()
+            self._spare = None
+
+    def close(self) -> None:
+        """End the process, and the one forked ahead; the others go on."""
+        self._drop_spare()
+        self.stop()
 
     def stop(self) -> None:
         """End the process; those it forked go on."""
@@ -130,21 +178,21 @@ def nursery_main(orders: Connection) -> None:
     with suppress(EOFError, OSError):
         orders.send(True)
         while True:
-            entry, spec = orders.recv()
             pipe = Connection(recv_handle(orders))
             if os.fork() == 0:
                 orders.close()
-                _live(entry, spec, pipe)
+                _live(pipe)
             pipe.close()
 
 
-def _live(entry: str, spec: StreamSpec | QuerySpec, pipe: Connection) -> NoReturn:
+def _live(pipe: Connection) -> NoReturn:
     """Be the process that was ordered; its pipe is open for as long as it lives."""
     code = 1
     try:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        with suppress(BrokenPipeError):  # whoever ordered it is gone: nothing to do
+        with suppress(BrokenPipeError, EOFError):  # whoever ordered it is gone: nothing to do
             pipe.send(os.getpid())
+            entry, spec = pipe.recv()
             enter(entry, spec, pipe)
         code = 0
     except BaseException:
@@ -174,8 +222,8 @@ class Child:
 
     def launch(self) -> None:
         """Order the process."""
-        self._listens, self.pid = False, None
-        self._pipe = self._nursery.order(self._entry, self._spec)
+        self._listens = False
+        self._pipe, self.pid = self._nursery.order(self._entry, self._spec)
         self._asked_at = time.monotonic()
 
     def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
@@ -188,7 +236,7 @@ class Child:
 
         """
         try:
-            self.pid = self._born(stopped)
+            self.pid = self.pid or self._born(stopped)
             if self.pid is not None and self._comes(stopped):
                 verdict, endpoint, real_time = self._receive()
                 if verdict == "refused":
@@ -246,11 +294,7 @@ class Child:
     @property
     def alive(self) -> bool:
         """Whether the process runs: it alone holds the other end of the pipe."""
-        if self._pipe is None:
-            return False
-        looked = select.poll()
-        looked.register(self._pipe, 0)
-        return not looked.poll(0)
+        return self._pipe is not None and not ended(self._pipe)
 
     def send(self, *message: Any) -> None:
         """Tell the process something; the supervisor restarts a process that is gone."""
@@ -291,6 +335,13 @@ class Child:
                 return not self.alive
             pause.wait(LOOK_S)
         return True
+
+
+def ended(pipe: Connection) -> bool:
+    """Whether nobody holds the other end of a pipe any more."""
+    looked = select.poll()
+    looked.register(pipe, 0)
+    return bool(looked.poll(0))
 
 
 def _exists(pid: int | None) -> bool:

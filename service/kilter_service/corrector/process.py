@@ -154,7 +154,8 @@ class Corrector:
     @property
     def _processes(self) -> dict[str, int | None]:
         """Their process ids, for whoever looks at them from outside."""
-        return {"nursery": self._nursery.pid} | {name: child.pid for name, child in self._children.items()}
+        above = {"nursery": self._nursery.pid, "spare": self._nursery.spare_pid}
+        return above | {name: child.pid for name, child in self._children.items()}
 
     @property
     def well(self) -> bool:
@@ -164,6 +165,7 @@ class Corrector:
     def poll(self) -> None:
         """Look once: restart what died, take over what was activated."""
         self._nursery.start()
+        self._nursery.keep_spare()
         for name, child in self._children.items():
             if not child.alive:
                 log.error("the %s process ended: it is restarted", name)
@@ -243,7 +245,7 @@ class Corrector:
 
     def leave(self) -> None:
         """End, and leave the stream as it is: another corrector takes it over."""
-        self._nursery.stop()
+        self._nursery.close()
         if self._private is not None:
             self._private.leave()
         self._source.close()
@@ -252,7 +254,7 @@ class Corrector:
         """Stop both processes and remove the corrector file."""
         for child in self._children.values():
             child.stop()
-        self._nursery.stop()
+        self._nursery.close()
         if self._private is not None:
             self._private.close()
         if self._announced:  # a corrector that could not start leaves the file of the one that runs alone

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from kilter_service.caller import CALLER
 from kilter_service.contract.streams import NewStreamSession, StreamSession
 from kilter_service.corrector.specs import Rules
 from kilter_service.db import Database, audited
+from kilter_service.db import Session as Opened
 from kilter_service.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.settings import Settings
 from kilter_service.signing import sealed, store
-from kilter_service.signing.masters import changed, masters_in
+from kilter_service.signing.masters import Masters, changed, masters_in
 from kilter_service.signing.sealed import Session
+from kilter_service.signing.store import Holder
 from kilter_service.tokens import store as tokens
 
 MAX_JOINTS, MAX_POINTS = 16, 4096
@@ -21,10 +24,11 @@ MAX_JOINTS, MAX_POINTS = 16, 4096
 def new_session(database: Database, settings: Settings, robot: str, wanted: NewStreamSession) -> StreamSession:
     """Id and keys of a session, derived from the master secret in use.
 
-    It ends with the token that asked for it, and the audit says who did.
+    It ends with the token that asked for it, and the audit says who did. A stream that somebody else holds is taken over
+    only when that is asked for; then the sessions of the others end.
 
     Raises:
-        ServiceError: there is no such robot, or the token has ended.
+        ServiceError: there is no such robot, the token has ended, or somebody else holds the stream.
 
     """
     masters = masters_in(settings.stream_keys_file)
@@ -33,9 +37,15 @@ def new_session(database: Database, settings: Settings, robot: str, wanted: NewS
         # Asked again here: changes follow one another, so a token that is revoked meanwhile has its sessions ended too.
         lifetime_s = min(wanted.lifetime_h * 3600.0, tokens.left_s(opened))
         session = masters.new_session(lifetime_s)
+        others = _held_by_others(opened, masters, robot, wanted.stream)
+        if others and not wanted.take_over:
+            raise _held(robot, wanted.stream, others[-1])
         expires_at = datetime.fromtimestamp(Session(*sealed.ID.unpack(session)).expires_s, UTC)
         said = {"session": session.hex(), "robot": robot, "stream": wanted.stream, "until": expires_at.isoformat()}
-        audited.note(opened, store.THING, None, said)
+        before = [{"session": other.session.hex(), "of": other.actor} for other in others] or None
+        audited.note(opened, store.THING, before, said)
+        if others:
+            _end(settings, [other.session for other in others])  # at last, for it cannot be taken back
     secret = masters.all[-1].secret
     return StreamSession(
         site=settings.site,
@@ -60,14 +70,43 @@ def end_sessions(database: Database, settings: Settings, token_id: str) -> None:
     """
     with database.reading() as session:
         found = store.sessions_of(session, token_id)
-    if not found:
-        return
+    if found:
+        _end(settings, found)
+
+
+def _held_by_others(opened: Opened, masters: Masters, robot: str, stream: str) -> list[Holder]:
+    """Sessions of a stream that are valid and that another login asked for; a controller renews its own."""
+    caller = CALLER.get()
+    me = (caller.actor, caller.token_id) if caller is not None else None
+    return [
+        held
+        for held in store.holders(opened, robot, stream)
+        if (held.actor, held.token_id) != me
+        and held.session not in masters.revoked
+        and masters.find(Session(*sealed.ID.unpack(held.session)).master) is not None
+    ]
+
+
+def _held(robot: str, stream: str, by: Holder) -> ServiceError:
+    until = datetime.fromtimestamp(Session(*sealed.ID.unpack(by.session)).expires_s, UTC)
+    return ServiceError(
+        f"Stream {stream!r} of robot {robot!r} is held by {by.actor!r} since {by.since:%Y-%m-%d %H:%M} UTC, until "
+        f"{until:%Y-%m-%d %H:%M} UTC at the latest: use another name for this stream, or take it over with take_over=true "
+        "(`kilter stream-session --take-over`), which ends that session within a second.",
+        code="stream_held",
+        holder=by.actor,
+        since=by.since.isoformat(),
+        until=until.isoformat(),
+    )
+
+
+def _end(settings: Settings, found: list[bytes]) -> None:
     try:
         changed(settings.stream_keys_file, lambda now: now.without(found))
     except OSError as error:
         raise ServiceError(
-            f"The token is revoked, but its {len(found)} sessions of streams are not: {settings.stream_keys_file} cannot be "
-            f"written ({error.strerror}). Where the corrector runs, give {_revoking(found)}.",
+            f"The {len(found)} sessions of streams are not ended, for {settings.stream_keys_file} cannot be written "
+            f"({error.strerror}); a token that was to be revoked is. Where the corrector runs, give {_revoking(found)}.",
             code="sessions_not_ended",
             sessions=[one.hex() for one in found],
         ) from error

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
+from datetime import datetime
+from typing import NamedTuple
 
 from sqlalchemy import select
 
@@ -10,6 +13,30 @@ from kilter_service.db import Session
 from kilter_service.db.tables import AuditRow
 
 THING = "stream session"
+
+
+class Holder(NamedTuple):
+    """A session that has not ended, and who asked for it when."""
+
+    session: bytes
+    actor: str
+    token_id: str
+    since: datetime
+
+
+def holders(session: Session, robot: str, stream: str) -> list[Holder]:
+    """Return the sessions of a stream that have not ended by themselves; some may have been revoked."""
+    content = AuditRow.content
+    query = select(content).where(content.contains(f'"{THING}"')).order_by(AuditRow.number)
+    found = []
+    for text in session.execute(query).scalars():
+        entry = json.loads(text)
+        for said in (json.loads(one["after"]) for one in entry["changes"] if one["thing"] == THING):
+            lasts = datetime.fromisoformat(said["until"]).timestamp() > time.time()
+            if lasts and (said["robot"], said["stream"]) == (robot, stream):
+                at = datetime.fromisoformat(entry["at"])
+                found.append(Holder(bytes.fromhex(said["session"]), entry["actor"], entry["token_id"], at))
+    return found
 
 
 def sessions_of(session: Session, token_id: str) -> list[bytes]:

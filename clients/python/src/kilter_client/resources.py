@@ -66,9 +66,14 @@ class Robots:
         """Add a note to a robot, replacing the previous one."""
         return self._run(robots.note(name, remarks))
 
-    def stream_session(self, name: str, stream: str = "main", lifetime_h: float = 24.0) -> Document:
-        """Return id and keys of a new session of a stream; whoever has them can send setpoints on it."""
-        return self._run(robots.stream_session(name, stream, lifetime_h))
+    def stream_session(
+        self, name: str, stream: str = "main", lifetime_h: float = 24.0, take_over: bool = False
+    ) -> Document:
+        """Return id and keys of a new session of a stream; whoever has them can send setpoints on it.
+
+        A stream that somebody else holds is refused, unless it is taken over: that ends the other's session.
+        """
+        return self._run(robots.stream_session(name, stream, lifetime_h, take_over))
 
     def retire(self, name: str) -> Document:
         """Take a robot out of use; the active version keeps correcting."""

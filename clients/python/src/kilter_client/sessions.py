@@ -20,8 +20,10 @@ class Sessions:
     """Sessions of one stream. ``signed`` None: sign when a session can be had, or when it must be."""
 
     def __init__(
-        self, site: str, robot: str, stream: str, endpoints: Sequence[str], found: dict[str, Any], signed: bool | None
-    ) -> None:
+        self, site: str, robot: str, stream: str, endpoints: Sequence[str], found: dict[str, Any], signed: bool | None,
+        take_over: bool = False,
+    ) -> None:  # fmt: skip
+        self._take_over = take_over
         self._address = (site, robot, stream)
         self._endpoints = endpoints
         self._file = Path(found["stream_keys"]) if "stream_keys" in found else None
@@ -84,16 +86,17 @@ class Sessions:
         if not os.environ.get("KILTER_URL"):
             return None
         from kilter_client.client import Kilter  # imports much: only where a session comes from afar
-        from kilter_client.errors import KilterError
+        from kilter_client.errors import ConflictError, KilterError
 
         _, robot, stream = self._address
         try:
             with Kilter() as kilter:
-                document = kilter.robots.stream_session(robot, stream, lifetime_h=LIFETIME_S / 3600.0)
+                document = kilter.robots.stream_session(robot, stream, LIFETIME_S / 3600.0, self._take_over)
         except KilterError as error:
-            if self._signed or not all(map(_is_local, self._endpoints)):
+            if isinstance(error, ConflictError) or self._signed or not all(map(_is_local, self._endpoints)):
                 raise StreamError(f"The API gives no session: {error}") from error
             return None
+        self._take_over = False  # once: whoever takes it over from this one later is not driven out by the next renewal
         return from_document(document)
 
 

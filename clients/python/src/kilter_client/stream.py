@@ -66,6 +66,7 @@ class CorrectedStream(Link):
         session: keys of a session (``kilter_client.signing.from_document`` of an answer of the API); default is a new one.
         signed: False for unsigned setpoints, which a corrector may take on its own machine; default is signed wherever a
             session can be had.
+        take_over: end the session of somebody else who holds the stream; else that is a StreamError, which says who.
         zenoh_config: zenoh configuration with the certificates of this controller, as `kilterd zenoh-config` writes it.
 
     """
@@ -89,6 +90,7 @@ class CorrectedStream(Link):
         data: Path | None = None,
         session: Session | None = None,
         signed: bool | None = None,
+        take_over: bool = False,
         zenoh_config: Path | None = None,
         statistics: Statistics | None = None,
     ) -> None:
@@ -102,7 +104,7 @@ class CorrectedStream(Link):
         self.statistics = statistics or Statistics()
         in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0, quickest_s)
         place = Place(site, robot, stream, tuple(endpoints))
-        sessions = Sessions(site, robot, stream, endpoints, found, signed)
+        sessions = Sessions(site, robot, stream, endpoints, found, signed, take_over)
         super().__init__(
             place, self.statistics, in_use, sessions, sessions.first(session), zenoh_config,
             partial(_where_now, place, data) if by_file else lambda: None,

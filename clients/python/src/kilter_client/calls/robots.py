@@ -81,6 +81,9 @@ def also(retired: bool) -> dict[str, str]:
     return {"retired": "true"} if retired else {}
 
 
-def stream_session(name: str, stream: str, lifetime_h: float) -> Steps[Document]:
+def stream_session(name: str, stream: str, lifetime_h: float, take_over: bool) -> Steps[Document]:
     """Ask for the keys of a stream."""
-    return post(address("robots", name, "stream", "sessions"), {"stream": stream, "lifetime_h": lifetime_h})
+    wanted: Document = {"stream": stream, "lifetime_h": lifetime_h}
+    if take_over:  # a server of an earlier release does not know the word
+        wanted["take_over"] = True
+    return post(address("robots", name, "stream", "sessions"), wanted)

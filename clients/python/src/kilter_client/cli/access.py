@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json, split_names
+from kilter_client.cli.arguments import Json, Robot, split_names
 from kilter_client.cli.groups import Group
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
@@ -37,6 +37,7 @@ Verify = Annotated[bool, typer.Option("--verify", help="Compute all hashes anew 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.add_typer(token, name="token")
+    app.command(epilog="Example: kilter stream-session ur10 --stream line1")(stream_session)
     app.command(epilog="Example: kilter whoami")(whoami)
     app.command(epilog="Example: kilter audit --limit 20")(audit)
 
@@ -73,6 +74,20 @@ def revoke(
         emit(kilter.revoke_token(name), as_json, lambda gone: say(f"Token {gone['name']} ({gone['id']}) is revoked."))
 
 
+def stream_session(
+    robot: Robot,
+    stream: Annotated[str, typer.Option("--stream", help="Name of the stream.")] = "main",
+    lifetime_h: Annotated[float, typer.Option("--lifetime-h", help="How long it is valid, hours.")] = 24.0,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="End the session of somebody else who holds the stream.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Print id and keys of a new session of a stream; whoever has them can send setpoints on it."""
+    with Kilter() as kilter:
+        emit(kilter.robots.stream_session(robot, stream, lifetime_h, take_over), as_json, _show_session)
+
+
 def whoami(as_json: Json = False) -> None:
     """Show who sends requests, in which role, and for which robots."""
     with Kilter() as kilter:
@@ -103,6 +118,12 @@ def _show_made(made: dict[str, Any]) -> None:
 
 def _robots(one: dict[str, Any]) -> str:
     return "all robots" if one["robots"] is None else ", ".join(one["robots"])
+
+
+def _show_session(document: dict[str, Any]) -> None:
+    for name in ("site", "robot", "stream", "session", "key", "announcement_key"):
+        say(f"{name}: {document[name]}")
+    note(f"It ends at {document['expires_at']}. The keys are shown this once only.")
 
 
 def _show_list(document: dict[str, Any]) -> None:

@@ -55,6 +55,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     },
     "Correct": {
         "correct": Entry("correct", "Correct a trajectory with the active version."),
+        "stream-session": Entry("access", "Print the keys of a session of a stream."),
     },
     "Robots": {
         "robot": Entry("robots", "Add, list, show, check, convert and retire robots."),
