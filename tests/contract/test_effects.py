@@ -113,6 +113,7 @@ def observed(robot: Robot, count: int, seed: int = 1) -> Observations:
         payload_com=rng.normal(0.0, 0.03, (count, 3)),
         temperature_c=rng.uniform(18.0, 35.0, count),
         session=rng.choice([3, 4, 7], count),
+        row=np.arange(1, count + 1),
     )
 
 
@@ -306,7 +307,7 @@ class Watched(Batch):
 
 def test_only_declared_columns_are_read(case: Case) -> None:
     batch, values = case.batch(), case.values()
-    allowed = ALWAYS.union(*(READ_BY.get(need, {need}) for need in case.effect.needs))
+    allowed = ALWAYS.union(case.effect.glances, *(READ_BY.get(need, {need}) for need in case.effect.needs))
     shown = {f.name: getattr(batch, f.name) for f in fields(batch)}
     watched = Watched(**{name: value if name in allowed else None for name, value in shown.items()})
     watched.__dict__["allowed"] = allowed

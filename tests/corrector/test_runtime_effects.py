@@ -33,9 +33,10 @@ WIDE: Any = {"largest_rad": 0.3, "farthest_m": 0.1}
 # An effect says in its own file whether it acts at run time; those apart do so for some loads only.
 APART = ("payload_error", "tool_sag", "load_error")
 ACTING = tuple(name for name, kind in EFFECTS.items() if kind.at_run_time is not Effect.at_run_time)
-AT_RUN_TIME = tuple(name for name in ACTING if name not in APART)
+PAST = ("base_step", "zero_step")  # over for an arm that moves now
+AT_RUN_TIME = tuple(name for name in ACTING if name not in (*APART, *PAST))
 NAMED = ("drift", "thermal_drift", "unknown_field", "unknown_residual", "zero_drift", "settling", "random_walk")
-OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift")
+OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift", "tool_step")
 
 
 def calibration_with(*names: str) -> Calibration:

@@ -9,13 +9,14 @@ from typing import Any
 
 from kilter_core.effects import EFFECTS, Effect
 
-HEAD = '''"""The effects and their options, made from core/kilter_core/effects by `make contract`: change them there."""
+MADE = "made from core/kilter_core/effects by `make contract`: change them there."
+HEAD = '''"""Every effect with its options, {made}"""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from kilter_service.contract.units import Asked, JointNumber, unit
 
@@ -29,14 +30,32 @@ class _AtJoints(Asked):
 class _Whole(Asked):
     joints: None = Field(None, description="Null: the effect does not act at joints.")
 '''
+UNION_HEAD = '''"""The effects by name and as documents, {made}"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from kilter_service.contract.effect_options import ({models})
+
+'''
 UNITS = {"_nm": "N m", "_c": "degC", "_s": "s", "_m": "m", "_rad": "rad", "_kg": "kg"}
 LIMITS = {"low": "ge", "above": "gt", "high": "le"}
 
 
-def effects_module() -> str:
-    """Return the module's text."""
+def options_module() -> str:
+    """Return the text of the module of every effect's options."""
     joints = next(f.metadata["text"] for f in fields(Effect) if f.name == "joints")
-    return HEAD.format(joints=joints) + "".join(_model(kind) for kind in EFFECTS.values()) + _union()
+    return HEAD.format(made=MADE, joints=joints) + "".join(_model(kind) for kind in EFFECTS.values())
+
+
+def effects_module() -> str:
+    """Return the text of the module that puts them together."""
+    names = sorted(f"{kind.__name__}Effect" for kind in EFFECTS.values())
+    models = "\n" + "\n".join(_packed(", ".join(names) + ",")) + "\n"
+    return UNION_HEAD.format(made=MADE, models=models) + "\n".join(_lines())
 
 
 def _model(kind: type[Effect]) -> str:
@@ -82,10 +101,6 @@ def _number(kind: type[Effect], one: Field[Any]) -> str:
     if symbol is not None:
         return f'Annotated[{plain}, unit("{symbol}"{", " + said if said else ""})]'
     return f"Annotated[{plain}, Field({said})]" if said else plain
-
-
-def _union() -> str:
-    return "\n\n" + "\n".join(_lines())
 
 
 def _lines() -> Iterator[str]:

@@ -12,7 +12,7 @@ CSV_TYPE = "text/csv"
 PARQUET_TYPE = "application/vnd.apache.parquet"
 JSON_TYPE = "application/json"
 
-WHOLE_NUMBERS = ("pose_id", "session", "dir", "bar_id", "socket_id", "plane_id")
+WHOLE_NUMBERS = ("pose_id", "row", "session", "dir", "bar_id", "socket_id", "plane_id")
 
 
 @dataclass

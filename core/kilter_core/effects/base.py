@@ -76,6 +76,11 @@ class Batch(Conditions):
         own = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray) and k not in NOT_OF_ROWS}
         return replace(self, **own, slopes=None if self.slopes is None else self.slopes.part(rows))
 
+    def before(self, at_s: float | None, at_row: int | None) -> Floats:
+        """1 in the rows (N,) measured before an event, 0 in the others and where a row does not say: the last state holds."""
+        key, mark = (self.row, at_row) if at_s is None else (self.t, at_s)
+        return np.zeros(len(self)) if key is None or mark is None else (key < mark).astype(np.float64)
+
     @property
     def moment(self) -> Floats:
         """Load moments (N, n, 3) in the joint frames: x and y across the axis, z about it."""
@@ -163,8 +168,9 @@ class Effect(ABC):
     ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better),
     ``supple`` (imitates many others, so that holding their shape says nothing), and ``nuisance`` (never searched; carried
     beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
-    it leaves. ``reads`` names the loads of the batch that an effect reads and their components; what it does at a joint
-    follows that joint's loads alone.
+    it leaves. ``glances`` are columns that it reads where they are there and can do without. An ``event`` is placed by the
+    search itself, at the row where it explains most. ``reads`` names the loads of the batch that an effect reads and
+    their components; what it does at a joint follows that joint's loads alone.
     """
 
     id: ClassVar[str]
@@ -185,6 +191,8 @@ class Effect(ABC):
     supple: ClassVar[bool] = False
     nuisance: ClassVar[bool] = False
     changes_loads: ClassVar[bool] = False
+    glances: ClassVar[frozenset[str]] = frozenset()
+    event: ClassVar[bool] = False
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 

@@ -11,6 +11,7 @@ from kilter_core.effects.backlash import Backlash
 from kilter_core.effects.backlash_load import BacklashLoad
 from kilter_core.effects.base import Effect
 from kilter_core.effects.base_compliance import BaseCompliance
+from kilter_core.effects.base_step import BaseStep
 from kilter_core.effects.clearance_tilt import ClearanceTilt
 from kilter_core.effects.column_bending import ColumnBending
 from kilter_core.effects.direction_compliance import DirectionCompliance
@@ -38,12 +39,14 @@ from kilter_core.effects.thermal_drift import ThermalDrift
 from kilter_core.effects.thermal_growth import ThermalGrowth
 from kilter_core.effects.time_offset import TimeOffset
 from kilter_core.effects.tool_sag import ToolSag
+from kilter_core.effects.tool_step import ToolStep
 from kilter_core.effects.tracking_lag import TrackingLag
 from kilter_core.effects.unknown_field import UnknownField
 from kilter_core.effects.unknown_joint_curve import UnknownJointCurve
 from kilter_core.effects.unknown_residual import UnknownResidual
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.effects.zero_drift import ZeroDrift
+from kilter_core.effects.zero_step import ZeroStep
 from kilter_core.effects.zero_thermal import ZeroThermal
 from kilter_core.errors import OptionError
 
@@ -75,6 +78,9 @@ _ALL: tuple[type[Effect], ...] = (
     LinkGrowth,
     Settling,
     RandomWalk,
+    BaseStep,
+    ToolStep,
+    ZeroStep,
     ColumnBending,
     ThermalDrift,
     ToolSag,

@@ -37,6 +37,7 @@ from kilter_core.gap.evidence.testability import (
 from kilter_core.gap.evidence.unseen import seen_only
 from kilter_core.gap.evidence.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.verdict import Evidence, Judged, judge, run_verdict, sentence
+from kilter_core.gap.evidence.when import event_warnings, events, settled
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
@@ -45,6 +46,7 @@ from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
+from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.in_space import fit_rms, train_rms
@@ -98,10 +100,12 @@ def find_gap(
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         refuse_mixed_up(begin, confirmation)
+    observations = numbered(observations)
     remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations))
+    every = observations
     observations, validation = parted(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
-    report = _Run(robot, begin, prepared, options, validation, confirmation, progress).report()
+    report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every).report()
     return replace(report, warnings=(*report.warnings, *remarks))
 
 
@@ -132,6 +136,7 @@ class _Run:
     validation: Observations | None
     confirmation: Observations | None
     progress: Progress
+    every: Observations  # searched and held out, in the order of the file
 
     def report(self) -> GapReport:
         prepared, problem = self.prepared, self.prepared.problem
@@ -150,7 +155,7 @@ class _Run:
         found, unseen = seen_only(narrowed(found))
         judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
         prepared = prepared.judged_by(found.problem)
-        found = or_geometry_alone(found, prepared.problem)
+        found = settled(or_geometry_alone(found, prepared.problem), self.validation)
         report = replace(self, prepared=prepared)._reported(found, places, judged, candidates)
         return report.with_unseen(unseen) if found.chosen else report
 
@@ -190,6 +195,7 @@ class _Run:
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
                 *self._unplanned(effects), *kept.alike(),
+                *event_warnings(found, events(found, self.every, moves_mm(found))),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip

@@ -25,7 +25,7 @@ class Conditions:
     ``direction (N, n)`` in {-1, 0, +1} is the last motion of each joint, ``qd`` and ``qdd (N, n)`` are velocities (rad/s or
     m/s) and accelerations; ``t (N,)`` s, ``temperature_c (N,)`` deg C, ``payload_kg (N,)`` kg; ``session (N,)`` numbers the
     times that tracker and markers were set up, ``setup (N,)`` the set-ups of an instrument that each have a frame of
-    their own.
+    their own; ``row (N,)`` numbers the rows in the order in which they were measured.
     """
 
     direction: Annotated[Floats | None, "dir1 ... dirn"] = None
@@ -36,6 +36,7 @@ class Conditions:
     payload_kg: Annotated[Floats | None, "payload_kg"] = None
     session: Annotated[Ints | None, "session"] = None
     setup: Annotated[Ints | None, "session"] = None
+    row: Annotated[Ints | None, "row"] = None
 
 
 # The columns of an upload that state each of them.

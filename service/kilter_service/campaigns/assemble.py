@@ -26,9 +26,16 @@ PLAIN = {"bar": "bar_length"} | {
     quantity: field
     for quantity, units in PLAIN_UNITS.items()
     for field in (quantity, *(f"{quantity}_{unit}" for unit in units))
-    if field in CONDITIONS and field != "session"
+    if field in CONDITIONS and field not in ("session", "row")
 }
-WHOLE = {"session": "session", "pose_id": "pose_id", "socket_id": "socket", "plane_id": "plane", "bar_id": "bar"}
+WHOLE = {
+    "session": "session",
+    "pose_id": "pose_id",
+    "row": "row",
+    "socket_id": "socket",
+    "plane_id": "plane",
+    "bar_id": "bar",
+}
 
 
 def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[str, Any]) -> Observations:

@@ -44,7 +44,7 @@ class Column:
     @property
     def is_integer(self) -> bool:
         """Whether the cells are whole numbers."""
-        return self.quantity in ("dir", "session", "pose_id", *CONTACTS)
+        return self.quantity in ("dir", "session", "pose_id", "row", *CONTACTS)
 
 
 def check_names(names: Sequence[str]) -> None:

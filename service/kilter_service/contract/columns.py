@@ -30,6 +30,7 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     "temperature": {"c": 1.0},
     "session": {"": 1.0},
     "pose_id": {"": 1.0},
+    "row": {"": 1.0},
     **dict.fromkeys(("tipx", "tipy", "tipz"), LENGTHS),
     **{f"f{axis}": {"n": 1.0} for axis in "xyz"},
     **{f"m{axis}": {"nm": 1.0} for axis in "xyz"},

@@ -1,4 +1,4 @@
-"""The effects and their options, made from core/kilter_core/effects by `make contract`: change them there."""
+"""The effects by name and as documents, made from core/kilter_core/effects by `make contract`: change them there."""
 
 from __future__ import annotations
 
@@ -6,356 +6,49 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from kilter_service.contract.units import Asked, JointNumber, unit
-
-
-class _AtJoints(Asked):
-    joints: Annotated[list[JointNumber], Field(min_length=1, max_length=32)] | None = Field(
-        None, description="Joints it acts on, from 1; null: all that it can act on."
-    )
-
-
-class _Whole(Asked):
-    joints: None = Field(None, description="Null: the effect does not act at joints.")
-
-
-class ClearanceTiltEffect(_AtJoints):
-    """Tilt of fixed size towards the transverse load, by joint clearance."""
-
-    id: Literal["clearance_tilt"] = Field(description="Id of the effect.")
-    share: Literal["thesis", "vector"] = Field(
-        "thesis",
-        description="How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, independent of the joint frame's rotation.",
-    )
-    softening_nm: Annotated[float, unit("N m", ge=0.0)] | list[Annotated[float, unit("N m", ge=0.0)]] = Field(
-        0.0,
-        description="Half-width over which the sign of the load changes, N m, 0 or more; one for all joints, or one for each.",
-    )
-
-
-class BacklashEffect(_AtJoints):
-    """Reversal error with the direction of the joint's last motion."""
-
-    id: Literal["backlash"] = Field(description="Id of the effect.")
-
-
-class BacklashLoadEffect(_AtJoints):
-    """Backlash on the side of the axial load moment."""
-
-    id: Literal["backlash_load"] = Field(description="Id of the effect.")
-    softening_nm: Annotated[float, unit("N m", ge=0.0)] | list[Annotated[float, unit("N m", ge=0.0)]] = Field(
-        0.0,
-        description="Half-width over which the sign of the load changes, N m, 0 or more; one for all joints, or one for each.",
-    )
-
-
-class AxialComplianceEffect(_AtJoints):
-    """Joint compliance about the axis, proportional to the load moment."""
-
-    id: Literal["axial_compliance"] = Field(description="Id of the effect.")
-
-
-class RadialComplianceEffect(_AtJoints):
-    """Tilt of the bearing in proportion to the transverse load moment."""
-
-    id: Literal["radial_compliance"] = Field(description="Id of the effect.")
-
-
-class EccentricityEffect(_AtJoints):
-    """Once-per-revolution error of a joint: encoder disc or output gear off centre."""
-
-    id: Literal["eccentricity"] = Field(description="Id of the effect.")
-
-
-class SecondHarmonicEffect(_AtJoints):
-    """Twice-per-revolution error of a joint: coupling or ovality."""
-
-    id: Literal["second_harmonic"] = Field(description="Id of the effect.")
-
-
-class GearErrorEffect(_AtJoints):
-    """Cyclic transmission error of the gear at multiples of the motor's turn."""
-
-    id: Literal["gear_error"] = Field(description="Id of the effect.")
-    orders: list[float] = Field([1, 2], description="Multiples of the motor's turn; fractions are allowed.")
-    ratios: list[float] | None = Field(None, description="Gear ratios of the joints named; null: the robot's.")
-
-
-class EncoderScaleEffect(_AtJoints):
-    """Scale error of a joint reading: gear ratio or encoder pitch."""
-
-    id: Literal["encoder_scale"] = Field(description="Id of the effect.")
-
-
-class JointCouplingEffect(_AtJoints):
-    """A joint follows another: residual coupling of a wrist."""
-
-    id: Literal["joint_coupling"] = Field(description="Id of the effect.")
-    drivers: list[JointNumber] | None = Field(
-        None, description="For each of the joints the joint that it follows, from 1; null: the one before it."
-    )
-
-
-class GravitySpringEffect(_AtJoints):
-    """Torque of a balancer spring through the compliance of its joint."""
-
-    id: Literal["gravity_spring"] = Field(description="Id of the effect.")
-    arms_m: list[Annotated[float, unit("m")]] | None = Field(
-        None,
-        description="Distances of the spring's two pins from the axis, m; null: the effect cannot be distinguished from eccentricity.",
-    )
-    angle_rad: Annotated[float, unit("rad")] = Field(0.0, description="Angle between the pins at q = 0, rad.")
-    free_length_m: Annotated[float, unit("m", ge=0.0)] = Field(
-        0.0, description="Length of the spring without load, m, 0 or more."
-    )
-
-
-class LinkBendingEffect(_AtJoints):
-    """Bending of a link under its own weight and the load at its end."""
-
-    id: Literal["link_bending"] = Field(description="Id of the effect.")
-    centres_m: list[Annotated[float, unit("m")]] | None = Field(
-        None, description="Where along each link its centre of mass lies, m; null: from the robot's links."
-    )
-
-
-class LinkTorsionEffect(_AtJoints):
-    """Twist of a link about its own long axis under the moment it carries."""
-
-    id: Literal["link_torsion"] = Field(description="Id of the effect.")
-
-
-class BaseComplianceEffect(_Whole):
-    """Tilt of base or its mount under the moment of the arm."""
-
-    id: Literal["base_compliance"] = Field(description="Id of the effect.")
-
-
-class ThermalGrowthEffect(_Whole):
-    """Links grow with temperature."""
-
-    id: Literal["thermal_growth"] = Field(description="Id of the effect.")
-    reference_c: Annotated[float, unit("degC", gt=-273.15)] = Field(
-        20.0, description="Temperature T0 at which the geometry holds, degrees Celsius."
-    )
-
-
-class PayloadErrorEffect(_Whole):
-    """Mass or centre of the payload not as stated, seen through what follows the load."""
-
-    id: Literal["payload_error"] = Field(description="Id of the effect.")
-    compliances: list[float] = Field(
-        [],
-        description="Compliance of each joint, rad/(N m), as identified before; empty: the effects beside it read the changed load.",
-    )
-
-
-class FrictionWindupEffect(_AtJoints):
-    """Wind-up of the drive by friction, on the side of the last motion."""
-
-    id: Literal["friction_windup"] = Field(description="Id of the effect.")
-
-
-class TimeOffsetEffect(_Whole):
-    """Delay between the joint readings and the measured positions."""
-
-    id: Literal["time_offset"] = Field(description="Id of the effect.")
-
-
-class TrackingLagEffect(_AtJoints):
-    """Servo lag of a joint behind its setpoint."""
-
-    id: Literal["tracking_lag"] = Field(description="Id of the effect.")
-
-
-class DriftEffect(_Whole):
-    """Slow motion of the base or of the instrument with time."""
-
-    id: Literal["drift"] = Field(description="Id of the effect.")
-    t0_s: Annotated[float, unit("s")] | None = Field(
-        None,
-        description="When the base was where the geometry says, s on the clock of the rows; null: the earliest row.",
-    )
-
-
-class MeasurementScaleEffect(_Whole):
-    """Scale error of the instrument."""
-
-    id: Literal["measurement_scale"] = Field(description="Id of the effect.")
-
-
-class SessionShiftEffect(_Whole):
-    """Markers or reflector shifted between sessions."""
-
-    id: Literal["session_shift"] = Field(description="Id of the effect.")
-    sessions: list[int] = Field(
-        [], description="Session numbers, the reference first; a session that is not named counts as the reference."
-    )
-
-
-class ZeroDriftEffect(_AtJoints):
-    """Zero of a joint moves with time."""
-
-    id: Literal["zero_drift"] = Field(description="Id of the effect.")
-    t0_s: Annotated[float, unit("s")] | None = Field(
-        None, description="When the zeros were right, s on the clock of the rows; null: the earliest row."
-    )
-
-
-class ZeroThermalEffect(_AtJoints):
-    """Zero of a joint moves with temperature."""
-
-    id: Literal["zero_thermal"] = Field(description="Id of the effect.")
-    reference_c: Annotated[float, unit("degC", gt=-273.15)] = Field(
-        20.0, description="Temperature T0 at which the geometry holds, degrees Celsius."
-    )
-
-
-class LinkGrowthEffect(_AtJoints):
-    """One link grows with temperature."""
-
-    id: Literal["link_growth"] = Field(description="Id of the effect.")
-    reference_c: Annotated[float, unit("degC", gt=-273.15)] = Field(
-        20.0, description="Temperature T0 at which the geometry holds, degrees Celsius."
-    )
-
-
-class SettlingEffect(_Whole):
-    """Base or instrument settles exponentially."""
-
-    id: Literal["settling"] = Field(description="Id of the effect.")
-    tau_s: Annotated[float, unit("s", gt=0.0)] | None = Field(
-        None, description="Time constant, s, above 0; null: a fifth of the rows' time."
-    )
-    t0_s: Annotated[float, unit("s")] | None = Field(
-        None, description="When it began, s on the clock of the rows; null: the earliest row."
-    )
-
-
-class RandomWalkEffect(_Whole):
-    """Base or instrument wanders with time."""
-
-    id: Literal["random_walk"] = Field(description="Id of the effect.")
-    knots_s: list[Annotated[float, unit("s")]] = Field(
-        [],
-        description="Times between which the base goes straight on, s; empty: as many pieces as `pieces` says, with as many rows each.",
-    )
-    pieces: Annotated[int, Field(ge=1, le=50)] = Field(6, description="How many pieces, 1 to 50.")
-
-
-class ColumnBendingEffect(_Whole):
-    """Column under the arm bends with temperature."""
-
-    id: Literal["column_bending"] = Field(description="Id of the effect.")
-    reference_c: Annotated[float, unit("degC", gt=-273.15)] = Field(
-        20.0, description="Temperature T0 at which the geometry holds, degrees Celsius."
-    )
-
-
-class ThermalDriftEffect(_Whole):
-    """Motion of the base or of the instrument with temperature."""
-
-    id: Literal["thermal_drift"] = Field(description="Id of the effect.")
-    reference_c: Annotated[float, unit("degC", gt=-273.15)] = Field(
-        20.0, description="Temperature T0 at which the geometry holds, degrees Celsius."
-    )
-
-
-class ToolSagEffect(_Whole):
-    """Tool or adapter sags under the payload."""
-
-    id: Literal["tool_sag"] = Field(description="Id of the effect.")
-    axis: list[float] | None = Field(
-        None, description="The tool's z in the frame of the last joint, along which nothing sags; null: from the robot."
-    )
-
-
-class HardeningEffect(_AtJoints):
-    """Gear gets stiffer under load, beside its compliance."""
-
-    id: Literal["hardening"] = Field(description="Id of the effect.")
-
-
-class DirectionComplianceEffect(_AtJoints):
-    """Compliance differs with the direction of approach."""
-
-    id: Literal["direction_compliance"] = Field(description="Id of the effect.")
-
-
-class ReadingTiltEffect(_AtJoints):
-    """Encoder reads the tilt of its own joint as rotation."""
-
-    id: Literal["reading_tilt"] = Field(description="Id of the effect.")
-
-
-class UnknownSmoothCurveEffect(_AtJoints):
-    """Smooth error curve of a joint without a known cause."""
-
-    id: Literal["unknown_smooth_curve"] = Field(description="Id of the effect.")
-    orders: list[int] = Field([1, 2, 3, 4, 5], description="Orders of the polynomials over the range of the joint.")
-    centres: list[float] | None = Field(
-        None, description="Middle of each joint's range, rad or m; null: from the rows."
-    )
-    halves: list[float] | None = Field(None, description="Half of each joint's range, rad or m; null: from the rows.")
-
-
-class UnknownJointCurveEffect(_AtJoints):
-    """Error curve of a joint without a known cause."""
-
-    id: Literal["unknown_joint_curve"] = Field(description="Id of the effect.")
-    orders: list[int] = Field(
-        [3, 4, 5, 6], description="Waves per revolution; empty: only the product with the partner."
-    )
-    partner: JointNumber | None = Field(None, description="Joint whose angle multiplies the curve, from 1; null: none.")
-
-
-class UnknownFieldEffect(_Whole):
-    """Smooth error field in the workspace without a known cause."""
-
-    id: Literal["unknown_field"] = Field(description="Id of the effect.")
-    degree: Annotated[int, Field(ge=1, le=3)] = Field(2, description="Degree of the polynomial, 1 to 3.")
-    reach_m: Annotated[float, unit("m", gt=0.0)] | None = Field(
-        None, description="Length by which positions are scaled, m, above 0; null: from the robot."
-    )
-
-
-class UnknownResidualEffect(_Whole):
-    """What no effect explains, learned from the joint angles."""
-
-    id: Literal["unknown_residual"] = Field(description="Id of the effect.")
-    inputs: list[JointNumber] | None = Field(None, description="Joints it depends on, from 1; null: all.")
-    length: Annotated[float, Field(gt=0.0)] | None = Field(
-        None,
-        description="Distance over which poses are similar, rad (prismatic joints: thirds of their travel), above 0; null: half the median distance.",
-    )
-    amplitude_m: Annotated[float, unit("m", gt=0.0)] = Field(
-        0.0003, description="Standard deviation of the shift, m, above 0."
-    )
-    most_centres: Annotated[int, Field(ge=1)] = Field(60, description="Most centres of the basis.")
-    centres: list[list[float]] = Field(
-        [],
-        description="Centres of the basis, a row of joint values (rad; prismatic joints in thirds of their travel) for each; empty: from the rows.",
-    )
-    slides_m: list[Annotated[float, unit("m")]] = Field(
-        [], description="Travel that scales each prismatic joint, m; empty: from the rows."
-    )
-
-
-class LoadErrorEffect(_Whole):
-    """Masses and centres of links and payload not as stated, seen through the effects that follow loads."""
-
-    id: Literal["load_error"] = Field(description="Id of the effect.")
-    payload_kg: Annotated[float, unit("kg", ge=0.0)] = Field(
-        0.0,
-        description="Mean payload of the rows, kg, which scales the prior of its mass; 0: the payload is as stated.",
-    )
-    mass_share: Annotated[float, Field(ge=0.0)] = Field(
-        0.0, description="Standard deviation of every mass as a share of it; 0: what the robot says of each."
-    )
-    centre_m: Annotated[float, unit("m", ge=0.0)] = Field(
-        0.0, description="Standard deviation of each coordinate of every centre, m; 0: what the robot says of each."
-    )
-
+from kilter_service.contract.effect_options import (
+    AxialComplianceEffect,
+    BacklashEffect,
+    BacklashLoadEffect,
+    BaseComplianceEffect,
+    BaseStepEffect,
+    ClearanceTiltEffect,
+    ColumnBendingEffect,
+    DirectionComplianceEffect,
+    DriftEffect,
+    EccentricityEffect,
+    EncoderScaleEffect,
+    FrictionWindupEffect,
+    GearErrorEffect,
+    GravitySpringEffect,
+    HardeningEffect,
+    JointCouplingEffect,
+    LinkBendingEffect,
+    LinkGrowthEffect,
+    LinkTorsionEffect,
+    LoadErrorEffect,
+    MeasurementScaleEffect,
+    PayloadErrorEffect,
+    RadialComplianceEffect,
+    RandomWalkEffect,
+    ReadingTiltEffect,
+    SecondHarmonicEffect,
+    SessionShiftEffect,
+    SettlingEffect,
+    ThermalDriftEffect,
+    ThermalGrowthEffect,
+    TimeOffsetEffect,
+    ToolSagEffect,
+    ToolStepEffect,
+    TrackingLagEffect,
+    UnknownFieldEffect,
+    UnknownJointCurveEffect,
+    UnknownResidualEffect,
+    UnknownSmoothCurveEffect,
+    ZeroDriftEffect,
+    ZeroStepEffect,
+    ZeroThermalEffect,
+)
 
 # fmt: off
 EffectName = Literal[
@@ -363,8 +56,9 @@ EffectName = Literal[
     "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
     "link_torsion", "base_compliance", "thermal_growth", "payload_error", "friction_windup", "time_offset",
     "tracking_lag", "drift", "measurement_scale", "session_shift", "zero_drift", "zero_thermal", "link_growth",
-    "settling", "random_walk", "column_bending", "thermal_drift", "tool_sag", "hardening", "direction_compliance",
-    "reading_tilt", "unknown_smooth_curve", "unknown_joint_curve", "unknown_field", "unknown_residual", "load_error"
+    "settling", "random_walk", "base_step", "tool_step", "zero_step", "column_bending", "thermal_drift", "tool_sag",
+    "hardening", "direction_compliance", "reading_tilt", "unknown_smooth_curve", "unknown_joint_curve",
+    "unknown_field", "unknown_residual", "load_error"
 ]
 EffectDocument = Annotated[
     ClearanceTiltEffect | BacklashEffect | BacklashLoadEffect | AxialComplianceEffect | RadialComplianceEffect |
@@ -372,9 +66,10 @@ EffectDocument = Annotated[
     GravitySpringEffect | LinkBendingEffect | LinkTorsionEffect | BaseComplianceEffect | ThermalGrowthEffect |
     PayloadErrorEffect | FrictionWindupEffect | TimeOffsetEffect | TrackingLagEffect | DriftEffect |
     MeasurementScaleEffect | SessionShiftEffect | ZeroDriftEffect | ZeroThermalEffect | LinkGrowthEffect |
-    SettlingEffect | RandomWalkEffect | ColumnBendingEffect | ThermalDriftEffect | ToolSagEffect | HardeningEffect |
-    DirectionComplianceEffect | ReadingTiltEffect | UnknownSmoothCurveEffect | UnknownJointCurveEffect |
-    UnknownFieldEffect | UnknownResidualEffect | LoadErrorEffect,
+    SettlingEffect | RandomWalkEffect | BaseStepEffect | ToolStepEffect | ZeroStepEffect | ColumnBendingEffect |
+    ThermalDriftEffect | ToolSagEffect | HardeningEffect | DirectionComplianceEffect | ReadingTiltEffect |
+    UnknownSmoothCurveEffect | UnknownJointCurveEffect | UnknownFieldEffect | UnknownResidualEffect |
+    LoadErrorEffect,
     Field(discriminator="id"),
 ]
 # fmt: on

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.
-QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", *PAYLOAD_CENTRE, "temperature", "session", "pose_id"})
+QUANTITIES = frozenset(
+    {"q", "qd", "qdd", "dir", "t", "payload", *PAYLOAD_CENTRE, "temperature", "session", "pose_id", "row"}
+)
 
 
 def read_trajectory(

@@ -29,7 +29,7 @@ def aliases_of(search: SearchResult, place: int) -> tuple[Alias, ...]:
     scores = selector.scorer.scores(given)
     lenient = scores.S / variance - 2.0 * scores.d
     chosen = selector.scorer.candidates[place]
-    value = scores.S / variance - scores.d * np.log(selector.rows)
+    value = scores.S / variance - scores.d * np.log(selector.rows) - selector.scorer.paid
     strength = max(float(scores.S[place]) / variance - float(scores.d[place]), 0.0)
     found = []
     for k in np.argsort(-value, kind="stable"):

@@ -126,7 +126,7 @@ def nearest_shape(search: SearchResult, place: int) -> float | None:
     """Points that the best shape without a cause is behind the chosen one in its place; None without such shapes."""
     selector, gram = search.selector, search.problem.gram
     scores = selector.scorer.scores(gram.given(selector.columns([k for k in search.chosen if k != place])))
-    value = scores.S / selector.variance(gram, search.chosen) - scores.d * np.log(selector.rows)
+    value = scores.S / selector.variance(gram, search.chosen) - scores.d * np.log(selector.rows) - selector.scorer.paid
     shapes = selector.scorer.empirical & (scores.d > 0)
     shapes[list(search.chosen)] = False
     return float(value[place] - np.max(value[shapes])) if shapes.any() else None

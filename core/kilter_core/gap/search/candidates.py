@@ -18,6 +18,7 @@ from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.errors import OptionError
 from kilter_core.gap.search.wanted import Asked, wanted
 from kilter_core.observations import CONDITIONS, Observations
+from kilter_core.observations.motions import is_trajectory
 from kilter_core.parameters import Parameter
 from kilter_core.types import Bools
 
@@ -41,6 +42,7 @@ class Candidate:
     stage: str = "joint"
     effects: tuple[Effect, ...] = ()
     part: bool = False  # a family cut down to joints that show it
+    places: int = 1  # in time at which it was tried: the best of so many
 
     @property
     def bears(self) -> bool:
@@ -133,6 +135,8 @@ class _Shelf:
             lacking = f"columns: {', '.join(CONDITIONS.get(name, name) for name in sorted(missing))}"
             self.refused.append(Untestable(kind.id, None, f"The observations have no {columns}.", kind.remedy, lacking))
             return
+        if kind.event and is_trajectory(self.rows):
+            return  # within a motion nothing is at rest between two rows
         for config in _variants(kind, self.robot, self.rows):
             try:
                 whole = kind(**config).on(self.robot, self.rows)
@@ -162,12 +166,16 @@ class _Shelf:
         if not single:
             return
         cut = len(single) < len(whole.acting(self.robot.n_joints))
-        self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
+        if kind.event:  # every joint has a time of its own
+            for effect in single.values():
+                self._put(effect)
+        else:
+            self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
         if kind is UnknownSmoothCurve:
             return  # one order alone is not a smooth curve: the first is a scale error
         for j, effect in single.items():
             self.candidates.append(self._candidate((effect,), (j,), JOINT))
-        if len(single) > 1 and not kind.empirical and "drivers" not in config:
+        if len(single) > 1 and not kind.empirical and not kind.event and "drivers" not in config:
             self.candidates.append(self._candidate(tuple(single.values()), tuple(single), FAMILY))
 
     def _put(self, effect: Effect) -> None:

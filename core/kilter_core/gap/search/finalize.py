@@ -79,6 +79,7 @@ def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, .
         taken = set(selector.columns(rest))
         scores = selector.scorer.scores(gram.given(selector.columns(rest)))
         value = scores.S / selector.variance(gram, found.chosen) - scores.d * np.log(selector.rows)
+        value -= selector.scorer.paid
         for k in np.argsort(-value, kind="stable"):
             rival = candidates[int(k)]
             if value[place] - value[k] > MARGIN:

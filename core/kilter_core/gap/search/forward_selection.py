@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from kilter_core.gap.options import GapOptions
+from kilter_core.gap.search.events import placed
 from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, refit
 from kilter_core.gap.search.renewal import renewed, under
 from kilter_core.gap.search.scan import Null, Scorer, null_of
@@ -91,6 +92,8 @@ def _forward_selection(
     seen = {frozenset(chosen)}
     for round_ in range(2 * options.max_effects):
         progress(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
+        problem, selector = when(problem, selector, chosen, limits)
+        scorer = selector.scorer
         null = null_of(problem, selector.scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
@@ -114,6 +117,20 @@ def _forward_selection(
     noise = begin.settings.noise.coordinate
     critical, strict = first.critical(options.alpha), first.strict(options.alpha)
     return SearchResult(problem, selector, chosen, first, critical, tuple(steps), noise, strict)
+
+
+def when(
+    problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...], limits: Floats
+) -> tuple[LinearizedProblem, Selector]:
+    """The search with every event at the row where it takes most, given what is chosen, and fitted again if one is."""
+    candidates = selector.scorer.candidates
+    after, made = placed(problem, candidates, chosen)
+    if made == candidates:
+        return after, selector
+    if any(made[k] != candidates[k] for k in chosen):
+        after = refit(after.settings, after.values, selector.columns(chosen))
+    selector = replace(selector, scorer=replace(selector.scorer, candidates=made))
+    return after, selector_at(after, selector, limits)
 
 
 def selector_at(problem: LinearizedProblem, selector: Selector, limits: Floats) -> Selector:

@@ -21,6 +21,7 @@ from kilter_core.gap.noise.motion import (
 from kilter_core.gap.noise.visits import Visits, visits_of
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, library_of
+from kilter_core.gap.search.events import placed
 from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
 from kilter_core.gap.search.link_source import LinkSource
 from kilter_core.gap.search.masses import blurred, tool_source
@@ -124,7 +125,7 @@ class _Preparation:
         noise = self._noise(source, values, rows, visits)
         settings = ProblemSettings(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
         problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
-        problem = _weighed(problem)
+        problem = _weighed(placed(problem, library.candidates)[0])
         self.progress(0.6, "looking for outliers")
         problem = self._correlated(problem, visits) if moving else self._without_outliers(problem)
         if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:

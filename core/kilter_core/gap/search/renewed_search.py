@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kilter_core.gap.search.finalize import finalize
-from kilter_core.gap.search.forward_selection import SearchResult, selector_at
+from kilter_core.gap.search.forward_selection import SearchResult, selector_at, when
 from kilter_core.gap.search.renewal import renewed
 from kilter_core.types import Floats
 
@@ -20,9 +20,10 @@ def rejudged(found: SearchResult, alpha: float, limits: Floats) -> SearchResult:
     """Settle the names and renew noise and outliers in turn, until neither changes. ``limits (Q,)`` as of a search."""
     for _ in range(ROUNDS):
         found = finalize(found, alpha)
-        problem = renewed(found.problem, found.columns)
+        at, selector = when(found.problem, found.selector, found.chosen, limits)
+        problem = renewed(at, found.columns)
         if problem is found.problem:
-            return found
-        selector = selector_at(problem, found.selector, limits)
+            return replace(found, selector=selector)
+        selector = selector_at(problem, selector, limits)
         found = replace(found, problem=problem, selector=selector, steps=found.stepped(problem, found.chosen))
     return finalize(found, alpha)

@@ -84,6 +84,16 @@ class Scorer:
         return next(_NUMBERS)
 
     @cached_property
+    def places(self) -> Floats:
+        """How many places in time each candidate (K,) is the best of."""
+        return np.array([float(c.places) for c in self.candidates])
+
+    @cached_property
+    def paid(self) -> Floats:
+        """Criterion points (K,) that choosing one of so many places costs: all of them are as likely beforehand."""
+        return np.asarray(2.0 * np.log(self.places))
+
+    @cached_property
     def empirical(self) -> Bools:
         """Candidates (K,) of the empirical tier."""
         return np.array([c.empirical for c in self.candidates], dtype=bool)
@@ -147,7 +157,7 @@ class Scorer:
     def tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Tail probability (B, K) given ``nu`` numbers free, half of it where the sign is known, 1 where nothing is left."""
         p = tail(T, d, self.known(np.maximum(nu - d, 1.0)))
-        p = np.where(self.one_sided, 0.5 * p, p)
+        p = np.minimum(np.where(self.one_sided, 0.5 * p, p) * self.places, 1.0)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
     def tail_of_ratio(self, place: int, d: int, without: float, within: float, nu: float) -> float:
@@ -157,16 +167,17 @@ class Scorer:
         S = np.array([[max(without - within, 0.0)]])
         T = self.scaled(S, np.array([d]), np.array([without]), nu, np.ones(1))
         p = float(tail(T, np.array([d]), self.known(np.array([max(nu - d, 1.0)])))[0, 0])
-        return 0.5 * p if self.one_sided[place] else p
+        return min(1.0, (0.5 * p if self.one_sided[place] else p) * float(self.places[place]))
 
     def best_tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Smallest tail probability (B,): the largest T of each kind decides, so few tails are computed."""
-        one = self.one_sided
+        one, places = self.one_sided, self.places
         best = np.ones(len(T))
-        for kind in {(int(k), bool(o)) for k, o in zip(d, one, strict=True) if k > 0}:
-            own = (d == kind[0]) & (one == kind[1])
+        for kind in {(int(k), bool(o), float(n)) for k, o, n in zip(d, one, places, strict=True) if k > 0}:
+            own = (d == kind[0]) & (one == kind[1]) & (places == kind[2])
             known = self.known(max(nu - kind[0], 1.0))
-            best = np.minimum(best, tail(T[:, own].max(axis=1), kind[0], known) * (0.5 if kind[1] else 1.0))
+            p = tail(T[:, own].max(axis=1), kind[0], known) * (0.5 if kind[1] else 1.0) * kind[2]
+            best = np.minimum(best, p)
         return best
 
     @cached_property

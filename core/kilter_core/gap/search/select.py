@@ -70,8 +70,13 @@ class Selector:
 
     def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
         """What parameters cost; an empirical term must beat every physical one by the margin."""
-        empirical = sum(self.scorer.candidates[k].empirical for k in places)
-        return float(sum(degrees)) * float(np.log(self.rows)) + MARGIN * empirical
+        beyond = float(np.sum(self.extra[list(places)]))
+        return float(sum(degrees)) * float(np.log(self.rows)) + beyond
+
+    @property
+    def extra(self) -> Floats:
+        """What a candidate (K,) costs beside its parameters: a shape the margin, an event its choice of a place."""
+        return np.asarray(MARGIN * self.scorer.empirical + self.scorer.paid)
 
     def criterion(self, gram: Gram, chosen: Sequence[int], variance: float) -> float:
         """Chi-square taken over the noise variance, less the price."""
@@ -115,9 +120,7 @@ class Selector:
         """S over the noise left, less the price (K,), to a tenth: equal explanations keep the library's order."""
         free = np.maximum(given.nu - scores.d, 1.0)
         variance = float(np.min(self.scorer.variance((given.yy - scores.S) / free, free)))
-        return np.asarray(
-            np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
-        )
+        return np.asarray(np.round(scores.S / variance - scores.d * np.log(self.rows) - self.extra, 1))
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
@@ -354,7 +357,7 @@ class Selector:
         columns = self.columns(rest)
         given = gram.given(columns)
         scores = self.scorer.scores(given)
-        value = np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
+        value = np.round(scores.S / variance - scores.d * np.log(self.rows) - self.extra, 1)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(taken)] = False
         without = self.criterion(gram, rest, variance)

@@ -140,6 +140,14 @@ EFFECTS: list[dict[str, str]] = [
     {"id": "link_growth", "acts_on": "joints", "needs": "temperature_c", "summary": "one link grows with temperature"},
     {"id": "settling", "acts_on": "base", "needs": "t_s", "summary": "base or instrument settles exponentially"},
     {"id": "random_walk", "acts_on": "base", "needs": "t_s", "summary": "base or instrument wanders with time"},
+    {"id": "base_step", "acts_on": "base", "needs": "", "summary": "base or instrument moved once, between two rows"},
+    {
+        "id": "tool_step",
+        "acts_on": "instrument",
+        "needs": "",
+        "summary": "tool, marker or nest moved once, between two rows",
+    },
+    {"id": "zero_step", "acts_on": "joints", "needs": "", "summary": "zero of a joint jumped once, between two rows"},
     {
         "id": "column_bending",
         "acts_on": "base",
@@ -346,6 +354,10 @@ COLUMNS: list[dict[str, str]] = [
     {"columns": "temperature_c", "meaning": "temperature"},
     {"columns": "session", "meaning": "integer: one setting-up of tracker and markers"},
     {"columns": "pose_id", "meaning": "integer shared by repeats of one pose"},
+    {
+        "columns": "row",
+        "meaning": "integer: number of the row in the order of measurement, where rows have no t_s and are not uploaded in that order",
+    },
     {
         "columns": "sx_mm, sy_mm, sz_mm",
         "meaning": "standard deviation of the position of this row. Only a measured position takes it: the noise of contacts, link encoders and inclinometers comes from repeats, or from what the fit leaves (--noise-mm states that of contacts)",
