@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
+from kilter_core.gap.budget import MEASURING, RESAMPLING, SEARCHING, SHUFFLING, Budget
 from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
 from kilter_core.gap.evidence.by_kind import by_kind
@@ -94,6 +95,7 @@ def find_gap(
     """
     options = options or GapOptions()
     progress = progress or unheard
+    budget = Budget(options.budget_s)
     begin = beginning(robot, start)
     if confirmation is not None:
         for rows in (observations, validation):
@@ -105,8 +107,8 @@ def find_gap(
     every = observations
     observations, validation = parted(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
-    report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every).report()
-    return replace(report, warnings=(*report.warnings, *remarks))
+    report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget).report()
+    return replace(report, warnings=(*budget.warnings(), *report.warnings, *remarks))
 
 
 def beginning(robot: Robot, start: Calibration | None) -> Calibration:
@@ -137,6 +139,7 @@ class _Run:
     confirmation: Observations | None
     progress: Progress
     every: Observations  # searched and held out, in the order of the file
+    budget: Budget
 
     def report(self) -> GapReport:
         prepared, problem = self.prepared, self.prepared.problem
@@ -150,7 +153,11 @@ class _Run:
             # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
             again = testability(prepared.problem, prepared.library)
             more, judged = bool(np.any(again.able & ~judged.able)), again
-            if not more or not found.chosen:
+            if (
+                not more
+                or not found.chosen
+                or self.budget.over(SEARCHING, "a second search under the noise of the first")
+            ):
                 break
         found, unseen = seen_only(narrowed(found))
         judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
@@ -163,7 +170,9 @@ class _Run:
         noise = problem.settings.noise
         scorer = Scorer.of(candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf)
         limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
-        found = search(problem.settings, problem, scorer, limits, self.options, _part(self.progress, 0.2, 0.5))
+        found = search(
+            problem.settings, problem, scorer, limits, self.options, _part(self.progress, 0.2, 0.5), self.budget
+        )
         return rejudged(found, self.options.alpha, limits)
 
     def _reported(
@@ -209,12 +218,22 @@ class _Run:
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
         part = _part(self.progress, 0.5, 0.7)
         shares = inclusion(
-            found, classes, self.options.resamples, self.options.seed, lambda f: part(f, "selecting again on resamples")
+            found,
+            classes,
+            self.options.resamples,
+            self.options.seed,
+            lambda f: part(f, "selecting again on resamples"),
+            lambda: self.budget.over(RESAMPLING, "resamples of poses"),
         )
         part = _part(self.progress, 0.7, 0.8)
-        shuffled = controls(found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"))
+        shuffled = controls(
+            found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"),
+            lambda: self.budget.over(SHUFFLING, "shuffles of the negative control"),
+        )  # fmt: skip
         part = _part(self.progress, 0.8, 0.9)
-        sizes = amplitudes(found, lambda f: part(f, "profile intervals"))
+        sizes = amplitudes(
+            found, lambda f: part(f, "profile intervals"), lambda: self.budget.over(MEASURING, "profile intervals")
+        )
         moved, again = moves_mm(found), self._replications(found, kept)
         out = []
         for n, k in enumerate(found.chosen):
@@ -320,7 +339,7 @@ class _Run:
 
     def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
-        if not effects:
+        if not effects or self.budget.over(MEASURING, "poses to measure next"):
             return []
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)

@@ -29,7 +29,7 @@ class GapOptions:
     identification, ``base`` and ``tool`` are "free" or "fixed", and ``reference`` says in which frames a correction
     works, as there ("auto", "robot", "registration"). ``next_poses`` is how many poses to propose. ``matters_um`` is the
     movement of the tool below which a misfit or an effect is said to be too small to matter, unless the instrument
-    promises less than that.
+    promises less than that. ``budget_s`` is how many seconds a search may take: it then ends with the best that it has.
     """
 
     alpha: float = 0.01
@@ -47,6 +47,7 @@ class GapOptions:
     next_poses: int = 12
     seed: int = 0
     matters_um: float = MATTERS_UM
+    budget_s: float | None = None
 
     def __post_init__(self) -> None:
         self._numbers()
@@ -59,6 +60,8 @@ class GapOptions:
                 raise OptionError(f"{name} is {getattr(self, name)!r}: give {', '.join(allowed)}.", option=name)
         if not self.matters_um >= 0.0:
             raise OptionError("matters_um must be 0 or more: it is a size in micrometres.", option="matters_um")
+        if self.budget_s is not None and not self.budget_s > 0.0:
+            raise OptionError("budget_s must be above 0: it is how many seconds a search may take.", option="budget_s")
         for name, most in MOST.items():
             least = 0 if name == "next_poses" else 1
             if not least <= getattr(self, name) <= most:
@@ -70,7 +73,7 @@ class GapOptions:
 
     def _numbers(self) -> None:
         """Refuse what is not a number where one is needed: 1.5 shuffles, or true."""
-        for name in ("alpha", "noise_mm", "matters_um", "seed", *MOST):
+        for name in ("alpha", "noise_mm", "matters_um", "budget_s", "seed", *MOST):
             value = getattr(self, name)
             whole = name in MOST or name == "seed"
             kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)

@@ -39,13 +39,24 @@ def duration(kind: str, rows: int, request: JobRequest, past: Sequence[PastRun])
     same = [run for run in past if _asked(run.request) == _asked(request)]
     chosen = same or list(past)
     if not chosen:
-        return _by_rule(kind, rows, request)
+        return _within(_by_rule(kind, rows, request), request)
     took = [run.seconds * _work(rows, request) / _work(run.rows, run.request) for run in chosen]
     wide = 1.0 + (WIDEST - 1.0) / len(took) ** 0.5
     wide *= 1.0 if same else WIDEST
     which = "with the same options" if same else "with other options"
     jobs = f"{len(took)} earlier {kind} {'job' if len(took) == 1 else 'jobs'} {which}, by the number of rows"
-    return _told(median(took), min(took) / wide, max(took) * wide, jobs)
+    return _within(_told(median(took), min(took) / wide, max(took) * wide, jobs), request)
+
+
+def _within(found: Duration, request: JobRequest) -> Duration:
+    """The same under a budget that was asked for: what is cut short ends soon after it."""
+    budget = request.options.get("budget_s")
+    if budget is None or found.high <= budget:
+        return found
+    expected, low, high = (min(value, float(budget)) for value in (found.expected, found.low, found.high))
+    return _told(
+        expected, low, high, f"{found.basis}; no longer than the budget of {budget:g} s, but for what is begun by then"
+    )
 
 
 def _by_rule(kind: str, rows: int, request: JobRequest) -> Duration:

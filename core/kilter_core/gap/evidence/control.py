@@ -46,22 +46,33 @@ class Control:
         return self.survived <= SURVIVING
 
 
-def controls(search: SearchResult, shuffles: int, seed: int, progress: Callable[[float], None]) -> tuple[Control, ...]:
-    """Shuffle for every chosen effect. One that needs no label has the residual vectors shuffled over the poses."""
+def controls(
+    search: SearchResult, shuffles: int, seed: int, progress: Callable[[float], None],
+    over: Callable[[], bool] = lambda: False,
+) -> tuple[Control, ...]:  # fmt: skip
+    """Shuffle for every chosen effect. One that needs no label has the residual vectors shuffled over the poses.
+
+    Where time is ``over`` the rest is not shuffled: an effect that no shuffle tried has survived all of them.
+    """
     rng = np.random.default_rng(seed)
     count = min(shuffles, FEW) if len(search.problem.settings.used) > LARGE else shuffles
     out = []
     for n, place in enumerate(search.chosen):
         bench = _Bench.of(search, place)
         label = bench.label
-        hits = 0
+        hits = tried = 0
         for k in range(count):
+            if over():
+                break
+            tried += 1
             progress((n + k / count) / len(search.chosen))
             order = _order(
                 search.problem.settings.group, rng, label is not None and search.problem.settings.inflation <= 1.0
             )
             hits += bench.poses_named(order) if label is None else bench.label_named(label, order)
-        out.append(Control(place, "poses" if label is None else WORDS.get(label, label), count, hits / count))
+        out.append(
+            Control(place, "poses" if label is None else WORDS.get(label, label), tried, hits / tried if tried else 1.0)
+        )
     return tuple(out)
 
 

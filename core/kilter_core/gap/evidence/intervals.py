@@ -34,8 +34,13 @@ class Amplitude:
         return not self.low <= 0.0 <= self.high
 
 
-def amplitudes(search: SearchResult, progress: Callable[[float], None]) -> dict[int, Amplitude]:
-    """Amplitude of every chosen column, inflated by what noise leaves unexplained: max(1, chi²/nu)."""
+def amplitudes(
+    search: SearchResult, progress: Callable[[float], None], over: Callable[[], bool] = lambda: False
+) -> dict[int, Amplitude]:
+    """Amplitude of every chosen column, inflated by what noise leaves unexplained: max(1, chi²/nu).
+
+    Where time is ``over`` the ends of intervals are those of the linearised problem.
+    """
     problem, columns = search.problem, search.columns
     if not columns:
         return {}
@@ -47,7 +52,7 @@ def amplitudes(search: SearchResult, progress: Callable[[float], None]) -> dict[
         progress(n / len(columns))
         sigma = float(np.sqrt(covariance[n, n])) * grown
         low, high = (values[n] + side * width * sigma for side in (-1.0, 1.0))
-        if problem.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0:
+        if problem.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0 and not over():
             low, high = (_end(search, k, float(values[n]), float(end), left.yy, width * grown) for end in (low, high))
         out[k] = Amplitude(k, float(values[n]), sigma, float(low), float(high))
     return out

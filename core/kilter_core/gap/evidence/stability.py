@@ -25,11 +25,17 @@ SMALLEST = 1e-9
 
 
 def inclusion(
-    search: SearchResult, classes: dict[int, tuple[int, ...]], draws: int, seed: int, progress: Callable[[float], None]
+    search: SearchResult,
+    classes: dict[int, tuple[int, ...]],
+    draws: int,
+    seed: int,
+    progress: Callable[[float], None],
+    over: Callable[[], bool] = lambda: False,
 ) -> dict[int, tuple[float, float]]:
     """Share of resamples in which each chosen candidate, and any of its class, is selected again.
 
-    ``classes`` gives the places that count as the same name.
+    ``classes`` gives the places that count as the same name. Where time is ``over`` before enough of them were drawn to
+    say anything, no name returned.
     """
     # Pairs cost most of a search under unknown noise; what entered one by one is looked for one by one again.
     selector = replace(search.selector, pairs=search.selector.scorer.absolute or search.paired)
@@ -43,6 +49,11 @@ def inclusion(
     done = draws
     for b in range(draws):
         if b and b % LOOK == 0 and _decided([any_[k] / b for k in search.chosen], b):
+            done = b
+            break
+        if over():
+            if b < LOOK:
+                return dict.fromkeys(search.chosen, (0.0, 0.0))
             done = b
             break
         if b % 5 == 0:

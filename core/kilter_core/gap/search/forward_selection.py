@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from kilter_core.gap.budget import SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.events import placed
 from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, refit
@@ -15,6 +16,8 @@ from kilter_core.gap.search.renewal import renewed, under
 from kilter_core.gap.search.scan import Null, Scorer, null_of
 from kilter_core.gap.search.select import Selector
 from kilter_core.types import Floats, Progress
+
+MORE = "effects beyond those named"
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ def search(
     limits: Floats,
     options: GapOptions,
     progress: Progress,
+    budget: Budget | None = None,
 ) -> SearchResult:
     """Run from the geometry-only ``problem``; every change of the set is followed by a nonlinear re-fit of everything.
 
@@ -72,16 +76,22 @@ def search(
     entered early can keep out the causes that together explain more: if one is left, causes are searched alone as well.
     """
     selector = Selector(scorer, problem.rows, limits * problem.size)
-    found = _forward_selection(problem, selector, limits, options, progress)
-    if not selector.shapes(found.chosen):
+    budget = budget or Budget()
+    found = _forward_selection(problem, selector, limits, options, progress, budget)
+    if not selector.shapes(found.chosen) or budget.over(SEARCHING, "causes instead of shapes without one"):
         return found
-    causes = _forward_selection(problem, selector.causes, limits, options, progress)
+    causes = _forward_selection(problem, selector.causes, limits, options, progress, budget)
     causes = replace(causes, problem=under(found.problem.settings, causes.problem, causes.columns))
     return replace(causes, selector=found.selector) if _explains_more(causes, found) else found
 
 
 def _forward_selection(
-    problem: LinearizedProblem, selector: Selector, limits: Floats, options: GapOptions, progress: Progress
+    problem: LinearizedProblem,
+    selector: Selector,
+    limits: Floats,
+    options: GapOptions,
+    progress: Progress,
+    budget: Budget,
 ) -> SearchResult:
     """Climb from the geometry; after every re-fit noise and outliers are judged again by what is named by then."""
     chosen: tuple[int, ...] = ()
@@ -98,14 +108,18 @@ def _forward_selection(
         first = first or null
         critical = null.critical(options.alpha)
         after = selector.better(problem.gram, chosen, critical, options.max_effects, seen)
-        if set(after) == set(chosen):
+        if set(after) == set(chosen) or budget.over(SEARCHING, MORE):
             break
         seen.add(frozenset(after))
         now = (
             min(0.9, (round_ + 0.5) / 6.0),
             "re-fitting with " + ", ".join(scorer.candidates[m].label for m in after),
         )
-        other = refit(problem.settings, problem.values, selector.columns(after), partial(progress, *now))
+        try:
+            tick = partial(budget.ending(progress, SEARCHING, MORE), *now)
+            other = refit(problem.settings, problem.values, selector.columns(after), tick)
+        except OutOfTimeError:
+            break
         if worse(selector, (other, after), (problem, chosen)):
             continue  # the set does not do what the linearised problem promised
         before, (problem, chosen) = problem, (renewed(other, selector.columns(after)), after)

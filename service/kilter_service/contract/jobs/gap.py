@@ -73,6 +73,10 @@ class GapOptions(Asked):
     matters_um: Annotated[Micrometres, Field(ge=0)] = Field(
         5.0, description="Movement of the tool below which nothing matters, micrometres (um), 0 or more."
     )
+    budget_s: Annotated[float, Field(gt=0)] | None = Field(
+        None,
+        description="Seconds that a search may take, above 0: it then ends with the best it has; null: as many as it needs.",
+    )
     limits: Limits = Field(None, description=LIMITS)
 
 

@@ -141,6 +141,7 @@ def gap(
     tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     reference: Reference = None,
     seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
+    budget: Annotated[float | None, typer.Option(metavar="SECONDS", help=GAP["budget_s"])] = None,
     figures: Figures = None,
     poses: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
@@ -165,6 +166,7 @@ def gap(
         tool=tool,
         reference=reference,
         seed=seed,
+        budget_s=budget,
     )
     files = partial(_write_search, poses, figures, as_json)
     again = arguments.split_names(confirmation)

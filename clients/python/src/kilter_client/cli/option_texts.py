@@ -44,6 +44,7 @@ GAP = {
     "next_poses": "Poses to propose, 0 to 1000.",
     "seed": "Seed of everything that is drawn by chance, 0 or more.",
     "matters_um": "Movement of the tool below which nothing matters, micrometres (um), 0 or more.",
+    "budget_s": "Seconds that a search may take, above 0: it then ends with the best it has; left out: as many as it needs.",
     "limits": "The largest correction the version may make; left out: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm.",
 }
 EVALUATE = {

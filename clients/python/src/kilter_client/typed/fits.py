@@ -150,6 +150,8 @@ class Remark(Record):
     """Axis it is about, such as `z` or `-x`."""
     beyond_chance: bool | None
     """Whether the difference is more than chance explains."""
+    budget_s: float | None
+    """Seconds that were given."""
     campaigns: tuple[str, ...]
     """Ids of the campaigns it is about."""
     code: str
@@ -166,6 +168,8 @@ class Remark(Record):
     """Error of the identified model on held-out rows, mm."""
     joint: str | None
     """Name of the joint it is about."""
+    left_out: tuple[str, ...]
+    """What there was no time for."""
     markers: tuple[int, ...]
     """Numbers of the markers it is about, from 1."""
     masses: Records[OddMass]

@@ -28,6 +28,8 @@ class GapOptions(TypedDict, total=False):
     """Whether the base is fitted."""
     bootstraps: int
     """Resamples behind the p-value of an effect, 1 to 20000."""
+    budget_s: float | None
+    """Seconds that a search may take, above 0: it then ends with the best it has; None: as many as it needs."""
     effects: Sequence[str | Mapping[str, Any]]
     """Look for these effects only, by id or at some joints; empty: for all."""
     fix: Sequence[str]
