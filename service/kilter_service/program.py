@@ -98,14 +98,20 @@ def ros2(settings: Settings, _: argparse.Namespace) -> None:
 
 def migrate(settings: Settings, _: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter."""
-    from kilter_service.db import Database, revision
+    from kilter_service.backup.upgrade import upgrade
+    from kilter_service.db import revision
 
-    database = Database(settings.database)
-    try:
-        done = revision.migrate(database)
-    finally:
-        database.close()
-    print(f"The database {'was brought to' if done else 'is at'} revision {revision.HEAD}.")
+    done = upgrade(settings)
+    print(f"The database {'was brought to' if done.steps else 'is at'} revision {revision.HEAD}.")
+    if done.copy is not None:
+        print(f"As it was it is kept as {done.copy}.")
+
+
+def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Bring the database to the revision of this Kilter, or say what that would do (--check)."""
+    from kilter_service.backup.commands import upgrade
+
+    upgrade(settings, arguments)
 
 
 def audit(settings: Settings, arguments: argparse.Namespace) -> None:
@@ -190,6 +196,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "zenoh-config": (zenoh_config, zenoh_command.EXAMPLE),
     "stream-keys": (stream_keys, command.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
+    "upgrade": (upgrade, "kilterd upgrade --check"),
     "backup": (backup, "kilterd backup /backups"),
     "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
     "verify": (verify, "kilterd verify"),
@@ -231,6 +238,8 @@ def parser() -> argparse.ArgumentParser:
             added.add_argument(
                 "--accept", action="store_true", help="take the rows as they are, whatever their seals say"
             )
+        if name == "upgrade":
+            added.add_argument("--check", action="store_true", help="say what would change, and change nothing")
         if name == "doctor":
             added.add_argument("--json", action="store_true", help="print one JSON document")
         if name == "api":

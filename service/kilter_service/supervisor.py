@@ -240,14 +240,9 @@ def _start(settings: Settings, children: list[Child], stop: threading.Event) -> 
 
 
 def _migrate(settings: Settings) -> None:
-    from kilter_service.db import Database, revision  # after the children were started: importing takes a moment
+    from kilter_service.backup.upgrade import upgrade  # after the children were started: importing takes a moment
 
-    database = Database(settings.database)
-    try:
-        if revision.migrate(database):
-            log.info("the database was brought to revision %s", revision.HEAD)
-    finally:
-        database.close()
+    upgrade(settings)
 
 
 def _stop(children: list[Child]) -> None:

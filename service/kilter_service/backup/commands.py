@@ -28,6 +28,32 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     )
 
 
+def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Bring the database to the revision of this Kilter, or say what that would do."""
+    from kilter_service.backup import upgrade
+    from kilter_service.db import revision
+
+    plan = upgrade.planned(settings) if arguments.check else upgrade.upgrade(settings)
+    if not plan.steps:
+        print(f"The database is at revision {revision.HEAD}: there is nothing to upgrade.")
+        return
+    print(
+        f"{'To bring' if arguments.check else 'Brought'} the database from revision {plan.found or 'none'} to {revision.HEAD}:"
+    )
+    for step in plan.steps:
+        print(f"  {step.revision}: {step.adds}")
+    if plan.copy is not None:
+        needed = f"needs {plan.copy_bytes >> 20} MB of {plan.free_bytes >> 20} MB free"
+        print(f"A copy of it as it is {'would be' if arguments.check else 'was'} kept: {plan.copy} ({needed}).")
+    elif plan.found is not None:
+        print("No copy is made of a PostgreSQL database: make one with pg_dump first.")
+    if not plan.fits:
+        print(
+            "kilterd: the disk has no room for the copy, so the upgrade would be refused: make room.", file=sys.stderr
+        )
+        sys.exit(1)
+
+
 def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check every hash of the database, or of a backup, while the server runs."""
     from kilter_service.backup import service

@@ -44,7 +44,7 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
     private_file(part)
     database = Database(settings.database)
     try:
-        revision.check(database)
+        _check_readable(settings, database)
         if settings.database_url is None:
             _copy_file(settings.data / DATABASE_FILE, part)
         else:
@@ -104,10 +104,18 @@ def verify(path: Path) -> Findings:
 
 
 def verify_stored(settings: Settings, *, quick: bool = False) -> Findings:
-    """Check the database of a server while it is in use."""
+    """Check the database of a server while it is in use; of one of an earlier revision, a copy that is migrated."""
     database = Database(settings.database)
     try:
-        revision.check(database)
+        _check_readable(settings, database)
+        if revision.current(database) != revision.HEAD:
+            if quick:  # to copy and migrate it is not
+                revision.check(database)
+            with tempfile.TemporaryDirectory(prefix="kilter-verify-", dir=settings.data) as folder:
+                copy = Path(folder) / "copy.sqlite"
+                private_file(copy)
+                _copy_file(settings.data / DATABASE_FILE, copy)
+                return _checked(copy)
         return store.check(database, quick=quick)
     except Exception as error:
         return _damage(error)
@@ -124,6 +132,14 @@ def seal(settings: Settings, *, accept: bool) -> list[str]:
         return store.seal(database, accept=accept)
     finally:
         database.close()
+
+
+def _check_readable(settings: Settings, database: Database) -> None:
+    """Refuse a database of a newer Kilter, and one of an earlier revision that is not a file: its rows are not read here."""
+    if settings.database_url is None:
+        revision.check_known(database)
+    else:
+        revision.check(database)
 
 
 def _checked_copy(path: Path, copy: Path) -> Findings:
