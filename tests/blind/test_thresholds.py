@@ -47,11 +47,9 @@ def test_a_gate_is_decided_again_by_the_number_behind_it() -> None:
 
 
 def test_a_gate_that_something_else_decided_stays() -> None:
-    small = effect("backlash", "confirmed", {"adequate": True}, adequate=0.001)
-    assert (
-        decided(record(small), gate("evidence.adequacy.ADEQUATE"), 2.0)["report"]["effects"][0]["verdict"]
-        == "confirmed"
-    )
+    local = effect("backlash", "confirmed", {"no_empirical_alias": True}, no_empirical_alias=-2.0)
+    (left,) = decided(record(local), gate("search.select.MARGIN"), 2.0)["report"]["effects"]
+    assert left["verdict"] == "confirmed"
     silent = effect("backlash", "provisional", {"held_out": False})
     assert decided(record(silent), gate("evidence.verdict.SURE_GAIN"), 0.5) == record(silent)
 

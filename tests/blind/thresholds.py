@@ -54,7 +54,6 @@ class Gate:
 
 
 GATES = (
-    Gate("evidence.adequacy.ADEQUATE", "adequate", "adequate", least=True),
     Gate("evidence.verdict.SURE_GAIN", "held_out", "held_out", least=True),
     Gate("search.select.MARGIN", "no_empirical_alias", "no_empirical_alias", least=True),
     Gate("evidence.verdict.SHADOWED", "shadowed", "no_empirical_alias", least=False),

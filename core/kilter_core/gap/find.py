@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
 from kilter_core.gap.evidence.by_kind import by_kind
 from kilter_core.gap.evidence.control import Control, controls, false_names
 from kilter_core.gap.evidence.guarded import Guard
+from kilter_core.gap.evidence.halves import halves
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
@@ -37,14 +39,14 @@ from kilter_core.gap.evidence.testability import (
 )
 from kilter_core.gap.evidence.unseen import seen_only
 from kilter_core.gap.evidence.unseen_fit import unseen_fit
-from kilter_core.gap.evidence.verdict import Evidence, Judged, judge, run_verdict, sentence
+from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.evidence.when import event_warnings, events, settled
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
-from kilter_core.gap.report.localization import Place, localize
+from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
-from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.events import numbered
@@ -184,16 +186,21 @@ class _Run:
         fit = adequacy(found.problem, prepared.visits.condition, found.columns)
         kept = stored(found, self.begin, prepared.rows, self.options)
         left = misfit(found, fit, rows, self.options)
-        effects, control, held = self._judged(found, fit, left, kept)
-        verdict, unseen = run_verdict(effects, fit, left), unseen_fit(held, 1e-3 * floor_mm(rows, self.options))
+        held = HoldoutEvaluator(found, prepared, self.validation, kept.posterior)
+        unseen = unseen_fit(held, 1e-3 * floor_mm(rows, self.options))
+        whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
+        effects, control = self._judged(found, fit, left, kept, held, whole)
+        verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
+        rest = Remains(left, None if fit.adequate else remains(found.problem, found.columns, rows, self.options.seed))
         judging = held.report()
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
         return GapReport(
-            stored=kept, verdict=verdict, effects=effects, unseen=unseen,
-            sentence=sentence(verdict, effects, fit, left) + ("" if unseen is None else unseen.sentence()), where=places,
+            stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
+            sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence()),
+            where=places,
             gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
@@ -210,10 +217,10 @@ class _Run:
         )  # fmt: skip
 
     def _judged(
-        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored
-    ) -> tuple[tuple[Judged, ...], dict[str, Any], HoldoutEvaluator]:
-        """Evidence for every chosen candidate, and the gates."""
-        held = HoldoutEvaluator(found, self.prepared, self.validation, kept.posterior)
+        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
+        whole: Callable[[float], bool],
+    ) -> tuple[tuple[Judged, ...], dict[str, Any]]:  # fmt: skip
+        """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
         aliases = {k: aliases_of(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
         part = _part(self.progress, 0.5, 0.7)
@@ -239,10 +246,13 @@ class _Run:
         for n, k in enumerate(found.chosen):
             self.progress(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
             evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
-            evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k))
-            out.append(judge(found, evidence, fit, left, self.prepared.library))
+            # Only where something else is left is an effect asked to rise by itself.
+            alone = not whole(moved[k]) and not fit.too_large
+            own = halves(found, k, classes[k], self.options.max_effects) if alone else None
+            evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
+            out.append(judge(found, evidence, fit, self.prepared.library, whole(moved[k])))
         out.sort(key=lambda j: -j.evidence.gain_mm)
-        return tuple(out), self._control_document(found, shuffled), held
+        return tuple(out), self._control_document(found, shuffled)
 
     def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:
         """What the confirmation says of every chosen candidate."""

@@ -50,7 +50,14 @@ class Gates(Stored):
     """The tests an effect passed or did not; all must be passed to be confirmed."""
 
     physical: bool | None = Field(None, description="It is a cause, not a shape.")
-    adequate: bool | None = Field(None, description="The model with it agrees with the rows.")
+    adequate: bool | None = Field(
+        None,
+        description="Of earlier searches: the model with it agrees with the rows. It is a statement of its own now.",
+    )
+    lasts: bool | None = Field(
+        None,
+        description="Nothing else is left; or halves of the campaign, or a confirmation, bear it out all the same.",
+    )
     held_out: bool | None = Field(None, description="Held-out poses gain by it.")
     unseen_poses: bool | None = Field(None, description="Poses that took no part in choosing judged it.")
     no_empirical_alias: bool | None = Field(None, description="No shape without a cause does as well.")
@@ -66,6 +73,7 @@ class Evidence(Stored):
 
     physical: float | None = Field(None, description="1 for a cause, 0 for a shape.")
     adequate: float | None = Field(None, description="p-value of the model with it.")
+    lasts: float | None = Field(None, description="1 where its own evidence reaches; null: nothing else is left.")
     held_out: float | None = Field(
         None, description="Standard deviations by which held-out errors follow the prediction."
     )
@@ -134,6 +142,20 @@ class PhysicalClass(Stored):
     outside: list[str] | None = Field(None, description="Members that it does not have, in words.")
 
 
+class Halves(Stored):
+    """What the two halves of a campaign, one after the other, say of an effect where something else is left."""
+
+    lasts: bool | None = Field(None, description="Whether name, amplitude and prediction are the same in both.")
+    named: list[bool] | None = Field(None, description="Whether each half alone names it, or its class.")
+    apart_sigma: float | None = Field(None, description="Standard deviations between the two amplitudes.")
+    with_mm: Mm | None = Field(None, description="Mean error of each half predicted by the other with it, mm.")
+    without_mm: Mm | None = Field(None, description="The same without it, mm.")
+    better: bool | None = Field(None, description="Whether that is better beyond chance.")
+    beside_shapes_sigma: float | None = Field(
+        None, description="Standard deviations by which it differs from zero beside every smooth shape without a cause."
+    )
+
+
 class NamedEffect(AtJoints):
     """An effect that was named, and how sure that is."""
 
@@ -160,6 +182,9 @@ class NamedEffect(AtJoints):
     gates: Gates | None = Field(None, description="The tests it passed.")
     evidence: Evidence | None = Field(None, description="The number that each test was decided by.")
     replication: Replication | None = Field(None, description="What the confirmation says; null: there was none.")
+    halves: Halves | None = Field(
+        None, description="What the campaign's halves say; null: not asked, or too few poses."
+    )
     to_confirm: list[str] | None = Field(None, description="What would raise the verdict, in words.")
 
 
@@ -243,6 +268,8 @@ class Adequacy(Stored):
     matters_mm: Mm | None = Field(None, description="Size that matters, mm.")
     too_small_to_matter: bool | None = Field(None, description="Whether the misfit is below it.")
     held_out: UnseenFit | None = Field(None, description="The same of rows that no choice saw; null: not judged.")
+    sentence: str | None = Field(None, description="The model as a whole, in words.")
+    mostly_at: Place | None = Field(None, description="Where what is left is clearest; null: nowhere, or nothing is.")
 
 
 class RepeatDrift(Stored):

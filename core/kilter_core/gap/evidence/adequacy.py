@@ -54,6 +54,12 @@ class Adequacy:
             return None
         return self.p_value > ADEQUATE
 
+    def sentence(self, left: str) -> str:
+        """The model as a whole in words; ``left`` says how much remains, and where."""
+        if self.adequate is None:
+            return "Whether something else remains is not known: the noise is not known apart from the fit."
+        return f"Something else remains{left}." if not self.adequate else "The model as a whole agrees with the rows."
+
     def warnings(self) -> tuple[dict[str, Any], ...]:
         """What to know before trusting the noise."""
         if not self.too_large:

@@ -28,16 +28,22 @@ CODE = "confirmation_worse"
 
 @dataclass(frozen=True)
 class Guarded:
-    """Mean errors (m) of the confirmation's poses with and without something, and whether it is worse beyond chance."""
+    """Mean errors (m) of poses with and without something, and whether it is worse, or better, beyond chance."""
 
     with_it: float
     without: float
     worse: bool
+    better: bool
 
     @staticmethod
     def of(with_it: Floats, without: Floats) -> Guarded:
         """Compare the errors (P,) m of two calibrations at the same poses."""
-        return Guarded(float(with_it.mean()), float(without.mean()), Difference.of(with_it, without).worse)
+        return Guarded(
+            float(with_it.mean()),
+            float(without.mean()),
+            Difference.of(with_it, without).worse,
+            Difference.of(without, with_it).worse,
+        )
 
     def sentence(self, without: str) -> str:
         """Both numbers in words."""

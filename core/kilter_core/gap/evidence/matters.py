@@ -18,6 +18,7 @@ from kilter_core.gap.search.in_space import moved_by, noise_rms
 from kilter_core.observations import Observations
 
 SURE = 0.05  # chance that the misfit is larger than its upper bound
+LONG_MM = 0.1  # from which a size is written in mm
 BESIDE = 0.1  # share of an effect's own movement that a misfit may have if it shall not put the name in doubt
 
 
@@ -52,7 +53,9 @@ class Misfit:
     @property
     def said(self) -> str:
         """Its size in words."""
-        return "unknown" if self.rms_mm is None else f"{1e3 * self.rms_mm:.1f} um"
+        if self.rms_mm is None:
+            return "unknown"
+        return f"{1e3 * self.rms_mm:.1f} um" if self.rms_mm < LONG_MM else f"{self.rms_mm:.2g} mm"
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers and whether it is too small to matter."""

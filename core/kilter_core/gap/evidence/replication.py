@@ -65,8 +65,14 @@ class Replication:
 
     @property
     def replicated(self) -> bool:
-        """Whether the effect was seen again with the same amplitude."""
-        return self.p_value is not None and self.p_value < NONZERO and not self.contradicted
+        """Whether the effect was seen again with the same amplitude, and predicts what was measured there better."""
+        seen = self.p_value is not None and self.p_value < NONZERO and not self.contradicted
+        return seen and (self.guarded is None or self.guarded.with_it < self.guarded.without)
+
+    @property
+    def certain(self) -> bool:
+        """Whether it was seen again, and predicts the confirmation better beyond chance."""
+        return self.replicated and self.guarded is not None and self.guarded.better
 
     @property
     def outcome(self) -> str:

@@ -10,6 +10,7 @@ from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, correlation
 from kilter_core.gap.evidence.claim import MEMBER, Claim
 from kilter_core.gap.evidence.control import Control
+from kilter_core.gap.evidence.halves import BESIDE, Halves
 from kilter_core.gap.evidence.intervals import Amplitude
 from kilter_core.gap.evidence.matters import Misfit
 from kilter_core.gap.evidence.replication import Replication
@@ -43,6 +44,13 @@ class Evidence:
     moves_mm: float = float("inf")  # rms displacement of the tool by it, over the poses
     replication: Replication | None = None
     separated: tuple[Separated, ...] = ()  # evidence for the name within its physical class
+    halves: Halves | None = None  # where something else is left
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it rises on its own evidence where something else is left: between halves, or in a confirmation."""
+        again = self.replication is not None and self.replication.certain
+        return self.halves is not None and (self.halves.lasts or (again and self.halves.beside > BESIDE))
 
 
 @dataclass(frozen=True)
@@ -62,14 +70,17 @@ class Judged:
         return self.claim.words
 
 
-def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
-    """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional."""
+def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool) -> Judged:
+    """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional.
+
+    ``settled`` as :func:`is_settled`.
+    """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
     replication = evidence.replication
     gates = {
         "physical": not evidence.candidate.empirical,
-        "adequate": bool(fit.adequate) or misfit.small_beside(evidence.moves_mm),
+        "lasts": settled or evidence.lasts,
         "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
         "unseen_poses": evidence.unseen_poses > 0 or (replication is not None and replication.replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
@@ -83,8 +94,13 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfi
     if replication is not None:
         gates["confirmation"] = not replication.contradicted
     robot = search.problem.settings.source.model.robot
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, gates["adequate"])
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled)
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
+
+
+def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:
+    """Whether nothing is left of which an effect that moves the tool so far may be a part; held-out rows may refute it."""
+    return not refuted and (bool(fit.adequate) or misfit.small_beside(moves_mm))
 
 
 def _level(gates: dict[str, bool], claim: Claim, replication: Replication | None) -> str:
@@ -105,6 +121,7 @@ def _numbers(
     numbers: dict[str, float | None] = {
         "physical": float(not evidence.candidate.empirical),
         "adequate": fit.p_value,
+        "lasts": None if evidence.halves is None else float(evidence.lasts),
         "held_out": deviations if gain > 0.0 else min(deviations, 0.0),
         "unseen_poses": float(evidence.unseen_poses),
         "no_empirical_alias": nearest_shape(search, evidence.place),
@@ -141,22 +158,29 @@ def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) 
     weighty = [j for j in judged if misfit.matters(j.evidence.moves_mm)]
     if not judged:
         return "no_gap"
-    return "provisional" if any(j.verdict == "provisional" for j in weighty) else "closed"
+    open_ = adequacy.adequate is None and bool(weighty)
+    return "provisional" if open_ or any(j.verdict == "provisional" for j in weighty) else "closed"
 
 
-def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) -> str:
-    """Say the verdict in words."""
+SURE = {
+    "replicated": "replicated", "confirmed": "confirmed", "class_confirmed": "confirmed as a class",
+}  # fmt: skip
+
+
+def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit, left: str) -> str:
+    """Say the verdict in words; ``left`` says how much remains, and where."""
     names = ", ".join(j.called for j in judged)
     relative = (
         "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
     )
-    left = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
+    noise = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
         "no_gap": "Nothing in the library is significant above the noise.",
         "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
-        f"{left}.",
-        "provisional": f"{names}: likely, but not every test was passed.",
-        "unexplained": "Something is left that no known effect explains."
+        f"{noise}.",
+        "provisional": _risen(judged, adequacy, left) or f"{names}: likely, but not every test was passed.",
+        "unexplained": _risen(judged, adequacy, left)
+        or f"Something is left that no known effect explains{left}."
         + (f" In part it looks like {names}." if names else ""),
     }
     small = [j.called for j in judged if not misfit.matters(j.evidence.moves_mm)]
@@ -164,6 +188,17 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     if misfit.too_small and verdict == "no_gap":
         little = f" What is left beyond the noise, {misfit.said}, is too small to matter."
     return said[verdict] + little + relative
+
+
+def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
+    """What is sure although the model as a whole is not, each with its level; empty where nothing is."""
+    sure = [f"{j.called}: {SURE[j.verdict]}" for j in judged if j.verdict in SURE]
+    likely = [j.called for j in judged if j.verdict not in SURE]
+    if not sure:
+        return ""
+    rest = f" {', '.join(likely)}: likely, but not every test was passed." if likely else ""
+    other = {False: f"; something else remains{left}.", None: "; whether something else remains is not known."}
+    return "; ".join(sure) + other.get(adequacy.adequate, ".") + rest
 
 
 def _beyond(a: Amplitude, library: Library, candidate: Candidate) -> float:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.scan import flipped
+from kilter_core.gap.search.scan import flipped, residual_given
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -19,6 +19,7 @@ BINS = 6
 FEWEST = 4  # visits in a bin
 FLIPS = 999
 FEWEST_PAIRS = 3
+STANDS_OUT = 0.05
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,24 @@ def localize(problem: LinearizedProblem, rows: Observations, seed: int = 0, movi
 
     Samples of a motion have no pose in common, so of motions (and of poses judged in blocks) there are no contrasts.
     """
-    size = problem.settings.whitener.shape[-1]
-    r = _studentised(problem).reshape(-1, size)
-    scale = 1.0 if problem.settings.trusted else float(np.mean(r[problem.settings.used] ** 2))
+    r, scale = _residuals(problem)
     found = [] if moving or problem.settings.inflation > 1.0 else list(_contrasts(problem, rows, r, scale))
     found += _bins(problem, rows, r, scale, seed)
     return tuple(sorted(found, key=lambda p: (p.p_value, -p.excess)))
+
+
+def remains(found: LinearizedProblem, columns: Sequence[int], rows: Observations, seed: int = 0) -> Place | None:
+    """Where what is left after everything named is clearest; None where no level stands out."""
+    left = replace(found, y=residual_given(found, columns), U=found.basis(columns))
+    bins = _bins(left, rows, *_residuals(left), seed)
+    clearest = min(bins, key=lambda p: (p.p_value, -p.excess), default=None)
+    return clearest if clearest is not None and clearest.p_value < STANDS_OUT else None
+
+
+def _residuals(problem: LinearizedProblem) -> tuple[Floats, float]:
+    """Studentised residuals (V, m), and their variance where the noise is not known."""
+    r = _studentised(problem).reshape(-1, problem.settings.whitener.shape[-1])
+    return r, 1.0 if problem.settings.trusted else float(np.mean(r[problem.settings.used] ** 2))
 
 
 def _studentised(problem: LinearizedProblem) -> Floats:

@@ -7,8 +7,9 @@ from kilter_core.gap.evidence.verdict import Judged
 
 REMEDIES = {
     "physical": "It has a shape and no cause: look for a cause outside the library.",
-    "adequate": "Something else is left, or the noise is not known: repeat ten poses three times, leaving them in between, "
-    "and search again from this version.",
+    "lasts": "Something else is left, or the noise is not known, and its own evidence does not reach: both halves of the "
+    "campaign, or a confirmation, must show its name with the same amplitude and be predicted better by it. Repeat ten "
+    "poses three times, leaving them in between, or measure more poses.",
     "held_out": "Held-out poses do not clearly gain by it: measure more poses.",
     "unseen_poses": f"No pose judged it that did not choose it: measure {FEWEST} poses or more (a quarter is then held "
     "out), give `validation`, or measure a `confirmation` campaign on another day.",

@@ -26,6 +26,31 @@ SURE = 0.05
 
 
 @dataclass(frozen=True)
+class Remains:
+    """What is left after everything that was named: its size, and the ``place`` where it is clearest."""
+
+    misfit: Misfit
+    place: Place | None
+
+    @property
+    def words(self) -> str:
+        """Size and place in brackets, with a space before; empty where neither is known."""
+        size = "" if self.misfit.rms_mm is None else self.misfit.said
+        where = "" if self.place is None else f"mostly at {self.place.factor} {self.place.level}"
+        told = ", ".join(part for part in (size, where) if part)
+        return f" ({told})" if told else ""
+
+    def to_document(self, fit: Adequacy, unseen: UnseenFit | None) -> dict[str, Any]:
+        """The statement on the model as a whole, by the rows searched and by those that no choice saw."""
+        elsewhere = unseen is not None and unseen.refuted
+        told = "" if unseen is None else unseen.sentence()
+        return {
+            "sentence": ("Something else remains." if fit.adequate and elsewhere else fit.sentence(self.words)) + told,
+            "mostly_at": None if self.place is None or fit.adequate else place_row(self.place),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
 class GapReport:
     """What the search found. ``stored`` holds the named effects; ``to_document()`` is the job's result."""
 
@@ -38,6 +63,7 @@ class GapReport:
     measurements: list[dict[str, Any]]
     adequacy: Adequacy
     misfit: Misfit
+    remains: Remains
     predictive: dict[str, Any] | None
     not_testable: tuple[Untestable, ...]
     smallest_detectable: list[dict[str, Any]]
@@ -77,6 +103,7 @@ class GapReport:
             "predictive": self.predictive,
             "adequacy": self.adequacy.to_document()
             | self.misfit.to_document()
+            | self.remains.to_document(self.adequacy, self.unseen)
             | {"held_out": None if self.unseen is None else self.unseen.to_document()},
             "noise": self.noise,
             "not_testable": [untestable_row(u) for u in self.not_testable],
@@ -119,6 +146,7 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
         "gates": judged.gates,
         "evidence": judged.numbers,
         "replication": None if replication is None else replication.to_document(units),
+        "halves": None if evidence.halves is None else evidence.halves.to_document(),
         "to_confirm": to_confirm(judged),
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from kilter_service.contract.gap_details import Evidence, NamedEffect, Replication
+from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
 from kilter_service.page.gap.called import chance, claimed, plural
 from kilter_service.page.words import listed, number, percent
 
@@ -42,6 +42,10 @@ def _shape(evidence: Evidence) -> str:
 GATES: Mapping[str, tuple[str, Say]] = {
     "physical": ("It is a cause, not only a shape", lambda e: "a cause" if e.physical else "a shape"),
     "adequate": ("With it the model agrees with the measurements", lambda e: f"p = {chance(e.adequate)}"),
+    "lasts": (
+        "It lasts: nothing else is left, or halves of the campaign or a confirmation bear it out all the same",
+        lambda e: f"p of the whole model = {chance(e.adequate)}",
+    ),
     "held_out": (
         "Held-out poses gain by it",
         lambda e: _of(e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"),
@@ -123,6 +127,8 @@ def _remarks(effect: NamedEffect) -> Iterator[str]:
     yield from _class(effect)
     if effect.empirical:
         yield "It is a shape without a cause: never take it for physics."
+    if effect.halves is not None:
+        yield _halves(effect.halves)
     if effect.replication is not None:
         yield _replication(effect.replication)
 
@@ -140,6 +146,21 @@ def _class(effect: NamedEffect) -> Iterator[str]:
     lacking = [one.words for one in effect.claim.evidence or [] if not one.met and one.words]
     if lacking:
         yield f"A name inside the class needs {listed(lacking)}."
+
+
+def _halves(told: Halves) -> str:
+    """What the halves of the campaign say, with both errors."""
+    named = sum(told.named or [])
+    both = (
+        ""
+        if told.with_mm is None
+        else f", and predicts the other with {number(told.with_mm, 3)} mm (without it {number(told.without_mm, 3)} mm)"
+    )
+    return (
+        f"Something else is left, so each half of the campaign was asked: {named} of 2 name it{both}; the amplitudes are "
+        f"{number(told.apart_sigma, 2)} standard deviations apart. Beside every smooth shape without a cause it differs from "
+        f"zero by {number(told.beside_shapes_sigma, 2)} standard deviations."
+    )
 
 
 def _replication(told: Replication) -> str:

@@ -28,6 +28,9 @@ def show_gap(result: Mapping[str, Any]) -> None:
     unit = "deg" if "before_deg" in result["gap"] else "mm"
     _where(result.get("where") or [])
     _effects(result.get("effects") or [], unit)
+    whole = (result.get("adequacy") or {}).get("sentence")
+    if whole:
+        say(f"the model as a whole: {whole}")
     _gap(result, unit)
     _kinds(result.get("measurements") or [])
     _control(result)
@@ -104,6 +107,19 @@ def _remarks(effect: Mapping[str, Any]) -> None:
         )
     if effect.get("too_small_to_matter"):
         say(f"  {_name(effect)} moves the tool by {number(effect.get('moves_mm'), 2)} mm: too small to matter")
+    half = effect.get("halves")
+    if half:
+        both = (
+            ""
+            if half.get("with_mm") is None
+            else (
+                f", each predicts the other with {number(half['with_mm'], 3)} mm, {number(half['without_mm'], 3)} mm without it"
+            )
+        )
+        say(
+            f"  {_name(effect)} beside what else is left: {sum(half['named'])} of 2 halves name it, amplitudes "
+            f"{number(half['apart_sigma'], 2)} sigma apart{both}"
+        )
     told = effect.get("replication")
     if told:
         words = {

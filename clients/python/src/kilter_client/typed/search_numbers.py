@@ -8,6 +8,22 @@ from kilter_client.results.record import Record, Records
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Place(Record):
+    """A level of a factor at which the model was wrong."""
+
+    excess: float | None
+    """Squared error beyond what noise leaves, in multiples of that; 0 is none."""
+    factor: str | None
+    """What was looked at, such as the angle of a joint."""
+    level: str | None
+    """The level of it."""
+    p_value: float | None
+    """Chance of such an excess by noise."""
+    visits: int | None
+    """Visits at this level."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UnseenFit(Record):
     """Whether held-out rows, which no choice saw, agree with the model within the noise and what was fitted."""
 
@@ -49,10 +65,14 @@ class Adequacy(Record):
     """Misfit beyond the noise, mm."""
     misfit_upper_mm: float | None
     """Upper bound of it, mm."""
+    mostly_at: Place | None
+    """Where what is left is clearest; None: nowhere, or nothing is."""
     p_value: float | None
     """Chance of so much by noise; None: the noise is not known."""
     p_value_low: float | None
     """Chance of so little by noise."""
+    sentence: str | None
+    """The model as a whole, in words."""
     too_small_to_matter: bool | None
     """Whether the misfit is below it."""
 
@@ -251,6 +271,8 @@ class Evidence(Record):
     """Standard deviations by which held-out errors follow the prediction."""
     inclusion: float | None
     """Share of resamples on which it returns, 0 to 1."""
+    lasts: float | None
+    """1 where its own evidence reaches; None: nothing else is left."""
     negative_control: float | None
     """Share of shuffles in which it was still named, 0 to 1."""
     no_empirical_alias: float | None
@@ -272,13 +294,15 @@ class Gates(Record):
     """The tests an effect passed or did not; all must be passed to be confirmed."""
 
     adequate: bool | None
-    """The model with it agrees with the rows."""
+    """Of earlier searches: the model with it agrees with the rows. It is a statement of its own now."""
     confirmation: bool | None
     """A confirmation does not contradict it."""
     held_out: bool | None
     """Held-out poses gain by it."""
     inclusion: bool | None
     """It returns on resampled poses."""
+    lasts: bool | None
+    """Nothing else is left; or halves of the campaign, or a confirmation, bear it out all the same."""
     negative_control: bool | None
     """It vanishes when its labels are shuffled."""
     no_empirical_alias: bool | None

@@ -18,6 +18,7 @@ from kilter_client.typed.search_numbers import (
     GapSize,
     Gates,
     NegativeControl,
+    Place,
     Predictive,
 )
 
@@ -107,6 +108,26 @@ class Claim(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Halves(Record):
+    """What the two halves of a campaign, one after the other, say of an effect where something else is left."""
+
+    apart_sigma: float | None
+    """Standard deviations between the two amplitudes."""
+    beside_shapes_sigma: float | None
+    """Standard deviations by which it differs from zero beside every smooth shape without a cause."""
+    better: bool | None
+    """Whether that is better beyond chance."""
+    lasts: bool | None
+    """Whether name, amplitude and prediction are the same in both."""
+    named: tuple[bool, ...]
+    """Whether each half alone names it, or its class."""
+    with_mm: float | None
+    """Mean error of each half predicted by the other with it, mm."""
+    without_mm: float | None
+    """The same without it, mm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HeldOutGain(Record):
     """What held-out poses gain by an effect."""
 
@@ -185,6 +206,8 @@ class NamedEffect(Record):
     """What it takes off the rms error, mm; degrees of joint data."""
     gates: Gates | None
     """The tests it passed."""
+    halves: Halves | None
+    """What the campaign's halves say; None: not asked, or too few poses."""
     held_out_gain: HeldOutGain | None
     """What held-out poses gain by it."""
     id: str
@@ -233,22 +256,6 @@ class NextPose(Record):
     """All joints, degrees; mm for prismatic ones."""
     separates: tuple[str, ...]
     """The two that it tells apart."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Place(Record):
-    """A level of a factor at which the model was wrong."""
-
-    excess: float | None
-    """Squared error beyond what noise leaves, in multiples of that; 0 is none."""
-    factor: str | None
-    """What was looked at, such as the angle of a joint."""
-    level: str | None
-    """The level of it."""
-    p_value: float | None
-    """Chance of such an excess by noise."""
-    visits: int | None
-    """Visits at this level."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -1,0 +1,169 @@
+"""Does a name last where something else is left: the two halves of a campaign, one after the other, against each other.
+
+On real arms something is always left (trap 17). There an effect must rise on its own evidence: each half names it, both
+show the same amplitude, each predicts the other half better with it than without it, and it stands beside every smooth
+shape without a cause that what is left may have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from kilter_core.gap.evidence.guarded import Guarded
+from kilter_core.gap.evidence.smooth import is_curve, own_curve
+from kilter_core.gap.evidence.stability import reweighted
+from kilter_core.gap.search.candidates import Candidate
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.measurement.metrics import mm
+from kilter_core.types import Bools, Floats
+
+AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one
+BESIDE = 3.0  # standard deviations by which it must differ from zero beside every smooth shape
+FEWEST = 12  # poses of a half: fewer hold no geometry
+RANK = 1e-8  # share of the largest singular value below which a direction of a half is not seen
+
+
+@dataclass(frozen=True)
+class Halves:
+    """What the halves say of one effect.
+
+    ``named`` of either half, amplitudes ``apart`` in combined standard deviations, mean errors of the other half's
+    poses ``predicted`` with and without it (None for joint data), and by how many deviations it stands ``beside`` shapes.
+    """
+
+    named: tuple[bool, bool]
+    apart: float
+    predicted: Guarded
+    beside: float
+    length: bool  # whether the errors are lengths
+
+    @property
+    def lasts(self) -> bool:
+        """Whether name, amplitude and prediction are the same in both halves."""
+        return all(self.named) and self.apart <= AGREE and self.predicted.better and self.beside > BESIDE
+
+    def to_document(self) -> dict[str, Any]:
+        """Plain numbers, mm."""
+        told = self.predicted
+        return {
+            "lasts": self.lasts, "named": list(self.named), "apart_sigma": self.apart,
+            "with_mm": mm(told.with_it) if self.length else None,
+            "without_mm": mm(told.without) if self.length else None, "better": told.better,
+            "beside_shapes_sigma": self.beside,
+        }  # fmt: skip
+
+
+def halves(search: SearchResult, place: int, rivals: Sequence[int], most: int) -> Halves | None:
+    """Ask both halves of the poses; ``rivals`` are the places that count as the same name. None with too few poses."""
+    problem = search.problem
+    first = _first_half(search)
+    sides = [first, ~first]
+    group, used = problem.settings.group, problem.settings.used
+    if min(len(np.unique(group[side & used])) for side in sides) < FEWEST:
+        return None
+    fits = [_fitted(search, place, side) for side in sides]
+    (a, A), (b, B) = (fit.amounts for fit in fits)
+    away = float((a - b) @ np.linalg.pinv(A + B, hermitian=True) @ (a - b))
+    apart = float(norm.isf(max(float(chi2.sf(away, len(a))), 1e-300) / 2.0))
+    errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides), strict=True)]
+    with_it, without = (np.concatenate([e[k] for e in errors]) for k in (0, 1))
+    named = tuple(_named(search, place, rivals, side, most) for side in sides)
+    told = Guarded.of(with_it, without)
+    beside = _beside(search, place)
+    return Halves((named[0], named[1]), apart, told, beside, problem.settings.source.observes_tool)
+
+
+def _first_half(search: SearchResult) -> Bools:
+    """Visits (V,) of the poses that came first."""
+    settings = search.problem.settings
+    clock = settings.source.observations.t
+    order = np.arange(len(settings.group), dtype=np.float64) if clock is None else np.asarray(clock, dtype=np.float64)
+    poses = int(settings.group.max()) + 1
+    count = np.maximum(np.bincount(settings.group, minlength=poses), 1)
+    when = np.bincount(settings.group, order, poses) / count
+    rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
+    return np.asarray(rank[settings.group] < poses / 2)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """One half fitted: coefficients with the effect and without it, its amplitudes with their covariance."""
+
+    with_it: Floats
+    without: Floats
+    columns: Floats  # geometry and all that was chosen (R, p + d), the effect's own last
+    amounts: tuple[Floats, Floats]
+
+    def errors(self, search: SearchResult, side: Bools) -> tuple[Floats, Floats]:
+        """Errors (G,) of the poses of a half, with the effect and without it."""
+        problem = search.problem
+        seen = side & problem.settings.used
+        group = np.unique(problem.settings.group[seen], return_inverse=True)[1]
+        order = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+        out = []
+        for beta in (self.with_it, self.without):
+            left = problem.y - self.columns[:, : len(beta)] @ beta
+            back = problem.settings.whitening.back(left)[seen]
+            out.append(np.array([problem.settings.source.rms(back[own]) for own in order]))
+        return out[0], out[1]
+
+
+def _fitted(search: SearchResult, place: int, side: Bools) -> _Fit:
+    problem, selector = search.problem, search.selector
+    own = list(selector.scorer.candidates[place].columns)
+    rest = [k for k in search.columns if k not in own]
+    columns = np.hstack([problem.U, problem.projected([*rest, *own])])
+    rows = (side & problem.settings.used)[problem.row_visit]
+    X, y = columns[rows], problem.y[rows]
+    inverse = np.linalg.pinv(X.T @ X, rcond=RANK, hermitian=True)
+    beta = inverse @ (X.T @ y)
+    nu = max(float(len(y)) / problem.settings.inflation - X.shape[1], 1.0)
+    grown = max(1.0, float(np.sum((y - X @ beta) ** 2)) / nu)
+    d = len(own)
+    plain = X[:, :-d]
+    without = np.linalg.pinv(plain.T @ plain, rcond=RANK, hermitian=True) @ (plain.T @ y)
+    return _Fit(beta, without, columns, (beta[-d:], grown * inverse[-d:, -d:]))
+
+
+def _named(search: SearchResult, place: int, rivals: Sequence[int], side: Bools, most: int) -> bool:
+    """Whether the selection on this half alone names the effect, or one that cannot be told from it."""
+    problem, selector = search.problem, search.selector
+    gram = reweighted(problem, side[problem.row_visit].astype(np.float64))
+    again = selector.searched(gram, search.critical, most)
+    own = [selector.scorer.candidates[k] for k in (place, *rivals)]
+    return any(_same(selector.scorer.candidates[k], one) for k in again for one in own)
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    """Whether both are of one class at a joint of both."""
+    if one.id != other.id and one.effects[0].physical.id != other.effects[0].physical.id:
+        return False
+    joints, others = set(one.joints or ()), set(other.joints or ())
+    return not joints or not others or bool(joints & others)
+
+
+def _beside(search: SearchResult, place: int) -> float:
+    """Deviations from zero of an effect beside the smooth shapes of every joint and of the workspace.
+
+    Of an error curve no more is claimed than that its joint has one, so the shapes of that joint do not count.
+    """
+    selector, gram = search.selector, search.problem.gram
+    candidate = selector.scorer.candidates[place]
+    joints = set(candidate.joints or ()) if is_curve(candidate) else set[int]()
+    shapes = [
+        c for c in selector.scorer.candidates
+        if c.empirical and "partner" not in c.effects[0].counted and not own_curve(c, joints)
+    ]  # fmt: skip
+    rest = selector.columns([k for k in search.chosen if k != place])
+    taken = sorted({*rest, *(k for c in shapes for k in c.columns)} - set(candidate.columns))
+    given = gram.given(taken)
+    rank = given.rank(candidate.columns)
+    if not rank:
+        return 0.0
+    gain = given.reduction(candidate.columns) / selector.variance(gram, search.chosen)
+    return float(norm.isf(max(float(chi2.sf(gain, rank)), 1e-300) / 2.0))

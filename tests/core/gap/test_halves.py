@@ -1,0 +1,88 @@
+"""An effect rises on its own evidence where something else is left: halves of a campaign, and a confirmation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.report.report import GapReport
+from kilter_core.observations import Observations
+from tests.core.gap.simulated import campaign, katana
+
+NAMES = ("axial_compliance", "backlash", "eccentricity", "unknown_smooth_curve", "unknown_field")
+QUICK = GapOptions(effects=NAMES, resamples=20, permutations=5, bootstraps=499, next_poses=0)
+COMPLIANCE = ("axial_compliance", (1,), (6e-4,))
+
+
+def rough(rows: Observations, size_m: float = 1e-4) -> Observations:
+    """An error of no library, rough over the workspace: steps with one joint times a wave of another."""
+    assert rows.position is not None
+    wave = np.sign(np.sin(5.0 * rows.q[:, 2])) * np.cos(3.0 * rows.q[:, 1])
+    return replace(rows, position=rows.position + size_m * wave[:, None] * np.array([1.0, 0.5, -0.7]))
+
+
+@pytest.fixture(scope="module")
+def beside() -> GapReport:
+    return find_gap(katana(), rough(campaign(katana(), [COMPLIANCE], poses=100, seed=1)), QUICK)
+
+
+def test_an_effect_that_lasts_rises_as_its_class_beside_what_else_is_left(beside: GapReport) -> None:
+    (effect,) = beside.effects
+    assert beside.adequacy.adequate is False
+    assert effect.verdict == "class_confirmed"
+    assert effect.claim.said == "class"  # two loads would name it, but it may be a part of what is left
+    told = beside.to_document()["effects"][0]["halves"]
+    assert told["named"] == [True, True]
+    assert told["with_mm"] < told["without_mm"]
+    assert told["apart_sigma"] < 3.0
+    assert "adequate" not in effect.gates
+
+
+def test_the_model_as_a_whole_has_a_statement_of_its_own(beside: GapReport) -> None:
+    whole = beside.to_document()["adequacy"]
+    assert whole["sentence"].startswith("Something else remains (")
+    assert beside.verdict == "unexplained"
+    assert "confirmed as a class; something else remains" in beside.sentence
+    clean = find_gap(katana(), campaign(katana(), [COMPLIANCE], seed=1), QUICK).to_document()
+    assert clean["adequacy"]["sentence"] == "The model as a whole agrees with the rows."
+    assert clean["adequacy"]["mostly_at"] is None
+    assert [e["halves"] for e in clean["effects"]] == [None]
+
+
+def test_an_effect_of_one_half_alone_does_not_last() -> None:
+    """The joint gives way in the first half of the campaign only: bolts that somebody tightened."""
+    soft, stiff = (rough(campaign(katana(), hidden, poses=100, seed=4)) for hidden in ([COMPLIANCE], []))
+    assert soft.position is not None
+    assert stiff.position is not None
+    first = np.arange(100)[soft.pose_id] < 50
+    rows = replace(
+        soft,
+        position=np.where(first[:, None], soft.position, stiff.position),
+        t=1000.0 * (~first) + np.arange(len(first)),
+    )
+    report = find_gap(katana(), rows, QUICK)
+    assert report.adequacy.adequate is False
+    about = [j for j in report.effects if j.evidence.candidate.id == "axial_compliance"]
+    assert all(j.verdict == "provisional" for j in about)
+
+
+def test_what_is_left_alone_confirms_nothing() -> None:
+    for seed in (5, 6):
+        report = find_gap(katana(), rough(campaign(katana(), [], poses=100, seed=seed)), QUICK)
+        assert [j.claim.words for j in report.effects if j.verdict != "provisional"] == []
+
+
+def test_seen_again_beside_what_is_left_is_replicated_and_no_more_than_the_class() -> None:
+    rows, other = (rough(campaign(katana(), [COMPLIANCE], poses=n, seed=s, arm=1)) for n, s in ((100, 1), (40, 2)))
+    report = find_gap(katana(), rows, QUICK, confirmation=other)
+    effect = next(j for j in report.effects if j.evidence.candidate.id == "axial_compliance")
+    assert effect.verdict == "replicated"
+    assert effect.claim.said == "class"
+    assert effect.evidence.replication is not None
+    told = effect.evidence.replication.guarded
+    assert told is not None
+    assert told.with_it < told.without
+    assert "replicated; something else remains" in report.sentence
