@@ -51,6 +51,11 @@ def test_units_call_commands_and_start_again(unit: Path) -> None:
     assert named <= VARIABLES
 
 
+def test_a_stream_outlives_the_corrector_that_systemd_starts_again() -> None:
+    # By default systemd ends what is left of a service that was killed, and the stream process with it.
+    assert "\nKillMode=process\n" in (DEPLOY / "systemd" / "kilter-corrector.service").read_text(encoding="utf-8")
+
+
 def test_units_are_sound_to_systemd() -> None:
     program = shutil.which("systemd-analyze")
     if program is None:
