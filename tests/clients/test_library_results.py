@@ -16,6 +16,7 @@ import pytest
 
 import kilter_client
 from kilter_client import MissingPackageError
+from kilter_client.cli.results import show_result
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Record, Records
 from kilter_client.results.rows import Rows
@@ -78,6 +79,20 @@ def test_fields_and_the_document_behind_them() -> None:
         result.version_id = "other"  # type: ignore[misc]
     with pytest.raises(KeyError, match=r"did you mean .*a_2"):
         result.parameters["a_3"]
+
+
+@pytest.mark.parametrize(("nominal_mm", "placed"), [(2540.0, True), (1.25, False)])
+def test_the_place_of_a_tracker_is_no_error_of_the_nominal_robot(
+    nominal_mm: float, placed: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = {**DOCUMENT, "metrics": {"train": stage(1.5, 0.9, 0.01), "validation": stage(nominal_mm, 0.835, 0.018)}}
+    show_result(document)
+    said = capsys.readouterr().out
+    shown = repr(IdentifyResult.read(document))
+    fitted, held = said.split("validation (20)", 1)
+    assert "mostly" not in fitted
+    for text in (held, shown):
+        assert ("nominal, mostly where instrument, base and tool are" in text) is placed, text
 
 
 def test_text_says_it_with_units() -> None:

@@ -9,8 +9,9 @@ from kilter_client.cli.gap_report import show_gap
 from kilter_client.cli.identify_report import show_identification, show_parameters
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
+from kilter_client.results.shown import MODELS, nominal_words
 
-STAGES = {"nominal": "nominal", "registration_only": "registration only", "identified": "identified"}
+STAGES = ("nominal", "registration_only", "identified")
 MEASURES = (
     ("mean_mm", "mean mm"),
     ("rms_mm", "rms mm"),
@@ -116,15 +117,26 @@ def _metrics(metrics: Mapping[str, Any]) -> None:
         return
     measures = [m for m in MEASURES if any(m[0] in (b.get(s) or {}) for b in blocks.values() for s in STAGES)]
     rows = [
-        (f"{name} ({block.get('n', '?')})", label, *(number((block[stage]).get(key)) for key, _ in measures))
+        (
+            f"{name} ({block.get('n', '?')})",
+            _label(block, stage),
+            *(number(block[stage].get(key)) for key, _ in measures),
+        )
         for name, block in blocks.items()
-        for stage, label in STAGES.items()
+        for stage in STAGES
         if isinstance(block.get(stage), Mapping)
     ]
     show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
     for name, block in blocks.items():
         if block.get("within_u95") is not None:
             say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")
+
+
+def _label(block: Mapping[str, Any], stage: str) -> str:
+    if stage != "nominal":
+        return MODELS[stage]
+    means = ((block.get(name) or {}).get("mean_mm") for name in ("nominal", "registration_only"))
+    return nominal_words(*means)
 
 
 def _iso9283(campaign: str, report: Mapping[str, Any]) -> None:
