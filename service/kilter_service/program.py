@@ -169,6 +169,23 @@ def seal(settings: Settings, arguments: argparse.Namespace) -> None:
     seal(settings, arguments)
 
 
+def purge_jobs(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Delete jobs that ended long ago and that nothing needs, while the server runs."""
+    from kilter_service.db import Database, revision
+    from kilter_service.jobs.retention import service
+
+    age = service.age_in(arguments.older_than)
+    database = Database(settings.database)
+    try:
+        revision.check(database)
+        if arguments.dry_run:
+            print(f"{service.count(database, age)} jobs would be purged.")
+            return
+        print(f"{service.purge(database, age, 'kilterd purge-jobs')} jobs were purged; the audit names them.")
+    finally:
+        database.close()
+
+
 def compile_kernels(_: Settings, __: argparse.Namespace) -> None:
     """Compile the numeric kernels once, for every process of this installation; nothing else is touched."""
     from kilter_service.compiling import compile_kernels
@@ -201,6 +218,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
     "verify": (verify, "kilterd verify"),
     "seal": (seal, "KILTER_SEAL_KEY=/etc/kilter/seal-key kilterd seal"),
+    "purge-jobs": (purge_jobs, "kilterd purge-jobs --older-than 30d"),
     "doctor": (doctor, "kilterd doctor --json"),
     "compile": (compile_kernels, "sudo /opt/kilter/bin/kilterd compile"),
 }
@@ -234,6 +252,9 @@ def parser() -> argparse.ArgumentParser:
         if name in PATHS:
             shown, count, help_text = PATHS[name]
             added.add_argument("path", metavar=shown, nargs=count, help=help_text)
+        if name == "purge-jobs":
+            added.add_argument("--older-than", metavar="AGE", required=True, help="12h, 30d or 8w since a job ended")
+            added.add_argument("--dry-run", action="store_true", help="only say how many it would be")
         if name == "seal":
             added.add_argument(
                 "--accept", action="store_true", help="take the rows as they are, whatever their seals say"

@@ -21,6 +21,7 @@ from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.sole import sole
 from kilter_service.jobs.lease.watch import Watch
 from kilter_service.jobs.registry import KINDS
+from kilter_service.jobs.retention.service import Retention
 from kilter_service.jobs.runner import Runner
 from kilter_service.jobs.taker import Taker
 from kilter_service.settings import Settings
@@ -67,9 +68,11 @@ def _execute(settings: Settings, database: Database, stop: threading.Event) -> i
         runner = Runner(database, stop, settings.worker_processes)
         Taker(database, runner, member.id, kinds, stop).start(queue)
     log.info("worker %s takes jobs: %s", member.id, ", ".join(settings.worker_queues))
+    retention = Retention(database, settings.keep_jobs_days)
     try:
         while not stop.wait(BEAT_S):
             member.beat()
+            retention.look()
     except ServiceError as error:
         log.error("worker %s ends: %s", member.id, error.message)
         return 1
