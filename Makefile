@@ -112,6 +112,10 @@ bench-peers: .venv-peers/.ready .venv-peers-poe/.ready ## install the tools that
 	.venv-peers-poe/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-poe-constraints.txt robotkinecal
 	touch $@
 
+challenge: $(KERNELS) ## search cases that somebody else hid and score them against the sealed truth (DIR=cases)
+	@[ -n "$(DIR)" ] || { echo 'Name the folder of cases: make challenge DIR=cases (docs/how-to/hide-a-case.md)'; exit 2; }
+	$(BIN)/python -m benchmarks.challenge "$(DIR)"
+
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run (TLS=1: signed, both with TLS)
 	$(BIN)/python -m benchmarks.stream $(if $(TLS),--tls)
 
