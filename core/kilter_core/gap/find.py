@@ -187,7 +187,7 @@ class _Run:
         kept = stored(found, self.begin, prepared.rows, self.options)
         left = misfit(found, fit, rows, self.options)
         held = HoldoutEvaluator(found, prepared, self.validation, kept.posterior)
-        unseen = unseen_fit(held, 1e-3 * floor_mm(rows, self.options))
+        unseen = unseen_fit(held, floor_mm(rows, self.options))
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
         effects, control = self._judged(found, fit, left, kept, held, whole)
         verdict = run_verdict(effects, fit, left)

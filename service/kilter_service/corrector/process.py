@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -241,7 +242,7 @@ class Corrector:
         for child in self._children.values():
             if child.pipe is not None:
                 ended.register(child.pipe, 0)
-        ended.poll(seconds * 1000)
+        ended.poll(timedelta(seconds=seconds) / timedelta(milliseconds=1))
 
     def leave(self) -> None:
         """End, and leave the stream as it is: another corrector takes it over."""

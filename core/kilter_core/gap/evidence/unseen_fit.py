@@ -18,6 +18,7 @@ from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.noise.visits import visits_of
 from kilter_core.gap.search.in_space import root_of
 from kilter_core.gap.search.source import Source
+from kilter_core.identify.report import on_wire
 from kilter_core.types import Floats, Ints
 
 REFUTED = 0.01  # chance below which noise does not explain what held-out rows leave
@@ -59,14 +60,15 @@ class UnseenFit:
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers."""
+        mm = on_wire("m")[1]
         return {
             "chi2": self.chi2, "freedom": self.freedom, "chi2_per_freedom": self.chi2 / self.freedom,
-            "p_value": self.p_value, "poses": self.poses, "left_mm": self.left * 1e3, "noise_mm": self.noise * 1e3,
+            "p_value": self.p_value, "poses": self.poses, "left_mm": self.left * mm, "noise_mm": self.noise * mm,
             "refuted": self.refuted,
         }  # fmt: skip
 
 
-def unseen_fit(held: HoldoutEvaluator, matters: float) -> UnseenFit | None:
+def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     """Judge held-out rows of the tool; None without any, where noise is not known, or places are fitted to them."""
     problem, rows, known = held.search.problem, held.rows, held.fit
     source, noise = problem.settings.source, problem.settings.noise
@@ -91,7 +93,7 @@ def unseen_fit(held: HoldoutEvaluator, matters: float) -> UnseenFit | None:
     told = held.report()
     left = source.rms(told.after @ told.lower.T)
     floor = source.rms(np.eye(len(back)) * np.sqrt(len(back) * told.floor) @ told.lower.T)
-    return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, matters)
+    return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, matters_mm / on_wire("m")[1])
 
 
 def _spread(source: Source, values: Floats, known: Posterior) -> Floats:
