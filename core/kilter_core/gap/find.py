@@ -211,7 +211,10 @@ class _Run:
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
                 *self._unplanned(effects), *kept.alike(),
-                *event_warnings(found, events(found, self.every, moves_mm(found))),
+                *event_warnings(
+                    found, events(found, self.every, moves_mm(found)),
+                    {j.evidence.place for j in effects if j.verdict == "provisional"},
+                ),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip

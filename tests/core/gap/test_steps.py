@@ -98,3 +98,22 @@ def test_rows_before_a_step_have_the_old_place_and_unknown_ones_the_new():
     unknown = effect.local(model.batch(replace(rows, t=None)), np.full(6, 1e-3))
     assert not np.any(unknown.base)
     assert {d.joint for d in unknown.derivatives} == {BASE}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "physical"),
+    [("base", "station"), ("tool", "tool"), ("none", None)],
+)  # fmt: skip
+def test_a_step_is_claimed_within_its_class_at_its_row(kind, physical):
+    """Against the whole library: steps at their row, and nothing that takes another class for certain."""
+    for seed in range(20, 32):
+        made = twin(kind, seed)
+        report = find_gap(robot(), made.rows, replace(QUICK, effects=()))
+        sure = [j for j in report.effects if j.verdict != "provisional"]
+        if physical is None:
+            assert not report.effects, seed
+            continue
+        kept = [j.claim.physical.id for j in sure]
+        assert set(kept) <= {physical}, (seed, kept)
+        assert abs(said(report)["row"] - (made.row + 1)) <= 1, seed

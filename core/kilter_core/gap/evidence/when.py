@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -113,10 +113,13 @@ def _size(found: SearchResult, rows: Observations) -> float:
     return float(np.nansum(source.residual(values)[:, : source.tool_numbers or None] ** 2))
 
 
-def event_warnings(found: SearchResult, whens: tuple[When, ...]) -> Iterator[dict[str, Any]]:
-    """Say when what happened, and what to do about it."""
+def event_warnings(
+    found: SearchResult, whens: tuple[When, ...], likely_only: Collection[int]
+) -> Iterator[dict[str, Any]]:
+    """Say when what happened, and what to do about it; those that are ``likely_only`` may have."""
     for when in whens:
         candidate = found.selector.scorer.candidates[when.place]
+        verb = "may have moved" if when.place in likely_only else "moved"
         who = CALLED.get(candidate.id) or f"The zero of joint {(candidate.joints or (0,))[0] + 1}"
         sure = (
             ""
@@ -125,6 +128,6 @@ def event_warnings(found: SearchResult, whens: tuple[When, ...]) -> Iterator[dic
         )
         yield {
             "code": "moved_once", "row": when.after,
-            "message": f"{who} moved between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm at the tool "
-            f"on average. {REMEDY}",
+            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm at "
+            f"the tool on average. {REMEDY}",
         }  # fmt: skip
