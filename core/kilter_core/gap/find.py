@@ -45,7 +45,7 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
-from kilter_core.gap.report.next_poses import rows_of, separate
+from kilter_core.gap.report.next_poses import beyond_poses, rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
@@ -197,6 +197,7 @@ class _Run:
         judging = held.report()
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
+        poses, beyond = self._next_poses(found, effects)
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence()),
@@ -205,12 +206,12 @@ class _Run:
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
             smallest_detectable=smallest_rows(prepared.library, judged), refused=refused(found),
-            next_poses=self._next_poses(found, effects), negative_control=control,
+            next_poses=poses, negative_control=control,
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *self._unplanned(effects), *kept.alike(),
+                *self._unplanned(effects), *kept.alike(), *beyond,
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if j.verdict == "provisional"},
@@ -350,16 +351,16 @@ class _Run:
         unseen = Measurement.of(self.validation, calibration.marker_points, held=True)
         yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
-    def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
+    def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> tuple[list[dict[str, Any]], ...]:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects or self.budget.over(MEASURING, "poses to measure next"):
-            return []
+            return [], []
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)
         if asked is None:
             weak = [j for j in effects if j.verdict == "provisional"]
             if not weak:
-                return []
+                return [], []
             asked = (weak[0], [])
         j, rivals = asked
         target = j.evidence.candidate
@@ -369,7 +370,8 @@ class _Run:
             found.problem, self.prepared.visits.observations, target, [a.candidate for a in rivals[:1]], others, values,
             self.options.next_poses, self.options.seed,
         )  # fmt: skip
-        return rows_of(proposals, (target.label, rivals[0].candidate.label if rivals else "geometry"), self.robot)
+        names = (target.label, rivals[0].candidate.label if rivals else "geometry")
+        return rows_of(proposals, names, self.robot), list(beyond_poses(proposals, names) if rivals else ())
 
 
 __all__ = ["GapReport", "Library", "Testability", "find_gap"]

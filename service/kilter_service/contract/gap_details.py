@@ -354,7 +354,9 @@ class NextPose(Stored):
     payload_com_mm: PointMm | None = Field(None, description="Its centre in the tool frame, mm; null: the tool point.")
     direction: list[int] | None = Field(None, description="Direction to reach each joint from, -1 or 1; null: any.")
     separates: list[str] | None = Field(None, description="The two that it tells apart.")
-    information_factor: float | None = Field(None, description="How much more is known after it, as a factor.")
+    information_factor: float | None = Field(
+        None, description="How much more is known after it and all before it, as a factor."
+    )
 
 
 class ShuffledEffect(AtJoints):

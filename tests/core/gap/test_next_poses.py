@@ -10,11 +10,12 @@ from kilter_core.errors import OptionError
 from kilter_core.gap import find_gap, plan_separation
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
+from kilter_core.gap.report.next_poses import Proposal, _Question, beyond_poses, rows_of, separate
 from kilter_core.gap.report.separation import imagined, undecided
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
+from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 
 
@@ -143,3 +144,16 @@ def test_a_plan_without_campaigns_carries_the_default_load():
     assert np.unique(rows.payload_kg).tolist() == [0.5]
     assert np.unique(rows.payload_com, axis=0).tolist() == [[0.0, 0.0, 0.04]]
     assert imagined(Calibration.nominal(katana()), GapOptions()).payload_com is None
+
+
+def test_poses_that_cannot_decide_are_said_to_and_how_many_would() -> None:
+    rows = Observations(np.zeros((12, 6)))
+    weak = Proposal(rows, "new", "", 4.0, tuple(np.linspace(4.02, 4.2, 12)))
+    (said,) = beyond_poses([weak], ("eccentricity j2", "gravity_spring j2"))
+    assert "12 poses will not tell eccentricity j2 from gravity_spring j2 (information times 1.05" in said["message"]
+    assert "no number of poses like these would" in said["message"]  # 12 (22 - 4) / 0.2 = 1080
+    some = Proposal(rows, "new", "", 4.0, (*np.linspace(4.5, 9.5, 11), 10.0))
+    (said,) = beyond_poses([weak, some], ("a", "b"))
+    assert "about 36 such poses would" in said["message"]
+    enough = Proposal(rows, "repeat", "another load", 4.0, (*np.linspace(5.0, 30.0, 11), 40.0))
+    assert not list(beyond_poses([weak, enough], ("a", "b")))

@@ -356,11 +356,14 @@ class Selector:
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
         columns = self.columns(rest)
         given = gram.given(columns)
-        scores = self.scorer.scores(given)
-        value = np.round(scores.S / variance - scores.d * np.log(self.rows) - self.extra, 1)
-        able = (scores.p < critical) & (scores.d > 0)
+        reductions, d = self.scorer.reductions(given, given.c[None])
+        value = np.round(reductions[0] / variance - d * np.log(self.rows) - self.extra, 1)
+        able = d > 0
         able[list(taken)] = False
         without = self.criterion(gram, rest, variance)
+        if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # no tail needs to be computed
+            return None, -np.inf
+        able &= self.scorer.scores(given).p < critical
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # its signs need not be looked at
             return None, -np.inf
         k, worth = self._first(gram, rest, np.asarray(value), able)

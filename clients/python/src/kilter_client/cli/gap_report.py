@@ -216,7 +216,9 @@ def _next_poses(poses: Sequence[Mapping[str, Any]]) -> None:
     say(f"Measure next, to tell {' from '.join(poses[0].get('separates') or ['?'])} ({len(poses)} poses):")
     for kind, change in dict.fromkeys((p.get("kind"), p.get("change")) for p in poses):
         own = [p for p in poses if (p.get("kind"), p.get("change")) == (kind, change)]
-        say(f"  {change or 'new poses'}: {len(own)}, information times {number(own[-1].get('information_factor'), 3)}")
+        say(
+            f"  {change or 'new poses'}: {len(own)}, information times {number(own[-1].get('information_factor'), 3)} after all"
+        )
 
 
 def _name(effect: Mapping[str, Any]) -> str:

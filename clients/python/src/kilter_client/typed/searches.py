@@ -245,7 +245,7 @@ class NextPose(Record):
     direction: tuple[int, ...]
     """Direction to reach each joint from, -1 or 1; None: any."""
     information_factor: float | None
-    """How much more is known after it, as a factor."""
+    """How much more is known after it and all before it, as a factor."""
     kind: str | None
     """`new`, or what is done again."""
     payload_com_mm: tuple[float, ...]
