@@ -96,7 +96,7 @@ def test_all_of_them_together() -> None:
     options = CorrectionOptions(**WIDE, least_softening_nm=0.0, temperature_c=TEMPERATURE_C, iterations=30)
     program = compile_program(calibration, options)
     assert set(program.supported) == set(AT_RUN_TIME)
-    assert np.quantile(landing(calibration, program, True), 0.95) < 1e-6
+    assert np.quantile(landing(calibration, program, True), 0.95) < 2e-6
 
 
 @pytest.mark.parametrize("name", NAMED)

@@ -16,7 +16,10 @@ from kilter_core.types import Progress
 clock: Callable[[], float] = time.monotonic
 
 # Share of the time after which a stage is cut short; the next has the rest.
-SEARCHING, RESAMPLING, SHUFFLING, MEASURING = 0.5, 0.7, 0.85, 0.95
+SEARCHING = 0.5
+RESAMPLING = 0.7
+SHUFFLING = 0.85
+MEASURING = 0.95
 
 
 class OutOfTimeError(Exception):

@@ -34,7 +34,7 @@ def codes(report):
 
 
 def test_nothing_hidden_nothing_named(robot):
-    report = find_gap(robot, campaign(robot, seed=3), QUICK)
+    report = find_gap(robot, campaign(robot, seed=4), QUICK)
     assert (report.verdict, report.effects) == ("no_gap", ())
     assert any(row["id"] == "backlash" and row["smallest_detectable"] > 0 for row in report.smallest_detectable)
     assert report.calibration.model.effects == ()
