@@ -11,11 +11,13 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kilter_core.effects import EFFECTS
+from kilter_core.effects.physical import JOINT_SCALE
 
 SEALS = "seals.txt"  # as sha256sum writes it
 TRUTH = "truth.json"
 Part = TypeVar("Part", bound=BaseModel)
-CLASSES = frozenset(effect.physical.id for effect in EFFECTS.values())
+# A prismatic joint has a class of its own.
+CLASSES = frozenset({JOINT_SCALE.id, *(effect.physical.id for effect in EFFECTS.values())})
 
 
 class CaseError(Exception):

@@ -92,7 +92,9 @@ def knock(rng: np.random.Generator) -> Flaw:
         moved[row >= share * row.max(), joint] += by
         return moved
 
-    return Flaw([hidden("joint_zero", [], [joint + 1], f"zero of joint {joint + 1} knocked")], reading=reading)
+    return Flaw(
+        [hidden("joint_zero", ["zero_step"], [joint + 1], f"zero of joint {joint + 1} knocked")], reading=reading
+    )
 
 
 def step(rng: np.random.Generator) -> Flaw:
@@ -102,7 +104,7 @@ def step(rng: np.random.Generator) -> Flaw:
     def station(p: Floats, row: Floats, warm: Floats) -> Floats:
         return np.asarray(p + np.where(row >= share * row.max(), 1.0, 0.0)[:, None] * by)
 
-    return Flaw([hidden("station", [], [], "tripod pushed")], station=station)
+    return Flaw([hidden("station", ["base_step"], [], "tripod pushed")], station=station)
 
 
 def column(rng: np.random.Generator) -> Flaw:

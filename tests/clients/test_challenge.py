@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.challenge import multibody
 from benchmarks.challenge.answers import answer
-from benchmarks.challenge.case import Case, CaseError, Hidden, Truth, cases
+from benchmarks.challenge.case import CLASSES, Case, CaseError, Hidden, Truth, cases
 from benchmarks.challenge.page import page
 from benchmarks.challenge.score import Scored, figures
 from kilter_client import Kilter
@@ -62,6 +62,11 @@ def test_a_truth_counts_that_was_sealed(tmp_path: Path) -> None:
 def test_a_truth_that_cannot_be_read_names_the_place(tmp_path: Path, hidden: dict[str, Any], said: str) -> None:
     with pytest.raises(CaseError, match=said):
         sealed(tmp_path, document(**hidden)).truth()
+
+
+def test_the_how_to_lists_every_class() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "hide-a-case.md").read_text(encoding="utf-8")
+    assert {line.split("`")[1] for line in page.splitlines() if line.startswith("| `")} == CLASSES - {"shape"}
 
 
 def test_a_folder_without_cases_says_where_the_format_is(tmp_path: Path) -> None:

@@ -7,8 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.effects.physical import Separator
 from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.evidence.claim import Claim
+from kilter_core.gap.evidence.likeness import Alias
+from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.report.report import effect_row
+from kilter_core.gap.search.candidates import library_of
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import Hidden, campaign, katana
 
@@ -65,3 +70,18 @@ def test_a_temperature_that_goes_along_with_time_names_nothing() -> None:
     assert together["class"] is not None
     assert "whatever went with it" in together["class"]
     assert together["verdict"] == "class_confirmed"
+
+
+def test_a_sentence_names_the_nearest_and_counts_the_others() -> None:
+    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    chosen = next(c for c in candidates if c.id == "eccentricity")
+    rivals = [Alias(k, c, 0.0, 1.0, 0.5) for k, c in enumerate(candidates) if c.id in ("backlash", "zero_thermal")]
+    assert len(rivals) > 5
+    for evidence, end in (
+        ((), " others (these data cannot tell)"),
+        ((Separated(Separator.TURN, False, 0.4),), " others"),
+    ):
+        claim = Claim.of(chosen, katana(), rivals, evidence, settled=True)
+        assert claim.words.endswith(end)
+        assert claim.words.count(" or ") == 3
+    assert Claim.of(chosen, katana(), rivals[:3], (), settled=True).words.count(" or ") == 3

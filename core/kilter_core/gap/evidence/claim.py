@@ -14,6 +14,7 @@ from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.search.candidates import Candidate
 
 MEMBER, ONE_OF, CLASS = "member", "one_of", "class"
+SHOWN = 3  # names in a sentence
 
 
 @dataclass(frozen=True)
@@ -53,10 +54,10 @@ class Claim:
             return Claim(CLASS, member, *about)
         if not settled or not all(e.met for e in evidence):
             shapes = [candidate.id.replace("_", " "), *names[1:]]
-            shape = f", in the shape of {' or '.join(shapes)}" if physical.shaped else ""
+            shape = f", in the shape of {_some(shapes)}" if physical.shaped else ""
             return Claim(CLASS, label + shape, *about)
         if len(names) > 1:
-            return Claim(ONE_OF, " or ".join(names) + " (these data cannot tell)", *about)
+            return Claim(ONE_OF, _some(names) + " (these data cannot tell)", *about)
         return Claim(MEMBER, candidate.label, *about)
 
     def to_document(self) -> dict[str, Any]:
@@ -73,3 +74,10 @@ class Claim:
                 "outside": list(self.physical.outside),
             },
         }  # fmt: skip
+
+
+def _some(names: Sequence[str]) -> str:
+    """Names for people: the nearest few, and how many there are besides; all of them stand in the alias set."""
+    shown = list(names[:SHOWN]) if len(names) > SHOWN + 1 else list(names)
+    rest = [f"{len(names) - len(shown)} others"] if len(shown) < len(names) else []
+    return " or ".join([*shown, *rest])
