@@ -271,8 +271,8 @@ def test_errors_by_cause_stand_in_nobodys_way(chromium: Browser, server: httpx.C
 
 def damaged(there: Made) -> None:
     """Take the rows of the campaign away from under the database: whatever reads them fails in a way nobody foresaw."""
-    with there.database.transaction() as session:
-        session.execute(update(ChunkRow).values(parquet=b"PAR1 and then nothing that a reader knows"))
+    with there.database.engine.begin() as connection:
+        connection.execute(update(ChunkRow).values(parquet=b"PAR1 and then nothing that a reader knows"))
 
 
 def test_a_part_that_fails_is_a_sentence_and_keeps_nobody_from_going_back(tmp_path: Path, migrated: Path) -> None:

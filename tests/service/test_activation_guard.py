@@ -10,7 +10,6 @@ import httpx
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sqlalchemy import update
 
 from kilter_core.identify.holdout import split
 from kilter_core.observations.repeats import rounded_poses
@@ -256,9 +255,8 @@ def test_versions_split_by_rounded_readings_keep_their_split(lab: Lab) -> None:
         now = np.flatnonzero(archive.fitted(version, campaign))
     np.testing.assert_array_equal(now, split(rows, 0.3, 5)[0])
     with lab.database.transaction() as session:
-        kept = store.get(session, version).report.items()
-        report = {k: v for k, v in kept if k not in (store.POSES, store.SPLIT)}
-        session.execute(update(VersionRow).where(VersionRow.id == version).values(report=report))
+        row = session.get_one(VersionRow, version)
+        row.report = {k: v for k, v in row.report.items() if k not in (store.POSES, store.SPLIT)}
     with lab.database.reading() as session:
         archive = guard.Archive(session, store.get(session, version).robot_id)
         before = np.flatnonzero(archive.fitted(version, campaign))
