@@ -148,7 +148,7 @@ def test_somebody_who_sees_the_setpoints_moves_the_arm_within_bounds(
             before, last = stream.correct(Q), time.monotonic()
             for _ in range(300):
                 setpoint, now = stream.correct(Q), time.monotonic()
-                assert setpoint.source == "corrected"
+                assert setpoint.source in ("corrected", "slowed")  # a busy machine may keep an answer back
                 delta = np.array(setpoint.delta)
                 assert np.abs(delta).max() <= most + 1e-8
                 assert np.abs(delta - before.delta).max() <= most * (now - last) / 0.2 + 1e-8
