@@ -140,7 +140,7 @@ class Remark(Stored):
     simpler_mm: Mm | None = Field(None, description="Error of the simpler model on held-out rows, mm.")
     identified_mm: Mm | None = Field(None, description="Error of the identified model on held-out rows, mm.")
     left_out: list[str] | None = Field(None, description="What there was no time for.")
-    budget_s: float | None = Field(None, description="Seconds that were given.")
+    budget_s: float | None = Field(None, description="Time that was given, s.")
     quantity: str | None = Field(None, description="Which errors were compared: `mean by pose` or `rms by pose`.")
     simpler_deg: Deg | None = Field(None, description="Error of the simpler model on held-out rows, degrees.")
     identified_deg: Deg | None = Field(None, description="Error of the identified model on held-out rows, degrees.")

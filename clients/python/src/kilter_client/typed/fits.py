@@ -151,7 +151,7 @@ class Remark(Record):
     beyond_chance: bool | None
     """Whether the difference is more than chance explains."""
     budget_s: float | None
-    """Seconds that were given."""
+    """Time that was given, s."""
     campaigns: tuple[str, ...]
     """Ids of the campaigns it is about."""
     code: str
