@@ -67,7 +67,7 @@ def events(lines: Iterator[str]) -> Iterator[Event]:
 
 
 def advance(database: Database, job: str, fraction: float, stage: str) -> None:
-    with database.transaction() as session:
+    with database.noting() as session:
         session.execute(update(JobRow).where(JobRow.id == job).values(fraction=fraction, stage=stage))
 
 
