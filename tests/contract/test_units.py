@@ -38,7 +38,6 @@ STILL = {
     "core/kilter_core/gap/evidence/matters.py": 4,
     "core/kilter_core/gap/report/next_poses.py": 1,
     "core/kilter_core/gap/report/separation.py": 1,
-    "core/kilter_core/gap/search/prepare.py": 1,
     "core/kilter_core/gap/find.py": 1,
     "core/kilter_core/gap/report/localization.py": 1,
     "core/kilter_core/identify/check.py": 2,

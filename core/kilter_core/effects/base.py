@@ -91,6 +91,8 @@ class Batch(Conditions):
 
 
 BASE, TOOL = -1, -2  # places of a twist besides the joints: right after the base frame, and on the tool
+# Places of a twist of a frame, with their units.
+TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, TWIST, Batch, Derivative, Effect, Local, linear, option
 from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -17,7 +17,6 @@ from kilter_core.types import Floats
 
 USUAL = 0.2  # of the campaign, when no time constant is given
 SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look the same
-TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
 
 
 @dataclass(frozen=True)

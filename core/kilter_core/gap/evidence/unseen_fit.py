@@ -18,7 +18,7 @@ from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.noise.visits import visits_of
 from kilter_core.gap.search.in_space import root_of
 from kilter_core.gap.search.source import Source
-from kilter_core.identify.report import on_wire
+from kilter_core.measurement.metrics import metres, mm
 from kilter_core.types import Floats, Ints
 
 REFUTED = 0.01  # chance below which noise does not explain what held-out rows leave
@@ -60,10 +60,9 @@ class UnseenFit:
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers."""
-        mm = on_wire("m")[1]
         return {
             "chi2": self.chi2, "freedom": self.freedom, "chi2_per_freedom": self.chi2 / self.freedom,
-            "p_value": self.p_value, "poses": self.poses, "left_mm": self.left * mm, "noise_mm": self.noise * mm,
+            "p_value": self.p_value, "poses": self.poses, "left_mm": mm(self.left), "noise_mm": mm(self.noise),
             "refuted": self.refuted,
         }  # fmt: skip
 
@@ -93,7 +92,7 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     told = held.report()
     left = source.rms(told.after @ told.lower.T)
     floor = source.rms(np.eye(len(back)) * np.sqrt(len(back) * told.floor) @ told.lower.T)
-    return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, matters_mm / on_wire("m")[1])
+    return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, metres(matters_mm))
 
 
 def _spread(source: Source, values: Floats, known: Posterior) -> Floats:

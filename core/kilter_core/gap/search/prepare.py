@@ -40,6 +40,7 @@ from kilter_core.identify.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
+from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
@@ -253,7 +254,7 @@ class _Preparation:
         if found is not None and source.unit != "rad":
             self.warnings += instrument_warnings(found, self._stated(visits))
         if self.options.noise_mm is not None and not linear:
-            return stated_noise(self._option_m(), visits, size)
+            return stated_noise(metres(self.options.noise_mm), visits, size)
         if found is not None:
             if not found.absolute:
                 self._warn(
@@ -275,15 +276,11 @@ class _Preparation:
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return source.even(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost))
 
-    def _option_m(self) -> float:
-        """Noise of a coordinate that the options state, m."""
-        return 1e-3 * (self.options.noise_mm or 0.0)
-
     def _stated(self, visits: Visits) -> float | None:
         """Standard deviation m of a coordinate of a row, as the instrument states it: the columns of rows, else the option."""
         sigma = visits.observations.sigma
         if sigma is None:
-            return None if self.options.noise_mm is None else self._option_m()
+            return None if self.options.noise_mm is None else metres(self.options.noise_mm)
         return float(np.sqrt(np.nanmean(sigma**2 * visits.count[:, None])))
 
     def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
