@@ -73,10 +73,14 @@ check: $(KERNELS) ## style, types, import rules
 	$(BIN)/python -m tools.draw_rooms --check
 	$(BIN)/python -m tools.licences --check
 	$(BIN)/python -m tools.bundle_page --check
+	$(BIN)/python -m tools.c_corrector --check
 	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
 
 page: $(READY) ## bundle the page's scripts and styles (needs Node.js, for whoever changes the page only)
 	$(BIN)/python -m tools.bundle_page
+
+c-corrector: $(READY) ## translate the kernels of the correction into clients/c
+	$(BIN)/python -m tools.c_corrector
 
 page-picture: $(KERNELS) ## draw docs/images/page.png from the page of a server with demo data (VIEW=/stream; needs Chromium)
 	$(BIN)/python -m tools.draw_page_picture $(if $(VIEW),--view $(VIEW))

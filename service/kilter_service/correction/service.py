@@ -15,7 +15,8 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction import load, outcome
 from kilter_service.correction.formats import read_trajectory, write_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
-from kilter_service.correction.wire import cells, options_of, with_verdict
+from kilter_service.correction.wire import cells, with_verdict
+from kilter_service.correction_limits import options_of
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS

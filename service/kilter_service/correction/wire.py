@@ -1,47 +1,21 @@
-"""Corrections as they go over the wire: limits of the contract into core's, what was removed into columns in mm."""
+"""Corrections as they go over the wire: what was removed into columns in mm."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction.outcome import flag_names
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.correct.program import CorrectionOptions
     from kilter_service.correction.outcome import Outcome
 
 Floats = NDArray[np.float64]
-
-
-def options_of(
-    limits: CorrectionLimits, temperature_c: float | None, task: str | None = None, at_limit: str | None = None
-) -> CorrectionOptions:
-    """Return how to correct within the limits of a version, the arm at this temperature.
-
-    ``task`` None is the default of the core, ``at_limit`` None what the limits say: as the stream has both.
-    """
-    from kilter_core.correct.program import (
-        CorrectionOptions,
-    )  # loads compiled kernels: not at the start of the API process
-
-    options = CorrectionOptions(
-        largest_rad=math.radians(limits.max_joint_deg),
-        largest_m=limits.max_position_mm * 1e-3,
-        farthest_m=limits.max_position_mm * 1e-3,
-        temperature_c=temperature_c,
-        at_limit=limits.at_limit,
-    )
-    wanted: dict[str, Any] = {"task": task, "at_limit": at_limit}
-    return replace(options, **{name: value for name, value in wanted.items() if value is not None})
 
 
 def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:

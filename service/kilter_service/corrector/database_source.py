@@ -72,7 +72,7 @@ class DatabaseSource:
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
     from kilter_core.correct.program import compile_program
-    from kilter_service.correction.wire import options_of
+    from kilter_service.correction_limits import options_of
 
     options = options_of(version.limits, temperature_c)
     return Active(

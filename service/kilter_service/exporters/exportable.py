@@ -35,7 +35,7 @@ class Exportable:
 
 
 class Written(NamedTuple):
-    """A file's text, and notes on what it leaves out of the version."""
+    """A file's text, or its bytes where it is none, and notes on what it leaves out of the version."""
 
-    text: str
+    text: str | bytes
     notes: tuple[str, ...] = ()

@@ -12,9 +12,9 @@ from kilter_service.exporters.exportable import Exportable, Written
 
 
 class Exported(NamedTuple):
-    """A file: its text, media type and name, and what it leaves out."""
+    """A file: its text or bytes, media type and name, and what it leaves out."""
 
-    text: str
+    text: str | bytes
     media_type: str
     name: str
     notes: tuple[str, ...]
@@ -35,6 +35,8 @@ FORMATS: Mapping[str, Format] = {
     "mdh-csv": Format("table_csv.mdh_csv", "text/csv", "mdh.csv"),
     "ur-yaml": Format("ur_yaml.ur_yaml", "application/yaml", "yaml"),
     "matlab": Format("matlab.matlab", "text/plain", "m"),
+    "corrector": Format("corrector.corrector", "application/octet-stream", "klt"),
+    "c": Format("corrector.c_source", "text/x-c", "c"),
 }
 
 

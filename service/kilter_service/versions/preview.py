@@ -16,7 +16,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction import outcome
-from kilter_service.correction.wire import options_of
+from kilter_service.correction_limits import options_of
 from kilter_service.db import Database
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import Foreseen

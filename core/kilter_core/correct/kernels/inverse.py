@@ -79,11 +79,11 @@ def _jacobian(P, W, S, T, n, m, oj, rows):
         if P[k, KIND] == 0.0:
             v0, v1, v2 = cross(z0, z1, z2, T[9] - W[k, LINE + 3], T[10] - W[k, LINE + 4], T[11] - W[k, LINE + 5])
             if rows > 3:
-                turn = ratio * weight
-                W[j, COLUMN + 3] += turn * (T[0] * z0 + T[3] * z1 + T[6] * z2)
-                W[j, COLUMN + 4] += turn * (T[1] * z0 + T[4] * z1 + T[7] * z2)
+                rotation = ratio * weight
+                W[j, COLUMN + 3] += rotation * (T[0] * z0 + T[3] * z1 + T[6] * z2)
+                W[j, COLUMN + 4] += rotation * (T[1] * z0 + T[4] * z1 + T[7] * z2)
                 if rows > 5:
-                    W[j, COLUMN + 5] += turn * (T[2] * z0 + T[5] * z1 + T[8] * z2)
+                    W[j, COLUMN + 5] += rotation * (T[2] * z0 + T[5] * z1 + T[8] * z2)
         else:
             v0, v1, v2 = z0, z1, z2
         for r, v in enumerate((v0, v1, v2)):
@@ -182,7 +182,7 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
 
 
 @compiled(**FAST)
-def _left_after_step(P, W, S, info, n, oj, rows, d, turn):
+def _left_after_step(P, W, S, info, n, oj, rows, d, rotation):
     """What is left after the last step of the search, which was small: its Jacobian tells the step's share."""
     square = 0.0
     for r in range(6):
@@ -193,7 +193,7 @@ def _left_after_step(P, W, S, info, n, oj, rows, d, turn):
         if r < 3:
             info[LEFT + r] = step - d[r]
         else:
-            rest = turn[r - 3] - step / P[S, WEIGHT + 3]
+            rest = rotation[r - 3] - step / P[S, WEIGHT + 3]
             square += rest * rest
     info[LEFT_TURN] = math.sqrt(square)
 

@@ -143,16 +143,16 @@ def _within_point_first(P, W, S, n, oj, og):
     """The point keeps what it needs, the rotation gets what is left; then the point is damped, then scaled down."""
     e0, e1, e2 = W[og, RIGHT], W[og + 1, RIGHT], W[og + 2, RIGHT]
     y0, y1, y2 = solve_point(W, og, e0, e1, e2, P[S, SINGULAR])
-    square, part, turn = 0.0, 0.0, 0.0
+    square, part, rotation = 0.0, 0.0, 0.0
     for j in range(oj, oj + n):
         step = W[j, COLUMN] * y0 + W[j, COLUMN + 1] * y1 + W[j, COLUMN + 2] * y2
         square += step * step
         part = max(part, abs(step) / P[j, LARGEST])
-        turn = max(turn, abs(joint_step(W, j, og) - step) / P[j, LARGEST])
+        rotation = max(rotation, abs(joint_step(W, j, og) - step) / P[j, LARGEST])
     if part <= 1.0:
-        if part + turn <= 1.0:
+        if part + rotation <= 1.0:
             return 0
-        share = (1.0 - part) / turn
+        share = (1.0 - part) / rotation
         for r, y in enumerate((y0, y1, y2)):
             W[og + r, MULTIPLIER] = y + share * (W[og + r, MULTIPLIER] - y)
         for r in range(3, 6):

@@ -109,12 +109,12 @@ def _refused(P, state, info, x, n, m, width, dt):
 def _direction(state, W, j, i, x, band, started):
     """Direction of the last motion of a joint: it reverses when the joint comes back by more than the band."""
     sign = state[i, LAST_SIGN] if started else 0.0
-    turn = state[i, REVERSED_AT] if started else x
-    if x > turn + band or (sign > 0.0 and x > turn):
-        sign, turn = 1.0, x
-    elif x < turn - band or (sign < 0.0 and x < turn):
-        sign, turn = -1.0, x
-    W[j, SIGN], W[j, REVERSED_AT_NEW] = sign, turn
+    place = state[i, REVERSED_AT] if started else x
+    if x > place + band or (sign > 0.0 and x > place):
+        sign, place = 1.0, x
+    elif x < place - band or (sign < 0.0 and x < place):
+        sign, place = -1.0, x
+    W[j, SIGN], W[j, REVERSED_AT_NEW] = sign, place
 
 
 @compiled(**EXACT)
@@ -359,36 +359,41 @@ def follow(memory, program_rows, n, x, width, dt, out, info, status):
 
 
 @compiled(**EXACT)
-def correct_rows(memory, program_rows, n, x, width, direction, out, info, status):
-    """Correct N rows that do not follow one another: no ramp, no rate limits; ``direction (N, n)`` as it was measured.
+def correct_row(P, W, state, x, width, direction, out, info, n, m):
+    """Correct one row that follows no other: no ramp, no rate limits; returns its status.
 
-    Writes ``out (N, n)``, ``info (N, INFO)`` and ``status (N,)``. A row too large or outside the limits keeps its
-    numbers: nothing moves by them.
+    A row too large or outside the limits keeps its numbers: nothing moves by them.
     """
+    S = P.shape[0] - 1
+    for i in range(INFO):
+        info[i] = 0.0
+    for i in range(n):
+        j = m + 1 + i
+        W[j, WANTED], W[j, GUESSED], W[j, SIGN] = x[i], 0.0, direction[i]
+        W[j, SPEED_NOW] = x[n + i] if width == 3 else 0.0
+        W[j, ACCEL_NOW] = x[2 * n + i] if width == 3 else 0.0
+    flags = solve(P, W, state, info, n, m, width == 3, math.inf, False, int(P[S, ROUNDS]))
+    near, flags = flags & NEAR_REVERSAL != 0, flags & ~NEAR_REVERSAL
+    for j in range(m + 1, m + 1 + n):
+        W[j, NEXT] = W[j, COMMAND] - W[j, WANTED]
+    status = _verdict(P, W, info, out, flags, n, m)
+    if info[1] != 0.0:
+        _hold_short(P, W, S, info, out, n, m, width == 3)
+    if info[1] != 0.0 or near:
+        _tell_left(P, W, S, info, out, n, m, width == 3, near)
+    for i in range(n):
+        if not P[m + 1 + i, LOWER] <= x[i] <= P[m + 1 + i, UPPER]:
+            status = JOINT_LIMIT
+    return status
+
+
+@compiled(**EXACT)
+def correct_rows(memory, program_rows, n, x, width, direction, out, info, status):
+    """Correct N rows that do not follow one another; writes ``out (N, n)``, ``info (N, INFO)`` and ``status (N,)``."""
     rows = memory.shape[0]
     P = memory[:program_rows]
     W = memory[program_rows : rows - n - 3]
     state = memory[rows - n - 3 : rows - 2]
-    S = program_rows - 1
-    m = int(P[S, M])
+    m = int(P[program_rows - 1, M])
     for row in range(x.shape[0]):
-        info[row, :] = 0.0
-        for i in range(n):
-            j = m + 1 + i
-            W[j, WANTED] = x[row, i]
-            W[j, GUESSED] = 0.0
-            W[j, SIGN] = direction[row, i]
-            W[j, SPEED_NOW] = x[row, n + i] if width == 3 else 0.0
-            W[j, ACCEL_NOW] = x[row, 2 * n + i] if width == 3 else 0.0
-        flags = solve(P, W, state, info[row], n, m, width == 3, math.inf, False, int(P[S, ROUNDS]))
-        near, flags = flags & NEAR_REVERSAL != 0, flags & ~NEAR_REVERSAL
-        for j in range(m + 1, m + 1 + n):
-            W[j, NEXT] = W[j, COMMAND] - W[j, WANTED]
-        status[row] = _verdict(P, W, info[row], out[row], flags, n, m)
-        if info[row, 1] != 0.0:
-            _hold_short(P, W, S, info[row], out[row], n, m, width == 3)
-        if info[row, 1] != 0.0 or near:
-            _tell_left(P, W, S, info[row], out[row], n, m, width == 3, near)
-        for i in range(n):
-            if not P[m + 1 + i, LOWER] <= x[row, i] <= P[m + 1 + i, UPPER]:
-                status[row] = JOINT_LIMIT
+        status[row] = correct_row(P, W, state, x[row], width, direction[row], out[row], info[row], n, m)

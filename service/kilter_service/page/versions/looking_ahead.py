@@ -25,6 +25,8 @@ NAMES = {
     "mdh-csv": "table of modified DH parameters",
     "ur-yaml": "calibration of the Universal Robots driver",
     "matlab": "function for MATLAB",
+    "corrector": "program for the corrector in C",
+    "c": "corrector and program as one C file",
 }
 REFUSED = {
     "CORRECTION_TOO_LARGE": "the correction is larger than the version's limits",

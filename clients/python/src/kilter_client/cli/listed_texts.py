@@ -370,4 +370,6 @@ EXPORTS: list[dict[str, str]] = [
     {"id": "mdh-csv", "ending": ".mdh.csv"},
     {"id": "ur-yaml", "ending": ".yaml"},
     {"id": "matlab", "ending": ".m"},
+    {"id": "corrector", "ending": ".klt"},
+    {"id": "c", "ending": ".c"},
 ]

@@ -1,0 +1,34 @@
+"""Limits of a correction as the contract has them, into the core's options: for paths, the stream and exported programs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.contract.versions import CorrectionLimits
+
+if TYPE_CHECKING:
+    from kilter_core.correct.program import CorrectionOptions
+
+
+def options_of(
+    limits: CorrectionLimits, temperature_c: float | None, task: str | None = None, at_limit: str | None = None
+) -> CorrectionOptions:
+    """Return how to correct within the limits of a version, the arm at this temperature.
+
+    ``task`` None is the default of the core, ``at_limit`` None what the limits say: as the stream has both.
+    """
+    from kilter_core.correct.program import (
+        CorrectionOptions,
+    )  # loads compiled kernels: not at the start of the API process
+
+    options = CorrectionOptions(
+        largest_rad=math.radians(limits.max_joint_deg),
+        largest_m=limits.max_position_mm * 1e-3,
+        farthest_m=limits.max_position_mm * 1e-3,
+        temperature_c=temperature_c,
+        at_limit=limits.at_limit,
+    )
+    wanted: dict[str, Any] = {"task": task, "at_limit": at_limit}
+    return replace(options, **{name: value for name, value in wanted.items() if value is not None})
