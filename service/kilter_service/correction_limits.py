@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.wire import to_metres, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.correct.program import CorrectionOptions
@@ -24,9 +24,9 @@ def options_of(
     )  # loads compiled kernels: not at the start of the API process
 
     options = CorrectionOptions(
-        largest_rad=math.radians(limits.max_joint_deg),
-        largest_m=limits.max_position_mm * 1e-3,
-        farthest_m=limits.max_position_mm * 1e-3,
+        largest_rad=to_rad(limits.max_joint_deg),
+        largest_m=to_metres(limits.max_position_mm),
+        farthest_m=to_metres(limits.max_position_mm),
         temperature_c=temperature_c,
         at_limit=limits.at_limit,
     )
