@@ -51,14 +51,14 @@ def evaluate(
     if not measurement.observes_places:  # what a row misses by is known against the others only
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
         return {
-            "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},
+            "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
             "within_u95": None, "rows": none.to_document(), "warnings": [],
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
     stages["without"] = _refitted(nominal, measurement, tuple(refit))
     within = None if known is None else table.within
     return {
-        "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},
+        "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
         "within_u95": within, "rows": table.to_document(),
         "warnings": [*_worse(stages, measurement), *_narrow(within)],
     }  # fmt: skip

@@ -19,7 +19,7 @@ from kilter_core.gap.evidence.control import Control, controls, false_names
 from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.halves import halves
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
-from kilter_core.gap.evidence.holding_out import parted
+from kilter_core.gap.evidence.holding_out import held_out, parted
 from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
 from kilter_core.gap.evidence.local_bump import local_bump_test
 from kilter_core.gap.evidence.matters import Misfit, floor_mm, misfit, moves_mm
@@ -42,6 +42,7 @@ from kilter_core.gap.evidence.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.evidence.when import event_warnings, events, settled
 from kilter_core.gap.options import GapOptions
+from kilter_core.gap.report.aside import rows_aside
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
@@ -64,6 +65,7 @@ from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Progress, unheard
@@ -106,10 +108,12 @@ def find_gap(
         refuse_mixed_up(begin, confirmation)
     observations = numbered(observations)
     remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations))
-    every = observations
+    every, share = observations, validation
     observations, validation = parted(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
     report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget).report()
+    if not isinstance(share, Observations):
+        report = report.numbered(*held_out(every, share, options.seed))
     return replace(report, warnings=(*budget.warnings(), *report.warnings, *remarks))
 
 
@@ -218,7 +222,16 @@ class _Run:
                 ),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
+            **self._aside(kept, held, gap),
         )  # fmt: skip
+
+    def _aside(self, kept: Stored, held: HoldoutEvaluator, gap: dict[str, Any]) -> dict[str, Any]:
+        """The rows that were let go, of those searched and of those held out."""
+        sigma, spikes = metres(gap["noise_mm"] or 0.0), held.set_aside
+        out = {"set_aside": tuple(rows_aside(kept.calibration, self.prepared.given, self.prepared.outlying, sigma))}
+        if self.validation is not None:
+            out["held_aside"] = tuple(rows_aside(kept.calibration, self.validation, spikes, sigma))
+        return {**out, "spikes": spikes}
 
     def _judged(
         self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,

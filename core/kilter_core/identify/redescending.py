@@ -13,7 +13,9 @@ import numpy as np
 
 from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit, Problem, Weights, solve
 from kilter_core.identify.robust import Loss, Robust, redescended
+from kilter_core.identify.row_errors import mean_of
 from kilter_core.measurement import Residual
+from kilter_core.measurement.metrics import mm
 from kilter_core.types import Floats
 
 ENOUGH = 1e-3  # share of the loss below which a step no longer changes which rows are let go
@@ -80,13 +82,27 @@ def redescend(first: Fit) -> tuple[Fit, Robust]:
 
 
 def set_aside(fit: Fit) -> list[dict[str, Any]]:
-    """Rows that count less than half: ``row`` from 0, ``residual_sigma`` the length of what is left of it, ``weight``."""
+    """Rows that count less than half: ``row`` from 0, what is left of it (``residual_mm``, ``residual_sigma``), ``weight``.
+
+    ``residual_mm`` is None where no point of the tool was measured.
+    """
     weight = row_weights(fit)
     rows = np.flatnonzero(weight < SET_ASIDE)
     if not len(rows):
         return []
-    size = row_sizes(fit)
-    return [{"row": int(k), "residual_sigma": float(size[k]), "weight": float(weight[k])} for k in rows]
+    size, seen = row_sizes(fit), fit.problem.measurement.observations
+    placed = seen.position is not None or seen.markers is not None
+    length = points_mm(fit.residual) if placed and len(fit.residual.points) == len(seen) else [None] * len(seen)
+    return [
+        {"row": int(k), "residual_mm": length[k], "residual_sigma": float(size[k]), "weight": float(weight[k])}
+        for k in rows
+    ]
+
+
+def points_mm(left: Residual) -> list[float | None]:
+    """How far (mm) the point of each row is from where a model says, of markers their mean; None where nothing was seen."""
+    length = mm(np.asarray(np.linalg.norm(mean_of(left.points), axis=1)))
+    return [float(one) if np.isfinite(one) else None for one in length]
 
 
 def weighed(problem: Problem, weight: Floats) -> Problem:

@@ -67,11 +67,14 @@ class Errors:
         return {key: float(value) for key, value in out.items()}
 
 
-def metrics_document(train: dict[str, Errors], held: dict[str, Errors]) -> dict[str, Any]:
-    """The ``metrics`` of the contract: each stage's errors on the rows fitted and, unless empty, on those held out."""
+def metrics_document(train: dict[str, Errors], held: dict[str, Errors], left_out: int = 0) -> dict[str, Any]:
+    """The ``metrics`` of the contract: each stage's errors on the rows fitted and, unless empty, on those held out.
 
-    def block(errors: dict[str, Errors]) -> dict[str, Any]:
+    ``left_out`` rows held out are not among the latter.
+    """
+
+    def block(errors: dict[str, Errors], without: int) -> dict[str, Any]:
         n = len(next(iter(errors.values())).points)
-        return {"n": n, **{name: e.to_document() for name, e in errors.items()}}
+        return {"n": n, "left_out": without, **{name: e.to_document() for name, e in errors.items()}}
 
-    return {"train": block(train), "validation": block(held) if held else None}
+    return {"train": block(train, 0), "validation": block(held, left_out) if held else None}

@@ -93,9 +93,17 @@ def test_one_broken_beam_among_the_held_out_poses_decides_nothing(robot):
     rows = campaign(robot, [CURVE], poses=80, seed=1)
     clean = find_gap(robot, rows, QUICK)
     broken = replace(rows, position=rows.position.copy())
-    broken.position[held_out(rows, None, 0)[1][3]] += 2e-3
+    inside, outside = held_out(rows, None, 0)
+    broken.position[outside[3]] += 2e-3
     report = find_gap(robot, broken, QUICK)
     assert report.gap["held_out_set_aside"] == 1
+    (named,) = report.to_document()["held_aside"]
+    assert named["row"] == outside[3]  # of the rows that were given, searched and held out
+    assert named["residual_mm"] == pytest.approx(2.0 * 3**0.5, rel=0.05)
+    assert named["residual_sigma"] == pytest.approx(named["residual_mm"] / report.gap["noise_mm"])
+    told = report.stored.metrics(broken.select(inside), broken.select(outside), report.spikes)["validation"]
+    assert (told["n"], told["left_out"]) == (len(outside) - 1, 1)
+    assert told["identified"]["rms_mm"] == pytest.approx(report.gap["validation_after_mm"], rel=0.02)
     assert [j.verdict for j in report.effects] == [j.verdict for j in clean.effects] == ["class_confirmed"]
     assert report.gap["closure"] == pytest.approx(clean.gap["closure"], abs=0.1)
 

@@ -188,7 +188,7 @@ def test_joint_data_leave_the_arm_as_the_start_has_it(far, ur10):
     assert np.array_equal(now.wanted_base, start.wanted_base)
     assert np.array_equal(now.wanted_tool, start.wanted_tool)
     assert all(name.startswith("compliance") for name in found.stored.posterior.names)
-    assert found.stored.metrics(rows, None) == {}
+    assert found.stored.metrics(rows, None, found.spikes) == {}
 
 
 def test_joint_data_of_an_arm_as_drawn_set_the_zeros_of_its_joints():

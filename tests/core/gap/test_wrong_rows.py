@@ -82,6 +82,9 @@ def test_as_many_held_out_rows_may_be_wrong_as_rows_of_the_search():
     ).to_document()
     assert [(e["id"], e["joints"], e["gates"]["held_out"]) for e in report["effects"]] == [("backlash", [3], True)]
     assert report["gap"]["held_out_set_aside"] == bad[held].sum() > 3
+    assert [one["row"] for one in report["set_aside"]] == np.flatnonzero(bad[~held]).tolist()
+    assert [one["row"] for one in report["held_aside"]] == np.flatnonzero(bad[held]).tolist()
+    assert min(one["residual_mm"] for one in report["set_aside"]) > 0.1
     assert report["gap"]["validation_after_mm"] < 0.05 < 0.1 < report["gap"]["validation_before_mm"] < 0.2
 
 

@@ -60,6 +60,7 @@ class HoldoutEvaluator:
         self, search: SearchResult, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
     ) -> None:
         self.search, self.prepared, self.fit = search, prepared, fit
+        self._given = np.zeros(0, dtype=np.int64) if validation is None else np.flatnonzero(validation.tool_seen)
         if validation is not None and not validation.tool_seen.all():
             validation = validation.select(validation.tool_seen)
         self.rows = validation
@@ -158,6 +159,11 @@ class HoldoutEvaluator:
         if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
             return np.ones(len(spike), dtype=bool)
         return np.asarray(~spike)
+
+    @property
+    def set_aside(self) -> Ints:
+        """Rows of the validation that was given that were left out as spikes; none of a motion, which counts by windows."""
+        return np.zeros(0, dtype=np.int64) if self.moving or self.rows is None else self._given[~self.kept]
 
     def _spread(self) -> Floats | None:
         """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""

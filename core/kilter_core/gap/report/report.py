@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.identify.report import on_wire
 from kilter_core.model import Calibration
+from kilter_core.types import Ints
 
 MOST_PLACES = 60
 SURE = 0.05
@@ -78,6 +79,11 @@ class GapReport:
     unseen: UnseenFit | None = (
         None  # how rows that no choice saw agree; None: none were held out, or nothing to judge by
     )
+    set_aside: tuple[dict[str, Any], ...] = ()  # rows searched, from 0 as given
+    held_aside: tuple[
+        dict[str, Any], ...
+    ] = ()  # rows held out, from 0 as given: of the validation, or with a share of all
+    spikes: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # the same among the rows held out
 
     @property
     def calibration(self) -> Calibration:
@@ -90,6 +96,14 @@ class GapReport:
             self, not_testable=(*self.not_testable, *(u.untestable() for u in unseen)),
             warnings=(*self.warnings, *(u.warning() for u in unseen)),
         )  # fmt: skip
+
+    def numbered(self, searched: Ints, held: Ints) -> GapReport:
+        """The report with its rows numbered as among all that were given, of which some were searched and some held out."""
+        aside, other = (
+            tuple({**one, "row": int(numbers[one["row"]])} for one in rows)
+            for rows, numbers in ((self.set_aside, searched), (self.held_aside, held))
+        )
+        return replace(self, set_aside=aside, held_aside=other)
 
     def to_document(self) -> dict[str, Any]:
         """The gap result of the contract."""
@@ -113,6 +127,8 @@ class GapReport:
             "negative_control": self.negative_control,
             "alias_matrix": self.alias_matrix,
             "warnings": list(self.warnings),
+            "set_aside": list(self.set_aside),
+            "held_aside": list(self.held_aside),
             "figures": self.figures,
             "load_model": self.stored.load_model(),
             "reference": self.stored.reference(),

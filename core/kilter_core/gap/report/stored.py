@@ -26,6 +26,7 @@ from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
+from kilter_core.types import Ints
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,11 @@ class Stored:
             "names": list(self.posterior.names), "matrix": self.posterior.covariance.tolist(), "units": "SI",
         }  # fmt: skip
 
-    def metrics(self, train: Observations, held: Observations | None) -> dict[str, Any]:
-        """Metrics of an identification on these rows; none for joint data, for the tool was not measured."""
+    def metrics(self, train: Observations, held: Observations | None, spikes: Ints) -> dict[str, Any]:
+        """Metrics of an identification on these rows; none for joint data, for the tool was not measured.
+
+        Rows ``spikes (K,)`` of those held out are left out, as the search leaves them out of its own errors.
+        """
         if self.registered is None:
             return {}
         stages = {
@@ -86,7 +90,9 @@ class Stored:
             measurement = Measurement.of(rows, self.calibration.marker_points, held=True, anchor=anchor)
             return {name: Errors.of(stage, measurement) for name, stage in stages.items()}
 
-        return metrics_document(errors(train), errors(held, _anchor(train)))
+        if held is not None and len(spikes):
+            held = held.select(np.setdiff1d(np.arange(len(held)), spikes))
+        return metrics_document(errors(train), errors(held, _anchor(train)), len(spikes))
 
     def reference(self) -> dict[str, str]:
         """Where the frames a correction works in come from."""

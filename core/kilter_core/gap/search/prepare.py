@@ -61,9 +61,10 @@ class Prepared:
     problem: LinearizedProblem
     library: Library
     visits: Visits
+    given: Observations
     rows: Observations
     kept: Bools
-    outlying: Ints  # rows set aside
+    outlying: Ints  # rows set aside, as spikes or with their visit, of those given
     moving: bool
     width: int  # rows in a window of a motion
     warnings: tuple[dict[str, Any], ...]
@@ -108,6 +109,7 @@ class _Preparation:
         rows = self.rows.select(kept)
         moving = is_trajectory(rows)
         self.progress(0.02, "fitting the geometry")
+        spiked = np.zeros(0, dtype=np.int64)
         windows = windows_of(rows)
         visits = visits_of(rows.select(windows.middle) if moving else rows)
         source, values, library = self._source(visits)
@@ -118,7 +120,8 @@ class _Preparation:
             residual = source.residual_of_rows(values, rows, go_on)
             spiky = spikes(residual, visits)
             if spiky.any():
-                kept[np.flatnonzero(kept)[spiky]] = False
+                spiked = np.flatnonzero(kept)[spiky]
+                kept[spiked] = False
                 rows = rows.select(~spiky)
                 visits = visits_of(rows)
         source = blurred(source.on_rows(visits.observations), values)
@@ -131,11 +134,11 @@ class _Preparation:
         problem = self._correlated(problem, visits) if moving else self._without_outliers(problem)
         if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:
             problem = self._in_order(problem, visits)
-        outlying = _outlying(kept, visits, problem)
+        outlying = np.union1d(spiked, _outlying(kept, visits, problem)).astype(np.int64)
         told = noise if problem.settings.noise.repeats is None else problem.settings.noise
         drift = noise_warnings(told, source.unit == "rad")
         said = (*self.warnings, *drift, *outlier_warnings(problem))
-        return Prepared(problem, library, visits, rows, kept, outlying, moving, windows.width, said)
+        return Prepared(problem, library, visits, self.rows, rows, kept, outlying, moving, windows.width, said)
 
     def _without_copies(self) -> Bools:
         """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
@@ -380,7 +383,7 @@ def _unexplained(problem: LinearizedProblem) -> Floats:
 
 
 def _outlying(kept: Bools, visits: Visits, problem: LinearizedProblem) -> Ints:
-    """Rows (of those given) set aside as spikes or with their visit."""
+    """Rows (of those given) set aside with their visit."""
     aside = np.zeros(len(kept), dtype=bool)
     if len(visits.visit) == kept.sum():
         aside[kept] = ~problem.settings.used[visits.visit]

@@ -1,0 +1,33 @@
+"""The rows that a search let go, in the order in which they were given, with what the version leaves of each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kilter_core.identify.redescending import points_mm, sizes_of
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Ints
+
+
+def rows_aside(calibration: Calibration, rows: Observations, which: Ints, sigma: float) -> list[dict[str, Any]]:
+    """Rows ``which (K,)`` of those given: ``row`` from 0, ``residual_mm`` and ``residual_sigma`` of its point.
+
+    ``sigma`` is the standard deviation of a coordinate, m. Joint data and contacts have no point: both are None.
+    """
+    found: list[dict[str, Any]] = [
+        {"row": int(row), "residual_mm": None, "residual_sigma": None, "weight": 0.0} for row in which
+    ]
+    if not found or (rows.position is None and rows.markers is None) or held(rows):
+        return found
+    measurement = Measurement.of(rows.select(which), calibration.marker_points)
+    left = measurement.residual(calibration.predict(measurement.observations))
+    size = sizes_of(left.of_points(), sigma, np.nan) if sigma > 0.0 else np.full(len(which), np.nan)
+    for one, length, sigmas in zip(found, points_mm(left), size, strict=True):
+        one["residual_mm"] = length
+        one["residual_sigma"] = float(sigmas) if np.isfinite(sigmas) else None
+    return found
