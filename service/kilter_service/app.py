@@ -37,6 +37,7 @@ from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
 from kilter_service.signing.routes import router as streams
 from kilter_service.slots import Slots
+from kilter_service.suspicious.routes import router as suspicious
 from kilter_service.today.routes import router as today
 from kilter_service.tokens.routes import router as tokens
 from kilter_service.version import code_version
@@ -45,7 +46,7 @@ from kilter_service.versions.routes import router as versions
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
 ROUTERS: tuple[APIRouter, ...] = (
-    robots, today, meshes, campaigns, versions, jobs, fleet_jobs, correction, frames, references, streams, tokens,
+    robots, today, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams, tokens,
     audit, metrics,
 )  # fmt: skip
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs

@@ -77,7 +77,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
-        "residuals", "activations", "export", "correct", "status", "today", "stream-session",
+        "residuals", "activations", "export", "correct", "status", "suspicious", "today", "stream-session",
         "effects", "methods", "presets", "formats", "columns",
         "whoami", "audit", "token add", "token list", "token revoke",
     )} == set(COMMANDS)  # fmt: skip
@@ -118,7 +118,10 @@ def test_from_measurements_to_a_version(robot: str, command: Command, write_camp
     assert job["options"] == {"level": 1, "loss": "huber"}
     first = job["result"]["version_id"]
     text = command(*identify, "--level", "2", "--fix", "alpha_*,a_3", "--fix", "d_5", "--seed", "3")
-    words = ("registration only", "validation (20)", "p95 mm", "nominal", "not identifiable", "cannot be told from")
+    words = (
+        "registration only", "validation (20)", "p95 mm", "nominal", "not identifiable", "cannot be told from",
+        "rows left out of these errors: train none, validation none",
+    )  # fmt: skip
     for word in words:
         assert word in text
     _versions(robot, first, command, tmp_path)

@@ -97,7 +97,7 @@ def test_rows_set_aside_are_named_with_the_version_that_did(
         session.flush()
         version = versions.add(session, robot, "job_00000000000000aa", new)
     text = server.get(f"/campaigns/{campaign}").text
-    told = text.partition('id="aside"')[2].partition("</section>")[0]
+    told = text.partition('id="doubts"')[2].partition("</section>")[0]
     assert version in told
     assert "61.5" in told
     assert "4 %" in told

@@ -254,7 +254,7 @@ def test_an_identification_shows_the_numbers_of_the_interface(
         f"{len(job['result']['load_model'])} masses and centres that were carried beside them {blind} are not" in text
     )
     for row in job["result"]["set_aside"]:
-        assert f'<td class="number">{row["row"]}</td>' in shown
+        assert f'<th scope="row">{row["row"]}</th>' in shown
     assert f"/versions/{job['result']['version_id']}" in shown
     assert NASTY not in shown
     assert html.escape(NASTY) in shown

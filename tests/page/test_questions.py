@@ -46,7 +46,7 @@ QUESTIONS = (
         r"corrected.*Version in use.*the active one", (OVERVIEW, "GET /robots/{robot}/stream"),
     ),
     Question("Who activated this?", (), "main", r"Activated.*by \w+", (OVERVIEW,)),
-    Question("Which rows were set aside?", (r"^\d+$",), "main", r"Rows set aside\s*(none|row \d)", (OVERVIEW, VERSION)),
+    Question("Which rows look wrong?", (r"^\d+$",), "#suspicious", r"rows looks? wrong\.", (OVERVIEW, VERSION)),
     Question("What changes if I activate?", ("what changes if",), "main", r"largest|changes", (OVERVIEW, VERSION)),
     Question(
         "What can these data not tell?", (r"parameters$|^nothing$",), "#unseen", r"identifiable|tell",

@@ -72,7 +72,7 @@ def test_the_questions_are_answered_at_the_top(there: Made) -> None:
     for address in (
         f"/versions/{there.good}", f"/robots/{there.robot}/versions", f"/robots/{there.robot}/stream",
         f"/versions/{there.good}/report", f"/robots/{there.robot}/jobs", f"/versions/{there.good}#unseen",
-        f"/versions/{there.good}#origin",
+        f"/versions/{there.good}#suspicious",
     ):  # fmt: skip
         assert f'href="{address}"' in text, address
 

@@ -30,7 +30,7 @@ GROUPS = {
         "set_urdf_meshes",
         "remove_mesh",
     ),
-    "Measurements": ("upload", "campaign", "campaigns"),
+    "Measurements": ("upload", "campaign", "campaigns", "suspicious"),
     "Jobs": (
         "identify",
         "gap",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,10 +30,12 @@ FEWEST = 12
 
 @dataclass(frozen=True)
 class Doubt:
-    """A row, from 1, and what looks wrong with it."""
+    """A row, from 1, what looks wrong with it, and how far off it is: in mm, and in robust standard deviations."""
 
     row: int
     why: str
+    mm: float | None = None
+    sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -45,21 +48,30 @@ class Doubtful:
 
 def doubtful(robot: Robot, seen: Observations, points: Floats | None, repeats: Repeats) -> Doubtful:
     """Name rows outside the limits, apart from their repeats, stuck at a reading, or far from where the arm would be."""
-    found: dict[int, list[str]] = {}
+    found: dict[int, list[Doubt]] = {}
 
-    def take(row: int, why: str) -> None:
-        found.setdefault(row + 1, []).append(why)
+    def take(row: int, why: str, away: float | None = None, sigma: float | None = None) -> None:
+        mm = None if away is None else float(to_mm(away))
+        found.setdefault(row + 1, []).append(Doubt(row + 1, why, mm, sigma))
 
     _beyond(robot, seen, take)
-    for row, distance in zip(repeats.far, repeats.distance, strict=True):
-        take(int(row), f"{to_mm(float(distance)):.3g} mm from the other rows of its pose")
+    for row, distance, sigma in zip(repeats.far, repeats.distance, repeats.sigmas, strict=True):
+        why = f"{to_mm(float(distance)):.3g} mm from the other rows of its pose"
+        take(int(row), why, float(distance), float(sigma) if np.isfinite(sigma) else None)
     if points is not None:
         for row in _stuck(seen.q, points):
             take(int(row), "the same position as the row before to the last digit, though joints moved")
-        for row, distance in _misplaced(robot, seen, points):
-            take(row, f"{to_mm(distance):.3g} mm from where the nominal arm would be, far more than other rows")
+        for row, distance, sigma in _misplaced(robot, seen, points):
+            why = f"{to_mm(distance):.3g} mm from where the nominal arm would be, far more than other rows"
+            take(row, why, distance, sigma)
     named = sorted(found.items())[:MOST]
-    return Doubtful(tuple(Doubt(row, "; ".join(why)) for row, why in named), len(found))
+    return Doubtful(tuple(_together(doubts) for _, doubts in named), len(found))
+
+
+def _together(doubts: Sequence[Doubt]) -> Doubt:
+    """All that is said of a row; of the sizes those that stand out most."""
+    lead = max(doubts, key=lambda one: (one.sigma or 0.0, one.mm or 0.0))
+    return Doubt(lead.row, "; ".join(one.why for one in doubts), lead.mm, lead.sigma)
 
 
 def _beyond(robot: Robot, seen: Observations, take: object) -> None:
@@ -78,8 +90,8 @@ def _stuck(q: Floats, points: Floats) -> NDArray[np.int64]:
     return np.flatnonzero(same & moved).astype(np.int64) + 1
 
 
-def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[int, float]]:
-    """Rows far from the nominal arm, base and tool point fitted to the others."""
+def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[int, float, float]]:
+    """Rows far from the nominal arm, base and tool point fitted to the others: m, and robust standard deviations."""
     there = np.flatnonzero(~np.isnan(points).any(axis=1))
     there = there[:: max(1, len(there) // MOST_PLACED)]
     if len(there) < FEWEST or (seen.session is not None and len(np.unique(seen.session)) > 1):
@@ -88,7 +100,7 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
     middle = float(np.median(left))
     usual = max(MAD * float(np.median(np.abs(left - middle))), LEAST_M / FAR)
     far = np.flatnonzero(left - middle > FAR * usual)
-    return [(int(there[row]), float(left[row])) for row in far[:MOST]]
+    return [(int(there[row]), float(left[row]), float((left[row] - middle) / usual)) for row in far[:MOST]]
 
 
 def _left(robot: Robot, q: Floats, points: Floats) -> Floats:

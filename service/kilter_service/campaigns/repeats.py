@@ -21,8 +21,8 @@ FEWEST = 2  # rows of a pose from which some may be said to lie apart; of two it
 class Repeats:
     """How often poses were measured; noise is the standard deviation of a coordinate, m, None without repeats.
 
-    Rows ``far`` from the others of their pose, by ``distance`` m, do not count as noise. ``poses`` counts distinct poses,
-    ``visits`` runs of rows at one pose under the same conditions.
+    Rows ``far`` from the others of their pose do not count as noise: by ``distance`` m, or robust ``sigmas``.
+    ``poses`` counts distinct poses, ``visits`` runs of rows at one pose under the same conditions.
     """
 
     poses: int
@@ -35,6 +35,7 @@ class Repeats:
     freedom: int
     far: Ints
     distance: Floats
+    sigmas: Floats
 
 
 def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repeats:
@@ -46,10 +47,10 @@ def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repe
     first = np.unique(visit, return_index=True)[1]
     rows, visits = np.bincount(pose), np.bincount(pose[first])
     within = between = None
-    freedom, far, distance = 0, np.zeros(0, dtype=np.int64), np.zeros(0)
+    freedom, far, distance, sigmas = 0, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     seen = np.zeros(len(pose), dtype=bool) if points is None else ~np.asarray(np.isnan(points).any(axis=1))
     if points is not None and seen.any():
-        far, distance = _far(_compact(under[seen]), points[seen])
+        far, distance, sigmas = _far(_compact(under[seen]), points[seen])
         far = np.flatnonzero(seen)[far]
         seen[far] = False
         within, _ = _scatter(visit[seen], points[seen])
@@ -58,7 +59,7 @@ def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repe
         between, freedom = _scatter(under[seen][start], means)
     return Repeats(
         len(rows), len(first), (int(rows.min()), int(rows.max())), (int(visits.min()), int(visits.max())),
-        int((visits > 1).sum()), within, between, freedom, far, distance,
+        int((visits > 1).sum()), within, between, freedom, far, distance, sigmas,
     )  # fmt: skip
 
 
@@ -85,17 +86,18 @@ def _scatter(group: Ints, points: Floats) -> tuple[float | None, int]:
     return float(np.sqrt((left**2).sum() / (3 * freedom))), 3 * freedom
 
 
-def _far(group: Ints, points: Floats) -> tuple[Ints, Floats]:
-    """Rows much farther from the middle of their pose than rows usually are, and how far."""
+def _far(group: Ints, points: Floats) -> tuple[Ints, Floats, Floats]:
+    """Rows much farther from the middle of their pose than rows usually are, how far, and in what is usual."""
     count = np.bincount(group)
     judged = count[group] >= FEWEST
     if not judged.any():
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
+        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     left = np.linalg.norm(points - _medians(group, points)[group], axis=1)
     size = left * np.sqrt(count / np.maximum(count - 1, 1))[group]  # few rows draw the middle to themselves
     usual = MAD * float(np.median(size[judged]))
     far = np.flatnonzero(judged & (size > FAR * usual) & (size > 0))
-    return far.astype(np.int64), np.where(count == 2, 2.0, 1.0)[group[far]] * left[far]
+    sigmas = size[far] / usual if usual > 0.0 else np.full(len(far), np.inf)
+    return far.astype(np.int64), np.where(count == 2, 2.0, 1.0)[group[far]] * left[far], sigmas
 
 
 def _medians(group: Ints, points: Floats) -> Floats:

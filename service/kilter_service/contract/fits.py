@@ -32,6 +32,9 @@ class StageErrors(Stored):
     """Errors of several models on the same rows."""
 
     n: int | None = Field(None, description="Points the errors are taken over.")
+    left_out: int | None = Field(
+        None, description="Rows that were left out of them, as no measurements; null: not known."
+    )
     nominal: Errors | None = Field(None, description="The nominal robot, in its own base and tool.")
     registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
     geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")
@@ -193,12 +196,14 @@ class Reference(Stored):
 
 
 class SetAside(Stored):
-    """A row that counts less than half in a fit with a robust loss."""
+    """A row that counts less than half in a fit with a robust loss, or that a search left out."""
 
     campaign: str | None = Field(None, description="Id of the campaign.")
     row: int = Field(description="Row of the campaign, from 1.")
     residual_sigma: float | None = Field(None, description="Length of what is left of it, in standard deviations.")
+    residual_mm: Mm | None = Field(None, description="Distance of its point from the model's, mm.")
     weight: float | None = Field(None, description="What it counts, 0 to 1.")
+    held_out: bool | None = Field(None, description="Whether a search held it out and left it out of those errors.")
 
 
 class Scale(Stored):
@@ -332,7 +337,7 @@ class FitDetails(Stored):
     noise_source: str | None = Field(None, description="What the noise was estimated from.")
     scale: Scale | None = Field(None, description="The standard deviations that residuals were weighed by.")
     noise: Noise | None = Field(None, description="What the rows scatter by.")
-    set_aside: list[SetAside] | None = Field(None, description="Rows that a robust loss set aside.")
+    set_aside: list[SetAside] | None = Field(None, description="Rows that a robust loss or a search set aside.")
     iterations: int | None = Field(None, description="Iterations of the fit.")
     method: Method | None = Field(None, description="The method, and what it reports.")
     influence: list[Influence] | None = Field(

@@ -33,7 +33,6 @@ class ErrorsToday(Strict):
     campaigns: list[MeasuredCampaign] = Field(description="Where the rows are from; empty: they are gone.")
     refit: list[str] = Field(description="Frames that were fitted to these rows, `base` and `tool`; empty: none.")
     errors: StageErrors = Field(description="The errors.")
-    set_aside: int = Field(0, description="Rows of these campaigns that the fit set aside; they count in the errors.")
 
 
 class NamedMissing(Strict):

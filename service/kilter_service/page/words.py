@@ -105,6 +105,11 @@ def count(value: int | None) -> str:
     return NONE if value is None else f"{value:,}".replace(",", "\u202f")
 
 
+def left_out(rows: int | None) -> str:
+    """Say how many rows an error leaves out; nothing where that is not known."""
+    return "" if rows is None else "no row left out" if rows == 0 else f"{rows} row{'s' if rows > 1 else ''} left out"
+
+
 def ticked(text: str) -> Markup:
     """Show what stands between backticks as code."""
     return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
@@ -123,4 +128,5 @@ def of_joints(numbers: Sequence[int]) -> str:
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "number": number, "mm": mm, "age": age, "moment": moment, "percent": percent, "count": count,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
+    "left_out": left_out,
 }  # fmt: skip

@@ -38,7 +38,8 @@ def _sentences(today: Today) -> Iterator[str]:
 def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
     assert newest.errors.identified is not None
     refit = f", {' and '.join(newest.refit)} fitted to them" if newest.refit else ""
-    yield f"Mean error {newest.errors.identified.mean_mm:.3g} mm {SOURCES[newest.source]}{refit}: {where(newest)}."
+    mean, aside = newest.errors.identified.mean_mm, left_out(newest.errors.left_out)
+    yield f"Mean error {mean:.3g} mm {SOURCES[newest.source]}{refit}{aside}: {where(newest)}."
     if today.changed and today.own is not None and today.own.errors.identified is not None:
         moved = (
             ""
@@ -52,6 +53,11 @@ def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
         )
     if newest.source == "fitted":
         yield "Nothing was held out: measure some poses that are only checked (kilter upload --role confirmation)."
+
+
+def left_out(rows: int | None) -> str:
+    """Say how many rows a number leaves out, after a comma; nothing where that is not known."""
+    return "" if rows is None else f", {rows or 'no'} row{'' if rows in (0, 1) else 's'} left out"
 
 
 def where(found: ErrorsToday) -> str:

@@ -121,10 +121,8 @@ def _errors(
     refit: list[str] | None = None,
 ) -> ErrorsToday:
     found = [campaigns[one] for one in used if one in campaigns]
-    aside = sum(row.get("campaign") in used for row in version.set_aside) if source == "fitted" else 0
     return ErrorsToday(
         source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [], errors=errors,
-        set_aside=aside,
     )  # fmt: skip
 
 

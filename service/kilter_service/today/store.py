@@ -33,7 +33,6 @@ class Active:
     created_at: datetime
     campaigns: list[dict[str, Any]]
     metrics: Mapping[str, Any]
-    set_aside: list[dict[str, Any]]
     effects: list[dict[str, Any]]
     fitted: frozenset[str]
 
@@ -73,14 +72,13 @@ def active(session: Session, of: Collection[int]) -> dict[int, Active]:
     last = select(func.max(ActivationRow.id)).where(ActivationRow.robot_id.in_(of)).group_by(ActivationRow.robot_id)
     row = VersionRow
     columns = (
-        row.robot_id, row.id, row.job_id, row.created_at, row.campaigns, row.report["metrics"], row.report["set_aside"],
-        row.calibration["effects"],
+        row.robot_id, row.id, row.job_id, row.created_at, row.campaigns, row.report["metrics"], row.calibration["effects"],
     )  # fmt: skip
     query = select(*columns).join(ActivationRow, ActivationRow.version_id == row.id).where(ActivationRow.id.in_(last))
     line = _lines(session, of)
     return {
-        robot: Active(key, job, at, used, metrics or {}, aside or [], effects or [], _fitted(line, key))
-        for robot, key, job, at, used, metrics, aside, effects in session.execute(query)
+        robot: Active(key, job, at, used, metrics or {}, effects or [], _fitted(line, key))
+        for robot, key, job, at, used, metrics, effects in session.execute(query)
     }
 
 

@@ -63,6 +63,7 @@ class AsyncKilter:
     remove_mesh = awaited(shapes.remove_mesh)
     upload = awaited(measured.upload)
     campaign = awaited(measured.campaign)
+    suspicious = awaited(measured.suspicious)
     campaigns = awaited(measured.campaigns)
     identify = awaited(computed.identify)
     gap = awaited(computed.gap)

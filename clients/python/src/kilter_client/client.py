@@ -78,6 +78,7 @@ class Kilter:
     remove_mesh = waiting(shapes.remove_mesh)
     upload = waiting(campaigns.upload)
     campaign = waiting(campaigns.campaign)
+    suspicious = waiting(campaigns.suspicious)
     identify = waiting(jobs.identify)
     gap = waiting(jobs.gap)
     evaluate = waiting(jobs.evaluate)

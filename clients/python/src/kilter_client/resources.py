@@ -148,6 +148,10 @@ class Campaigns(Kept):
         """Return a campaign and its uploads."""
         return self._run(campaigns.one(campaign, robot))
 
+    def suspicious(self, campaign: str, robot: str | None = None) -> Document:
+        """Return the rows of a campaign that look wrong, and who says so."""
+        return self._run(campaigns.suspicious(campaign, robot))
+
     def upload(
         self, campaign: str, data: Prepared | Path | str, sent: Sent | None = None, robot: str | None = None
     ) -> Document:

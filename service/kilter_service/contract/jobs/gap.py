@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from kilter_service.contract.figures import GapFigures
-from kilter_service.contract.fits import LoadNumber, Reference
+from kilter_service.contract.fits import LoadNumber, Reference, SetAside
 from kilter_service.contract.gap_details import (
     Adequacy,
     AliasMatrix,
@@ -102,6 +102,7 @@ class GapResult(MadeVersion):
     negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")
     alias_matrix: AliasMatrix | None = Field(None, description="How well signatures correlate in these rows.")
     figures: GapFigures | None = Field(None, description="Figures by name.")
+    set_aside: list[SetAside] | None = Field(None, description="Rows that the search set aside, held out or not.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")

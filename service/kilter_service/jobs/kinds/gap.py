@@ -15,6 +15,7 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, Ver
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.jobs.poses import Pose, document_of
+from kilter_service.jobs.rows_of_campaigns import by_campaign
 from kilter_service.versions.store import HELD_OUT
 from kilter_service.wire import to_metres
 
@@ -55,9 +56,11 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     train, held = parted(rows, validation, options.seed)
     share = share_of(rows, None) if validation is None and held is not None else None
     found = report.to_document()
+    aside = _set_aside(job, found.pop("set_aside"), found.pop("held_aside"))
     result = plain(
         {
             **found,
+            "set_aside": aside,
             "figures": gap_figures(found),
             "next_poses_csv": _file(job, found["next_poses"]),
             "start": job.version_id,
@@ -65,7 +68,17 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
         }
     )
     progress(0.98, "errors of the new version")
-    return JobOutput(result, _version(job, report, train, held, share))
+    return JobOutput(result, _version(job, report, train, held, share, aside))
+
+
+def _set_aside(
+    job: JobInput, searched: Sequence[dict[str, Any]], held: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Rows of the campaigns that the search let go; what was held out is of other campaigns where these were named."""
+    counts = {name: len(rows) for name, rows in job.campaigns.items()}
+    others = job.validation if isinstance(job.validation, dict) else job.campaigns
+    apart = by_campaign(held, {name: len(rows) for name, rows in others.items()})
+    return [*by_campaign(searched, counts), *({**one, "held_out": True} for one in apart)]
 
 
 def foresee(job: JobInput, found: Foresight) -> None:
@@ -136,18 +149,24 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
 
 
 def _version(
-    job: JobInput, report: GapReport, train: Observations, held: Observations | None, share: float | None
+    job: JobInput,
+    report: GapReport,
+    train: Observations,
+    held: Observations | None,
+    share: float | None,
+    aside: Sequence[dict[str, Any]],
 ) -> VersionContent:
     """What an identification stores of its fit, of the search's last one; ``share`` of the poses was held out by itself."""
     stored = report.stored
     document = {
-        "metrics": stored.metrics(train, held),
+        "metrics": stored.metrics(train, held, report.spikes),
         "parameters": stored.parameters(),
         "null_directions": stored.null_directions(),
         "noise_mm": report.gap.get("noise_mm"),
         "noise_source": report.noise["source"],
         "load_model": stored.load_model(),
         "warnings": list(report.warnings),
+        "set_aside": list(aside),
         "reference": stored.reference(),
         HELD_OUT: share,
     }

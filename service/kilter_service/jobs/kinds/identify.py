@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
@@ -12,6 +11,7 @@ from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
+from kilter_service.jobs.rows_of_campaigns import by_campaign
 from kilter_service.jobs.setups import Setups
 from kilter_service.jobs.sheets import bar_lengths, doubts
 
@@ -49,7 +49,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     remarks += bar_lengths(found, job.robot, named, lambda name, rows: _again(job, name, rows))
     report["base_refitted"] = setups.named(report["base_refitted"])
     counts = {name: len(rows) for name, rows in job.campaigns.items()}
-    report["set_aside"] = _by_campaign(report["set_aside"], counts)
+    report["set_aside"] = by_campaign(report["set_aside"], counts)
     warning = setups.warning(report["base_refitted"])
     report["warnings"] += [*([] if warning is None else [warning]), *remarks]
     covariance = found.predictive.to_document()
@@ -128,16 +128,6 @@ def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | f
         return Observations.concatenate(train), Observations.concatenate(held)
     validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
     return Observations.concatenate(parts), validation
-
-
-def _by_campaign(rows: list[dict[str, Any]], counts: dict[str, int]) -> list[dict[str, Any]]:
-    """Rows of all campaigns together, as rows of each, counted from 1."""
-    out, names = [], list(counts)
-    starts = [sum(list(counts.values())[:k]) for k in range(len(names))]
-    for one in rows:
-        k = bisect_right(starts, one["row"]) - 1
-        out.append({"campaign": names[k], **one, "row": one["row"] - starts[k] + 1})
-    return out
 
 
 def _prior(job: JobInput) -> Prior | None:

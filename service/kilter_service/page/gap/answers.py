@@ -78,8 +78,8 @@ def _next(result: GapResult) -> str:
 
 
 def set_aside(result: GapResult) -> str:
-    """Say how many visits took no part."""
-    return f"{' '.join(_aside(result)) or 'None: every visit took part.'}"
+    """Say how many visits took no part in the search."""
+    return f"{' '.join(_aside(result)) or 'The search set none aside: every visit took part.'}"
 
 
 def _aside(result: GapResult) -> Iterator[str]:

@@ -16,6 +16,7 @@ from kilter_service.page.gap import answers, claim, curves, rivals, tested, wher
 from kilter_service.page.gap.called import claimed
 from kilter_service.page.shared import steps
 from kilter_service.paging import Page
+from kilter_service.suspicious import service as suspicious
 
 VERDICTS = {
     "closed": ("The gap is closed", "good"),
@@ -54,6 +55,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "size": sizes(result.gap, unit),
         "answers": answers.answers(result),
         "set_aside": answers.set_aside(result),
+        "suspicious": suspicious.of_campaigns(database, used_by(job)),
         "where": where.heat_map(result.where or []),
         "where_table": where.table(result.where or []),
         "clearest": where.clearest(result.where or []),
@@ -80,10 +82,14 @@ def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:
     return {name: values[f"{field}_{unit}"] for name, field in names.items()}
 
 
+def used_by(job: GapJob) -> list[str]:
+    """Return the campaigns that a search looked at, and those it held out."""
+    return [*job.campaigns, *(job.validation if isinstance(job.validation, list) else [])]
+
+
 def newer(database: Database, job: GapJob) -> list[Campaign]:
     """Return campaigns of the robot that the search did not use, the newest first."""
-    held = job.validation if isinstance(job.validation, list) else []
-    used = {*job.campaigns, *held, *job.confirmation}
+    used = {*used_by(job), *job.confirmation}
     found = campaigns.listed(database, job.robot, Page()).campaigns
     rest = [campaign for campaign in found if campaign.id not in used]
     return sorted(rest, key=lambda campaign: campaign.created_at, reverse=True)[:MOST_CAMPAIGNS]

@@ -16,6 +16,7 @@ from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.page.words import mm, number
+from kilter_service.suspicious import service as suspicious
 from kilter_service.versions import service as versions
 
 MOST_NAMES = 20  # of a correlation map, and of an influence chart
@@ -32,10 +33,12 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
     groups = result.correlated_groups or []
     return {
         "result": result,
+        "suspicious": suspicious.of_campaigns(database, [*job.campaigns, *held_out(job)]),
         "version": result.version_id,
         "held": held is not None,
         "where": where,
         "points": judged.n if judged else None,
+        "left_out": judged.left_out if judged else None,
         "judged": {name: getattr(judged, name, None) for name, _ in stages.STAGES},
         "stages": stages.there(judged),
         "meaning": stages.MEANING,
@@ -50,6 +53,11 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
         "map": correlation_map(groups, covariance),
         "influence": influence_chart(result.influence or []),
     }
+
+
+def held_out(job: IdentifyJob) -> list[str]:
+    """Return the campaigns that a job held out by name."""
+    return job.validation if isinstance(job.validation, list) else []
 
 
 def gain_of_effects(errors: StageErrors | None) -> float | None:

@@ -15,6 +15,7 @@ from kilter_service.contract.jobs.evaluate import Iso9283
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, Job
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
@@ -27,6 +28,7 @@ from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
+from kilter_service.suspicious import service as suspicious
 from kilter_service.versions import service as versions
 
 SIGMA95 = 1.96
@@ -73,6 +75,7 @@ class Sheet:
     activations: list[Activation]
     campaigns: Mapping[str, str]
     ranges: list[list[str]]
+    suspicious: list[SuspiciousRows]
 
 
 def of_version(database: Database, version_id: str) -> Sheet:
@@ -112,13 +115,17 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
         evaluated=list(_evaluated(database, job, version)), limits=[] if version is None else limits(version, search),
         activations=[one for one in log if version is not None and one.version_id == version.id],
         campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
+        suspicious=suspicious.of_campaigns(database, _used(job)),
     )  # fmt: skip
 
 
+def _used(job: Job) -> list[str]:
+    return [*job.campaigns, *(job.validation if isinstance(job.validation, list) else []), *job.confirmation]
+
+
 def _names(database: Database, job: Job) -> dict[str, str]:
-    held = job.validation if isinstance(job.validation, list) else []
     out = {}
-    for one in [*job.campaigns, *held, *job.confirmation]:
+    for one in _used(job):
         try:
             out[one] = campaigns.get(database, one).name
         except ServiceError:
@@ -179,8 +186,10 @@ def _errors(errors: StageErrors, title: str, on: str) -> Judged:
     ]
     if errors.place_mm is not None:
         rows[0][0] = PLACE
-    count = "" if errors.n is None else f"{words.count(errors.n)} points; "
-    return Judged(title, count + on, rows, before_and_after(errors, f"Errors: {title.lower()}"))
+    counts = ["" if errors.n is None else f"{words.count(errors.n)} points", words.left_out(errors.left_out), on]
+    return Judged(
+        title, "; ".join(one for one in counts if one), rows, before_and_after(errors, f"Errors: {title.lower()}")
+    )
 
 
 def _parameter(one: Parameter) -> list[str]:

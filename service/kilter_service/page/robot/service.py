@@ -10,6 +10,7 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.job import JobSummary
 from kilter_service.contract.meshes import Mesh
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
@@ -21,6 +22,7 @@ from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
+from kilter_service.suspicious import service as suspicious
 from kilter_service.today import service as today
 from kilter_service.versions import service as versions
 
@@ -44,6 +46,7 @@ class Shown:
     looked_at: VersionSummary | None
     campaign: Campaign | None
     meshes: Sequence[Mesh]
+    suspicious: Sequence[SuspiciousRows]
     most_mb: int = MAX_MESH_MB
     most_triangles: int = MAX_TRIANGLES
 
@@ -82,6 +85,7 @@ def of(database: Database, settings: Settings, name: str, version: str | None, c
         looked_at=looked_at,
         campaign=_campaign(database, measured, looked_at, campaign),
         meshes=meshes.listed(database, name).meshes,
+        suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
     )
 
 

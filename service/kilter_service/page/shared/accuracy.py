@@ -28,6 +28,7 @@ class Accuracy:
     nominal: float | None
     registration: float | None
     place: float | None = None  # of the nominal error, what is where instrument, base and tool are
+    left_out: int | None = None  # rows that the errors leave out
 
     @property
     def half(self) -> float | None:
@@ -70,7 +71,7 @@ def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
     low, high = ends or (None, None)
     return Accuracy(
         held_out, block.n, found.mean_mm, low, high, found.p95_mm, found.max_mm, _mean(block.nominal),
-        _mean(block.registration_only), block.place_mm,
+        _mean(block.registration_only), block.place_mm, block.left_out,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
 from kilter_service.page.figures.plot import GREY, Plot
@@ -15,6 +16,7 @@ from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
+from kilter_service.suspicious import service as suspicious
 from kilter_service.versions import service
 from kilter_service.versions.expected import tag_of_robot
 
@@ -56,6 +58,7 @@ class Shown:
     parameters: Sequence[Parameter]
     unseen: Sequence[Parameter]
     others: Sequence[VersionSummary]
+    suspicious: Sequence[SuspiciousRows]
 
 
 def history(database: Database, robot: str) -> History:
@@ -77,7 +80,8 @@ def version(database: Database, version_id: str) -> Shown:
     unseen = [one for one in unknown if not of_a_mass(one.name)]
     others = service.listed(database, found.robot, Page(limit=MOST_SHOWN)).versions
     rest = [one for one in others if one.id != version_id]
-    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest)
+    odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
+    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest, odd)
 
 
 def errors_by_version(found: Sequence[Listed]) -> Plot | None:

@@ -45,6 +45,12 @@ def one(campaign: str, robot: str | None = None) -> Steps[Document]:
     return (yield from get(path))
 
 
+def suspicious(campaign: str, robot: str | None = None) -> Steps[Document]:
+    """Return the rows of a campaign that look wrong."""
+    path = yield from place("campaign", campaign, robot, "suspicious")
+    return (yield from get(path))
+
+
 def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str | None = None) -> Steps[Document]:
     """Send observations."""
     path = yield from place("campaign", campaign, robot, "observations")

@@ -158,6 +158,8 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
         say(f"held-out rows: {how}")
     if closure is not None:
         say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
+    if gap.get("held_out_set_aside") is not None:
+        say(f"held-out rows left out as no measurements: {gap['held_out_set_aside'] or 'none'}")
     unseen = (result.get("adequacy") or {}).get("held_out")
     if unseen:
         say(

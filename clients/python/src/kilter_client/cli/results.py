@@ -127,6 +127,11 @@ def _metrics(metrics: Mapping[str, Any]) -> None:
         if isinstance(block.get(stage), Mapping)
     ]
     show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
+    aside = [
+        f"{name} {block['left_out'] or 'none'}" for name, block in blocks.items() if block.get("left_out") is not None
+    ]
+    if aside:
+        say(f"rows left out of these errors: {', '.join(aside)}")
     for name, block in blocks.items():
         if block.get("within_u95") is not None:
             say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")

@@ -40,6 +40,8 @@ class StageErrors(Record):
     """The fitted geometry without effects."""
     identified: Errors | None
     """The model that was identified."""
+    left_out: int | None
+    """Rows that were left out of them, as no measurements; None: not known."""
     n: int | None
     """Points the errors are taken over."""
     nominal: Errors | None

@@ -206,10 +206,14 @@ class Scale(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SetAside(Record):
-    """A row that counts less than half in a fit with a robust loss."""
+    """A row that counts less than half in a fit with a robust loss, or that a search left out."""
 
     campaign: str | None
     """Id of the campaign."""
+    held_out: bool | None
+    """Whether a search held it out and left it out of those errors."""
+    residual_mm: float | None
+    """Distance of its point from the model's, mm."""
     residual_sigma: float | None
     """Length of what is left of it, in standard deviations."""
     row: int
@@ -267,7 +271,7 @@ class IdentifyResult(ShownFit, Record):
     scale: Scale | None
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
-    """Rows that a robust loss set aside."""
+    """Rows that a robust loss or a search set aside."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]

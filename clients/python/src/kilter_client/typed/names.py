@@ -137,6 +137,8 @@ MODULE_OF = {
     "ShuffledEffect": "search_numbers",
     "StageErrors": "fits",
     "StreamSession": "others",
+    "SuspiciousRow": "others",
+    "SuspiciousRows": "others",
     "Testability": "checks",
     "Text": "fits",
     "Today": "server",

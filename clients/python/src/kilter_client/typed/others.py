@@ -269,6 +269,54 @@ class StreamSession(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SuspiciousRow(Record):
+    """A row that looks wrong, as one of those who say so sees it."""
+
+    file: int
+    """The file of the campaign that it is in, from 1."""
+    file_row: int
+    """Its row in that file, from 1."""
+    held_out: bool
+    """Whether the job held it out, and left it out of the errors on held-out rows."""
+    job_id: str | None
+    """The job."""
+    mm: float | None
+    """How far the row is from where it should be, mm; None: not known as a length."""
+    row: int
+    """Row of the campaign, from 1."""
+    said_by: str
+    """`rows`: the rows themselves, before any fit; `identification`, `search`: the job that made a version."""
+    sigma: float | None
+    """The same in standard deviations; None: not known."""
+    version_id: str | None
+    """The version of that job; None: no job says it."""
+    version_name: str
+    """Its name; empty: it has none."""
+    weight: float | None
+    """What it counts in that fit, 0 to 1; None: nothing was fitted, and the row counts."""
+    why: str
+    """What looks wrong, in words."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SuspiciousRows(Record):
+    """All rows of a campaign that look wrong, by row; a row may be named by several."""
+
+    campaign: str
+    """Id of the campaign."""
+    count: int
+    """How many of them look wrong to somebody."""
+    found: Records[SuspiciousRow]
+    """What is said of them, by row, at most 2000 entries: the rest is counted."""
+    name: str
+    """Its name."""
+    rows: int
+    """Rows of the campaign."""
+    sentence: str
+    """The same in words."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Token(Record):
     """A token; what is sent with requests is shown once, when it is made."""
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownSearch
 from kilter_client.typed.fits import Figure, LoadNumber, Objection, Reference, Remark
+from kilter_client.typed.identifications import SetAside
 from kilter_client.typed.search_numbers import (
     Adequacy,
     AliasMatrix,
@@ -326,6 +327,8 @@ class GapResult(ShownSearch, Record):
     """What was tested and not named, with its score."""
     sentence: str | None
     """The verdict in words."""
+    set_aside: Records[SetAside]
+    """Rows that the search set aside, held out or not."""
     smallest_detectable: Records[Detectable]
     """Smallest amplitude that would be seen."""
     start: str | None

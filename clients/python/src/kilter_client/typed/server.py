@@ -121,8 +121,6 @@ class ErrorsToday(Record):
     """The job that computed them."""
     refit: tuple[str, ...]
     """Frames that were fitted to these rows, `base` and `tool`; empty: none."""
-    set_aside: int
-    """Rows of these campaigns that the fit set aside; they count in the errors."""
     source: str
     """`evaluation`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the rows it was fitted to, which flatters."""
 

@@ -121,7 +121,7 @@ class Details(Record):
     scale: Scale | None
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
-    """Rows that a robust loss set aside."""
+    """Rows that a robust loss or a search set aside."""
     workspace: Workspace | None
     """What it does all over the joint limits when it was stored, and why its limits are what they are."""
 

@@ -17,6 +17,7 @@ from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
     from kilter_client.typed.campaigns import Campaign, Uploaded
+    from kilter_client.typed.others import SuspiciousRows
     from kilter_files import Prepared
 
 MOST_LINES = 8  # of a file that are named in a refusal
@@ -144,6 +145,18 @@ def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[Campaign]:
     from kilter_client.typed.campaigns import Campaign
 
     return Campaign.read((yield from calls.one(reference("campaign", campaign), robot)))
+
+
+def suspicious(campaign: Thing, *, robot: str | None = None) -> Steps[SuspiciousRows]:
+    """Return the rows of a campaign that look wrong: by how many mm and standard deviations, and who says so.
+
+    Raises:
+        NotFoundError: there is none; ConflictError: the name is ambiguous.
+
+    """
+    from kilter_client.typed.others import SuspiciousRows
+
+    return SuspiciousRows.read((yield from calls.suspicious(reference("campaign", campaign), robot)))
 
 
 def campaigns(robot: Thing, *, retired: bool = False) -> Steps[Records[Campaign]]:
