@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Callable
-from datetime import timedelta
+from datetime import datetime, timedelta
 from typing import Any
 
 import httpx
@@ -16,7 +16,7 @@ from sqlalchemy import select
 from kilter_client import Kilter
 from kilter_client.cli.activation_report import show_today
 from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow, now
+from kilter_service.db.tables import CampaignRow, JobRow, RobotRow, now
 from tests.service.conftest import Katana, WorkerProcess
 
 Until = Callable[..., None]
@@ -107,12 +107,12 @@ def test_after_a_crash_every_surface_says_the_error_of_the_newest_rows(
     for page in ("/", "/robots/katana"):
         said = words(client, page)
         assert f"{mean:.3g} mm" in said, page
-        assert f"after the crash , measured {date}" in said, page
+        assert f"after the crash , sent on {date}, today (when it was measured is not stated)" in said, page
         assert "more than chance explains" in said, page
     with Kilter(str(client.base_url), client.headers["authorization"].removeprefix("Bearer ")) as kilter:
         assert kilter.today("katana").newest.errors.identified.mean_mm == mean
         show_today(kilter.robots.today("katana"))
-    said = f"Mean error {mean:.3g} mm on rows that no fit used, no row left out: campaign after the crash"
+    said = f"Mean error {mean:.3g} mm on rows that no fit used, no row left out: campaign after the crash, sent on "
     assert said in capsys.readouterr().out
 
     # Rows that nobody may use any more say nothing.
@@ -171,3 +171,39 @@ def test_what_is_missing_is_asked_of_the_store_and_of_the_active_version(
     assert found["sentence"] in words(client, "/robots/katana")
     client.post(f"/v1/versions/{without}/activate", json={"force": True, "reason": "test"}).raise_for_status()
     assert "Missing" in today(client)["missing"]["sentence"]
+
+
+@pytest.mark.both_databases
+def test_today_says_when_rows_were_measured_and_where_only_their_upload_is_known(
+    client: httpx.Client, database: Database, katana: Katana, worker: WorkerProcess, until: Until
+) -> None:
+    first = katana.campaign(client, 60)
+    worker.start()
+    made = done(client, until, kind="identify", campaigns=[first], validation=0.25, options={"level": 2})["result"]
+    client.post(f"/v1/versions/{made['version_id']}/activate").raise_for_status()
+    newest = today(client)["newest"]["campaigns"][0]
+    assert (newest["stated"], newest["age_days"]) == (False, 0)
+    assert "(when it was measured is not stated)" in newest["when"]
+
+    at = now() - timedelta(days=22, hours=1)
+    later = "2031-11-02T00:00:00+00:00"
+    refused = client.post("/v1/robots/katana/campaigns", json={"name": "tomorrow", "measured_at": later})
+    assert refused.status_code == 422
+    assert "is in the future" in refused.json()["detail"]
+    without = client.post("/v1/robots/katana/campaigns", json={"name": "naive", "measured_at": "2026-11-02T00:00:00"})
+    assert without.status_code == 422
+    with Kilter(str(client.base_url), client.headers["authorization"].removeprefix("Bearer ")) as kilter:
+        sent = kilter.upload("katana", katana.columns(40, seed=7), name="old", measured_at=at, progress=False)
+        old = sent.campaign_id
+        assert kilter.campaign(old).measured_at is not None
+    told = client.get(f"/v1/campaigns/{old}").json()
+    assert datetime.fromisoformat(told["measured_at"]) == at
+    # Rows of before the fit, sent after it: no news of today, and nothing that waits to be evaluated.
+    assert today(client)["not_evaluated"] == []
+    done(client, until, kind="evaluate", campaigns=[old])
+    found = today(client)
+    assert found["newest"]["source"] == "held_out"
+
+    client.post(f"/v1/campaigns/{first}/retire").raise_for_status()
+    with database.reading() as session:
+        assert session.execute(select(CampaignRow.measured_at).where(CampaignRow.id == old)).scalar_one() == at

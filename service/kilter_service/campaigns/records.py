@@ -30,5 +30,6 @@ class CampaignRecord:
     conditions: dict[str, Any]
     notes: str
     staged: bool
+    measured_at: datetime | None
     created_at: datetime
     retired_at: datetime | None

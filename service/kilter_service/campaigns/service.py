@@ -29,14 +29,21 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
+AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may go before this one
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
-    """Store a new campaign of a robot; an unfinished one from long ago is deleted meanwhile."""
+    """Store a new campaign of a robot; an unfinished one from long ago is deleted meanwhile.
+
+    Raises:
+        ServiceError: no such robot, a name that is taken or invalid, or a day in the future.
+
+    """
     body = hash_of(campaign)
+    _refuse_future(campaign)
     with database.transaction() as session:
         known = once.first(session, body, CAMPAIGN)
         if known is not None:
@@ -47,6 +54,17 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
         return once.keep(session, body, shown(session, campaign_id))
+
+
+def _refuse_future(campaign: NewCampaign) -> None:
+    at = campaign.measured_at
+    if at is not None and at > datetime.now(UTC) + AHEAD:
+        raise ServiceError(
+            f"measured_at {at.isoformat()} is in the future: give the time at which the last row was measured, or leave it "
+            "out. Is the clock of this machine right?",
+            code="payload_invalid",
+            field="measured_at",
+        )
 
 
 def get(database: Database, campaign_id: str) -> Campaign:

@@ -62,6 +62,7 @@ def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
         conditions=campaign.conditions.model_dump(mode="json", exclude_none=True),
         notes=campaign.notes,
         staged=campaign.staged,
+        measured_at=campaign.measured_at,
     )
     session.add(row)
     return row.id
@@ -79,8 +80,8 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
 
 def _record(row: CampaignRow) -> CampaignRecord:
     return CampaignRecord(
-        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged, row.created_at,
-        row.retired_at,
+        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged,
+        row.measured_at, row.created_at, row.retired_at,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]
         role=role,
         conditions=Conditions(**record.conditions),
         notes=record.notes,
+        measured_at=record.measured_at,
         staged=record.staged,
         created_at=record.created_at,
         retired_at=record.retired_at,

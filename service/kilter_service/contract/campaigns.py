@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 
 from kilter_service.contract.fits import Remark
 from kilter_service.contract.references import RETIRED_AT
@@ -42,6 +42,9 @@ class _Campaign(Strict):
     role: Role = Field("train", description="What it is meant for; a job may use it otherwise.")
     conditions: Conditions = Field(Conditions(), description="What held during the whole campaign.")
     notes: Annotated[str, Field(max_length=20_000)] = Field("", description="Whatever else is worth knowing.")
+    measured_at: AwareDatetime | None = Field(
+        None, description="When its last row was measured, with the time zone; null: not stated."
+    )
     staged: bool = Field(
         False, description="Whether its parts come one by one, and it is hidden until they are all there."
     )

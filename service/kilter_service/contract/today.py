@@ -14,11 +14,16 @@ Source = Literal["evaluation", "held_out", "fitted"]
 
 
 class MeasuredCampaign(Strict):
-    """A campaign, and when its newest rows were sent."""
+    """A campaign, and when it was measured."""
 
     id: str = Field(description="Id of the campaign.")
     name: str = Field(description="Its name.")
-    measured_at: datetime = Field(description="When its newest rows were sent.")
+    measured_at: datetime = Field(
+        description="When it was measured; where nobody stated it, when its newest rows were sent."
+    )
+    stated: bool = Field(description="Whether that was stated; false: it is when the rows were sent.")
+    age_days: int = Field(description="Whole days from then to now.")
+    when: str = Field(description="The same in words.")
 
 
 class ErrorsToday(Strict):

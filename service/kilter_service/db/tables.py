@@ -93,6 +93,7 @@ class CampaignRow(Row):
     notes: Mapped[str]
     created_at: Mapped[datetime] = mapped_column(default=now)
     staged: Mapped[bool] = mapped_column(default=False, server_default=false())
+    measured_at: Mapped[datetime | None]
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 

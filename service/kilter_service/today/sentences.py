@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import datetime
 
-from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, Today
+from kilter_service.contract.today import ErrorsToday, Today
 
 SOURCES = {
     "evaluation": "on rows that no fit used",
@@ -26,7 +27,7 @@ def _sentences(today: Today) -> Iterator[str]:
     else:
         yield from _numbers(today, today.newest)
     if today.not_evaluated:
-        named = ", ".join(f"{one.name} ({one.measured_at:%Y-%m-%d})" for one in today.not_evaluated)
+        named = "; ".join(f"{one.name}, {one.when}" for one in today.not_evaluated)
         yield (
             f"Measured since then and not evaluated: {named}. Evaluate it: `kilter evaluate {today.robot} --campaign "
             f"{today.not_evaluated[-1].id}`."
@@ -62,12 +63,16 @@ def left_out(rows: int | None) -> str:
 
 def where(found: ErrorsToday) -> str:
     """Say which rows, and from when."""
-    named = ", ".join(_named(one) for one in found.campaigns) or "campaigns that are gone"
-    return f"{named}, computed {found.at:%Y-%m-%d}"
+    named = "; ".join(f"campaign {one.name}, {one.when}" for one in found.campaigns) or "campaigns that are gone"
+    return f"{named}; computed {found.at:%Y-%m-%d}"
 
 
-def _named(one: MeasuredCampaign) -> str:
-    return f"campaign {one.name} of {one.measured_at:%Y-%m-%d %H:%M} UTC"
+def when(at: datetime, days: int, *, stated: bool) -> str:
+    """Say when rows were measured, or that only their upload is known."""
+    ago = "today" if days == 0 else f"{days} day{'s' if days > 1 else ''} ago"
+    if stated:
+        return f"measured on {at:%Y-%m-%d}, {ago}"
+    return f"sent on {at:%Y-%m-%d}, {ago} (when it was measured is not stated)"
 
 
 def _job(today: Today, newest: ErrorsToday) -> str:

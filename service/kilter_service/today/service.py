@@ -9,6 +9,7 @@ from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, SearchToday, Today
 from kilter_service.contract.written import as_written
 from kilter_service.db import Database, Session
+from kilter_service.db.tables import now
 from kilter_service.today import missing, sentences, store
 from kilter_service.today.store import Active, Evaluated, Measured
 from kilter_service.versions.own_errors import larger
@@ -127,7 +128,11 @@ def _errors(
 
 
 def _campaign(found: Measured) -> MeasuredCampaign:
-    return MeasuredCampaign(id=found.id, name=found.name, measured_at=found.measured_at)
+    days = max((now() - found.measured_at).days, 0)
+    return MeasuredCampaign(
+        id=found.id, name=found.name, measured_at=found.measured_at, stated=found.stated, age_days=days,
+        when=sentences.when(found.measured_at, days, stated=found.stated),
+    )  # fmt: skip
 
 
 def _larger(newest: ErrorsToday, own: ErrorsToday) -> float | None:

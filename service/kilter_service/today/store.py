@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -16,11 +16,12 @@ from kilter_service.robots import store as robots
 
 @dataclass(frozen=True)
 class Measured:
-    """A campaign in use with rows: the hashes of its files, and when the newest came."""
+    """A campaign in use with rows: the hashes of its files, and when it was measured; not ``stated``: when they came."""
 
     id: str
     name: str
     measured_at: datetime
+    stated: bool
     hashes: frozenset[str]
 
 
@@ -101,14 +102,15 @@ def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measu
     """Return the campaigns in use that have rows, by robot and id."""
     row = CampaignRow
     query = (
-        select(row.robot_id, row.id, row.name, UploadRow.sha256, UploadRow.created_at)
+        select(row.robot_id, row.id, row.name, row.measured_at, UploadRow.sha256, UploadRow.created_at)
         .join(UploadRow, UploadRow.campaign_id == row.id)
         .where(row.robot_id.in_(of), row.retired_at.is_(None), row.staged.is_(False))
     )
     out: dict[int, dict[str, Measured]] = {}
-    for robot, key, name, sha256, at in session.execute(query):
-        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, frozenset()))
-        out[robot][key] = Measured(key, name, max(known.measured_at, at), known.hashes | {sha256})
+    for robot, key, name, stated, sha256, sent in session.execute(query):
+        at = stated or sent
+        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, stated is not None, frozenset()))
+        out[robot][key] = replace(known, measured_at=max(known.measured_at, at), hashes=known.hashes | {sha256})
     return out
 
 

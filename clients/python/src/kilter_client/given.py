@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from datetime import date, datetime
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -46,6 +47,27 @@ def rows_of(
         raise UsageError(f"Columns must have the same number of rows, and there must be one: {told or 'none given'}.")
     rows = [*range(1, next(iter(lengths.values())) + 1)]
     return Prepared(_csv(found), CSV_TYPE, tuple(found), len(rows))
+
+
+def moment_of(given: datetime | date | str | None) -> str | None:
+    """Read a time as ISO 8601 with its zone; without a zone it is that of this machine, of a day the noon.
+
+    Raises:
+        UsageError: it is not a time.
+
+    """
+    if given is None:
+        return None
+    try:
+        at = datetime.fromisoformat(given) if isinstance(given, str) else given
+    except ValueError:
+        raise UsageError(f"{given!r} is not a time: give it as 2026-11-02 or 2026-11-02T14:30.") from None
+    only_day = not isinstance(at, datetime) or (isinstance(given, str) and len(given) <= len("2026-11-02"))
+    if only_day:
+        noon = datetime(at.year, at.month, at.day, 12).astimezone()
+        return min(noon, datetime.now().astimezone()).isoformat() if noon.date() == date.today() else noon.isoformat()
+    assert isinstance(at, datetime)
+    return (at if at.tzinfo is not None else at.astimezone()).isoformat()
 
 
 def name_of(data: Data) -> str:

@@ -104,6 +104,7 @@ class Campaigns(Kept):
         notes: str = "",
         staged: bool = False,
         numbered: bool = False,
+        measured_at: str | None = None,
     ) -> Document:
         """Add a campaign to a robot; a ``staged`` one is seen and used by nobody before ``commit``.
 
@@ -117,6 +118,7 @@ class Campaigns(Kept):
             "notes": notes,
             "staged": staged,
             "numbered": numbered,
+            "measured_at": measured_at,
         }
         return self._run(campaigns.add(robot, wanted))
 

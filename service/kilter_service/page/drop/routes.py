@@ -113,6 +113,7 @@ async def otherwise(robot: str, draft: str, request: Request, database: Database
 async def store(
     robot: str, draft: str, request: Request, database: DatabaseOfApp, sha256: Short, name: Short,
     role: Short = "train", device: Short = "", payload_kg: Short = "", temperature_c: Short = "", notes: Text = "",
+    measured_at: Short = "",
 ) -> Response:  # fmt: skip
     """Store the rows as a campaign."""
     found = _draft(request, robot, draft)
@@ -123,6 +124,7 @@ async def store(
         "device": device,
         "notes": notes,
         "conditions": conditions,
+        "measured_at": service.measured_at(measured_at),
     }
     stored = await compute(request, service.store, database, found, campaign, sha256)
     return redirect(request, f"{root_of(request)}/campaigns/{stored.id}{_after(found)}")

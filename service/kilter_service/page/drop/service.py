@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,23 @@ from kilter_service.robots import service as robots
 
 LONGEST_MAP = 200_000
 LONGEST_NOTES = 20_000
+
+
+def measured_at(text: str) -> datetime | None:
+    """Read the day of the form, as its noon in UTC; None of an empty field.
+
+    Raises:
+        ServiceError: it is not a day.
+
+    """
+    if not text.strip():
+        return None
+    try:
+        day = date.fromisoformat(text.strip())
+    except ValueError:
+        raise ServiceError(f"{text[:40]!r} is not a day: give it as 2026-11-02.", code="payload_invalid") from None
+    noon = datetime.combine(day, time(12), UTC)
+    return min(noon, datetime.now(UTC)) if day == datetime.now(UTC).date() else noon
 
 
 def kinds_of(database: Database, robot: str) -> list[str]:

@@ -17,8 +17,8 @@ UPLOAD_TIMEOUT_S = 600.0
 
 
 def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
-    """Add a campaign to a robot; what is false of ``staged`` and ``numbered`` is not sent."""
-    body = {key: value for key, value in wanted.items() if value or key not in ("staged", "numbered")}
+    """Add a campaign to a robot; what is false or not stated is not sent, so that an earlier server takes it."""
+    body = {key: value for key, value in wanted.items() if value or key not in ("staged", "numbered", "measured_at")}
     return post(address("robots", robot, "campaigns"), body, once())
 
 

@@ -23,6 +23,7 @@ from kilter_client.cli.progress import upload_bar
 from kilter_client.cli.references import resolved
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import ApiError, ConflictError, KilterError, ObservationError, UsageError
+from kilter_client.given import moment_of
 from kilter_client.naming import same
 from kilter_files import DEVICES, Prepared, prepare
 from kilter_files.table import CSV_TYPE
@@ -101,6 +102,10 @@ def upload(
     tool_force_n: ToolForce = None,
     tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
+    measured_at: Annotated[
+        str | None,
+        typer.Option(metavar="WHEN", help="When the last row was measured: 2026-11-02, or 2026-11-02T14:30."),
+    ] = None,
     dry_run: Annotated[
         bool,
         typer.Option(
@@ -116,7 +121,8 @@ def upload(
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
     conditions = _conditions(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
-    if campaign and (name or notes or conditions):
+    at = moment_of(measured_at)
+    if campaign and (name or notes or conditions or at):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
     prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
@@ -133,6 +139,7 @@ def upload(
         "conditions": conditions,
         "notes": notes,
         "numbered": name is None,
+        "measured_at": at,
     }
     done = _stored(robot, campaign, wanted, file, prepared, as_json)
     for text in _odd(done):

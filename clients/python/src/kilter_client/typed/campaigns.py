@@ -53,6 +53,8 @@ class Campaign(ShownCampaign, Record):
     """What it was measured with; `pencil`, `sheet` and `ballbar` have a frame of their own every time."""
     id: str
     """Id of the campaign, `cmp_` and 16 hexadecimal digits."""
+    measured_at: str | None
+    """When its last row was measured, with the time zone; None: not stated."""
     name: str
     """Name for people, at most 200 characters."""
     notes: str

@@ -97,14 +97,20 @@ class JobSummary(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MeasuredCampaign(Record):
-    """A campaign, and when its newest rows were sent."""
+    """A campaign, and when it was measured."""
 
+    age_days: int
+    """Whole days from then to now."""
     id: str
     """Id of the campaign."""
     measured_at: str
-    """When its newest rows were sent."""
+    """When it was measured; where nobody stated it, when its newest rows were sent."""
     name: str
     """Its name."""
+    stated: bool
+    """Whether that was stated; false: it is when the rows were sent."""
+    when: str
+    """The same in words."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kilter_client.calls import campaigns as calls
 from kilter_client.errors import ApiError, ObservationError, UsageError
-from kilter_client.given import Data, name_of, rows_of
+from kilter_client.given import Data, moment_of, name_of, rows_of
 from kilter_client.naming import same
 from kilter_client.progress import Watching, watched
 from kilter_client.results.record import Records
@@ -16,6 +16,8 @@ from kilter_client.steps import Document, Sent, Steps
 from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
+    from datetime import date, datetime
+
     from kilter_client.typed.campaigns import Campaign, Uploaded
     from kilter_client.typed.others import SuspiciousRows
     from kilter_files import Prepared
@@ -38,6 +40,7 @@ def upload(
     tool_force_n: Sequence[float] | None = None,
     tool_moment_nm: Sequence[float] | None = None,
     notes: str = "",
+    measured_at: datetime | date | str | None = None,
     campaign: Thing | None = None,
     progress: Watching = True,
 ) -> Steps[Uploaded]:
@@ -57,6 +60,8 @@ def upload(
         tool_force_n: force on the tool point in its frame, N.
         tool_moment_nm: moment on the tool point in its frame, N m.
         notes: anything else worth knowing.
+        measured_at: when the last row was measured, as ``"2026-11-02"`` or ``"2026-11-02T14:30"``; without a zone that of
+            this machine. Without it the day of the upload stands for it.
         campaign: add to this campaign instead of making one.
         progress: True for a bar, False for none, or a function of the fraction sent and the stage.
 
@@ -75,10 +80,10 @@ def upload(
         tool_force_n=tool_force_n,
         tool_moment_nm=tool_moment_nm,
     )
-    if campaign is not None and (name or notes or conditions):
+    if campaign is not None and (name or notes or conditions or measured_at):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
     wanted: Document = {"name": name or name_of(data), "device": device or "", "role": role, "notes": notes}
-    wanted |= {"conditions": conditions, "numbered": name is None}
+    wanted |= {"conditions": conditions, "numbered": name is None, "measured_at": moment_of(measured_at)}
     into = None if campaign is None else reference("campaign", campaign)
     prepared = rows_of(data, columns, device, column_map)
     return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, prepared, progress)))
