@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
-AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may go before this one
+AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)

@@ -60,6 +60,7 @@ class SearchToday(Strict):
     start: str | None = Field(description="The version it continued from; null: the nominal robot.")
     verdict: str | None = Field(description="`no_gap`, `closed`, `provisional` or `unexplained`.")
     named: list[NamedMissing] = Field(description="What it named.")
+    open: str = Field(description="What is not settled after it, in words.")
     next_poses: int = Field(description="Poses that it proposes to measure.")
     sentence: str = Field(description="What is missing now, in words.")
 

@@ -23,6 +23,7 @@ def against(found: Searched, active: Active | None) -> SearchToday:
         start=result.start,
         verdict=result.verdict,
         named=named,
+        open=_open(result),
         next_poses=len(result.next_poses or []),
         sentence=_sentence(found, result, named, active),
     )
@@ -58,6 +59,14 @@ def _joints(effect: dict[str, Any], wanted: set[int]) -> set[int]:
     """Joints of an effect of a version; one that states none is of all."""
     stated = effect.get("joints")
     return wanted if stated is None else set(stated)
+
+
+def _open(result: GapResult) -> str:
+    """What a search leaves unsettled."""
+    unsure = [called(one) for one in result.effects or [] if one.verdict == "provisional"]
+    said = ["something is left that no known effect explains"] if result.verdict == "unexplained" else []
+    said += [f"not yet confirmed: {', '.join(unsure)}"] if unsure else []
+    return "; ".join(said) or "nothing that these data show"
 
 
 def _sentence(found: Searched, result: GapResult, named: Sequence[NamedMissing], active: Active | None) -> str:

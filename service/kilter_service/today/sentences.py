@@ -52,6 +52,9 @@ def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
             f"said ({today.own.at:%Y-%m-%d}), more than chance explains: the arm, or what it was measured with, has changed."
             + moved
         )
+    elif today.own is not None and today.own.errors.identified is not None and today.own.job_id != newest.job_id:
+        own = today.own.errors.identified.mean_mm
+        yield f"Its own job said {own:.3g} mm ({today.own.at:%Y-%m-%d}); the difference is not more than chance explains."
     if newest.source == "fitted":
         yield "Nothing was held out: measure some poses that are only checked (kilter upload --role confirmation)."
 

@@ -29,6 +29,7 @@ from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.suspicious import service as suspicious
+from kilter_service.today import service as today
 from kilter_service.versions import service as versions
 
 SIGMA95 = 1.96
@@ -76,6 +77,7 @@ class Sheet:
     campaigns: Mapping[str, str]
     ranges: list[list[str]]
     suspicious: list[SuspiciousRows]
+    today: list[str]
 
 
 def of_version(database: Database, version_id: str) -> Sheet:
@@ -116,6 +118,7 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
         activations=[one for one in log if version is not None and one.version_id == version.id],
         campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
         suspicious=suspicious.of_campaigns(database, _used(job)),
+        today=today.of_robot(database, job.robot).sentences if version is not None and version.active else [],
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
 from kilter_service.contract.today import Today
@@ -29,6 +29,7 @@ class Accuracy:
     registration: float | None
     place: float | None = None  # of the nominal error, what is where instrument, base and tool are
     left_out: int | None = None  # rows that the errors leave out
+    unused: bool = False  # of rows that no fit used, and not of those that its own job held out
 
     @property
     def half(self) -> float | None:
@@ -54,7 +55,8 @@ def accuracy_today(today: Today) -> Accuracy | None:
     newest = today.newest
     if newest is None or newest.errors.identified is None:
         return None
-    return _read(newest.source != "fitted", newest.errors, newest.errors.identified)
+    found = _read(newest.source != "fitted", newest.errors, newest.errors.identified)
+    return replace(found, unused=newest.source == "evaluation")
 
 
 def interval(found: Errors, n: int | None) -> tuple[float, float] | None:

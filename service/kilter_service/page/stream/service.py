@@ -10,19 +10,22 @@ from kilter_service.live import service as live
 from kilter_service.live.heard import WHY
 from kilter_service.live.session import place_in
 from kilter_service.live.shown import RobotShown
+from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
+from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
 from kilter_service.versions import service as versions
 
 
 @dataclass(frozen=True)
 class StreamView:
-    """Streams of a robot, who activated the active version, and what each reason of a refusal means."""
+    """Streams of a robot, what is said of them elsewhere, who activated the active version, and why setpoints are refused."""
 
     shown: RobotShown
     activation: Activation | None
     reasons: dict[str, str]
     endpoint: str
+    correcting: Correcting
 
 
 def view(database: Database, settings: Settings, robot: str) -> StreamView:
@@ -36,4 +39,5 @@ def view(database: Database, settings: Settings, robot: str) -> StreamView:
     entries = versions.activations(database, robot, Page(limit=1)).activations
     place = place_in(settings.corrector_file)
     endpoint = place.endpoint if place else settings.zenoh_listen
-    return StreamView(shown, entries[0] if entries else None, WHY, endpoint)
+    correcting = corrector(database, settings).of(robot, robots.get(database, robot).active_version)
+    return StreamView(shown, entries[0] if entries else None, WHY, endpoint, correcting)

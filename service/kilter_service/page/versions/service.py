@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
+from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
 from kilter_service.page.figures.plot import GREY, Plot
@@ -17,6 +18,7 @@ from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.suspicious import service as suspicious
+from kilter_service.today import service as today
 from kilter_service.versions import service
 from kilter_service.versions.expected import tag_of_robot
 
@@ -59,6 +61,7 @@ class Shown:
     unseen: Sequence[Parameter]
     others: Sequence[VersionSummary]
     suspicious: Sequence[SuspiciousRows]
+    today: Today | None
 
 
 def history(database: Database, robot: str) -> History:
@@ -80,8 +83,9 @@ def version(database: Database, version_id: str) -> Shown:
     unseen = [one for one in unknown if not of_a_mass(one.name)]
     others = service.listed(database, found.robot, Page(limit=MOST_SHOWN)).versions
     rest = [one for one in others if one.id != version_id]
+    now = today.of_robot(database, found.robot) if found.active else None
     odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
-    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest, odd)
+    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest, odd, now)
 
 
 def errors_by_version(found: Sequence[Listed]) -> Plot | None:

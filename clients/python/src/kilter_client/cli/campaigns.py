@@ -70,6 +70,10 @@ group = typer.Typer(
 ColumnMap = Annotated[
     Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
 ]
+MeasuredAt = Annotated[
+    str | None,
+    typer.Option(metavar="WHEN", help="When the last row was measured: 2026-11-02, or 2026-11-02T14:30."),
+]
 CampaignName = Annotated[
     str | None,
     typer.Option(help="Name of the campaign; default is the file's, with a number added when that is taken."),
@@ -102,10 +106,7 @@ def upload(
     tool_force_n: ToolForce = None,
     tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
-    measured_at: Annotated[
-        str | None,
-        typer.Option(metavar="WHEN", help="When the last row was measured: 2026-11-02, or 2026-11-02T14:30."),
-    ] = None,
+    measured_at: MeasuredAt = None,
     dry_run: Annotated[
         bool,
         typer.Option(

@@ -16,6 +16,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
+from kilter_client.cli.activation_report import show_today
 from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
@@ -167,10 +168,15 @@ def verdicts(content: bytes, content_type: str) -> dict[str, int]:
     return dict(Counter(parquet.read_table(io.BytesIO(content), columns=["status"])["status"].to_pylist()))
 
 
-def status(as_json: Json = False) -> None:
-    """Show whether the server is ready."""
+def status(
+    robot: Annotated[str | None, typer.Argument(help="A robot: how good it is today, too.", show_default=False)] = None,
+    as_json: Json = False,
+) -> None:
+    """Show whether the server is ready, and how good a robot is today."""
     with Kilter() as kilter:
         document = {"url": kilter.url, **kilter.health()}
+        if robot is not None:
+            document["today"] = kilter.robots.today(robot)
     emit(document, as_json, _show_status)
 
 
@@ -178,3 +184,5 @@ def _show_status(document: dict[str, Any]) -> None:
     say(f"{document['url']}: {document['status']}, version {document.get('version')}")
     for name, check in document.get("checks", {}).items():
         say(f"  {name}: {'ok' if check['ok'] else 'not ok'} ({check['detail']})")
+    if "today" in document:
+        show_today(document["today"])

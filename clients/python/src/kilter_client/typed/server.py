@@ -159,6 +159,8 @@ class SearchToday(Record):
     """What it named."""
     next_poses: int
     """Poses that it proposes to measure."""
+    open: str
+    """What is not settled after it, in words."""
     sentence: str
     """What is missing now, in words."""
     start: str | None

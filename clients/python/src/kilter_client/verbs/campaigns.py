@@ -60,8 +60,7 @@ def upload(
         tool_force_n: force on the tool point in its frame, N.
         tool_moment_nm: moment on the tool point in its frame, N m.
         notes: anything else worth knowing.
-        measured_at: when the last row was measured, as ``"2026-11-02"`` or ``"2026-11-02T14:30"``; without a zone that of
-            this machine. Without it the day of the upload stands for it.
+        measured_at: when the last row was measured, as ``"2026-11-02T14:30"``, in this machine's zone where none is given.
         campaign: add to this campaign instead of making one.
         progress: True for a bar, False for none, or a function of the fraction sent and the stage.
 
@@ -74,12 +73,9 @@ def upload(
     from kilter_client.typed.campaigns import Uploaded
 
     conditions = _conditions(
-        payload_kg=payload_kg,
-        payload_com_mm=payload_com_mm,
-        temperature_c=temperature_c,
-        tool_force_n=tool_force_n,
-        tool_moment_nm=tool_moment_nm,
-    )
+        payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
+        tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
+    )  # fmt: skip
     if campaign is not None and (name or notes or conditions or measured_at):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
     wanted: Document = {"name": name or name_of(data), "device": device or "", "role": role, "notes": notes}
