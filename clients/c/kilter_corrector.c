@@ -14,7 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-typedef double (*matrix)[KILTER_COLUMNS];
+typedef double (*matrix)[KC_COLUMNS];
 typedef struct { matrix at; int count; } rows;
 typedef struct { double at[2]; } tuple2;
 typedef struct { double at[3]; } tuple3;
@@ -2291,34 +2291,34 @@ static uint32_t checksum(const unsigned char *bytes, size_t count, size_t hole)
 /* Header checked; the numbers of rows and joints where it is whole. */
 static int look(const unsigned char *bytes, size_t count, int *rows_found, int *joints)
 {
-    if (count < KILTER_HEADER_BYTES) {
-        return KILTER_TRUNCATED;
+    if (count < KC_HEADER_BYTES) {
+        return KC_TRUNCATED;
     }
     if (memcmp(bytes, "KLTC", 4) != 0) {
-        return KILTER_NOT_A_PROGRAM;
+        return KC_NOT_A_PROGRAM;
     }
-    if (word(bytes + AT_FORMAT) > KILTER_FORMAT) {
-        return KILTER_NEWER_FORMAT;
+    if (word(bytes + AT_FORMAT) > KC_FORMAT) {
+        return KC_NEWER_FORMAT;
     }
-    if (word(bytes + AT_HEADER) != KILTER_HEADER_BYTES) {
-        return KILTER_NOT_A_PROGRAM;
+    if (word(bytes + AT_HEADER) != KC_HEADER_BYTES) {
+        return KC_NOT_A_PROGRAM;
     }
-    if (word(bytes + AT_LAYOUT) != KILTER_LAYOUT || word(bytes + AT_COLUMNS) != KILTER_COLUMNS) {
-        return KILTER_OTHER_LAYOUT;
+    if (word(bytes + AT_LAYOUT) != KC_LAYOUT || word(bytes + AT_COLUMNS) != KC_COLUMNS) {
+        return KC_OTHER_LAYOUT;
     }
     const uint32_t found = word(bytes + AT_ROWS), n = word(bytes + AT_JOINTS);
-    if (found < 4 || found > KILTER_MOST_ROWS || n < 1 || n > KILTER_MOST_JOINTS) {
-        return KILTER_IMPOSSIBLE;
+    if (found < 4 || found > KC_MOST_ROWS || n < 1 || n > KC_MOST_JOINTS) {
+        return KC_IMPOSSIBLE;
     }
-    const size_t whole = KILTER_HEADER_BYTES + (size_t)found * KILTER_COLUMNS * 8;
+    const size_t whole = KC_HEADER_BYTES + (size_t)found * KC_COLUMNS * 8;
     if (count < whole) {
-        return KILTER_TRUNCATED;
+        return KC_TRUNCATED;
     }
     if (count > whole) {
-        return KILTER_NOT_A_PROGRAM;
+        return KC_NOT_A_PROGRAM;
     }
     if (checksum(bytes, count, AT_CRC) != word(bytes + AT_CRC)) {
-        return KILTER_DAMAGED;
+        return KC_DAMAGED;
     }
     *rows_found = (int)found;
     *joints = (int)n;
@@ -2327,7 +2327,7 @@ static int look(const unsigned char *bytes, size_t count, int *rows_found, int *
 
 static double number_at(const unsigned char *bytes, int row, int column)
 {
-    const uint64_t raw = long_word(bytes + KILTER_HEADER_BYTES + 8 * ((size_t)row * KILTER_COLUMNS + (size_t)column));
+    const uint64_t raw = long_word(bytes + KC_HEADER_BYTES + 8 * ((size_t)row * KC_COLUMNS + (size_t)column));
     double value = 0.0;
     memcpy(&value, &raw, sizeof value);
     return value;
@@ -2345,17 +2345,17 @@ static bool possible(const unsigned char *bytes, int count, int n)
 {
     const int s = count - 1;
     for (int row = 0; row < count; row++) {
-        for (int column = 0; column < KILTER_COLUMNS; column++) {
+        for (int column = 0; column < KC_COLUMNS; column++) {
             const double value = number_at(bytes, row, column);
             if (value != value) {
                 return false;
             }
         }
     }
-    if (!whole(bytes, s, N, n, n) || !whole(bytes, s, M, 1, KILTER_MOST_MOVES) ||
-        !whole(bytes, s, CURVES, 0, KILTER_MOST_ROWS) || !whole(bytes, s, BENDINGS, 0, KILTER_MOST_ROWS) ||
-        !whole(bytes, s, LOAD_CHAIN, 0, KILTER_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KILTER_MOST_ROUNDS) ||
-        !whole(bytes, s, ROUNDS, 1, KILTER_MOST_ROUNDS) || !whole(bytes, s, ROWS, 5, 6) ||
+    if (!whole(bytes, s, N, n, n) || !whole(bytes, s, M, 1, KC_MOST_MOVES) ||
+        !whole(bytes, s, CURVES, 0, KC_MOST_ROWS) || !whole(bytes, s, BENDINGS, 0, KC_MOST_ROWS) ||
+        !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
+        !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, ROWS, 5, 6) ||
         !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
         return false;
     }
@@ -2394,32 +2394,32 @@ static int rows_behind(int moves, int joints)
     return (moves + 1 + joints + 6) + (joints + 1) + 2;
 }
 
-size_t kilter_memory_needed(const void *program, size_t bytes)
+size_t kc_memory_needed(const void *program, size_t bytes)
 {
     int count = 0, n = 0;
     if (program == NULL || look(program, bytes, &count, &n) != 0 || !possible(program, count, n)) {
         return 0;
     }
     const int m = (int)number_at(program, count - 1, M);
-    return (size_t)(count + rows_behind(m, n)) * KILTER_COLUMNS;
+    return (size_t)(count + rows_behind(m, n)) * KC_COLUMNS;
 }
 
-static rows program_of(const kilter_corrector *c)
+static rows program_of(const kc_corrector *c)
 {
     return (rows){c->memory, c->rows};
 }
 
-static matrix scratch_of(const kilter_corrector *c)
+static matrix scratch_of(const kc_corrector *c)
 {
     return c->memory + c->rows;
 }
 
-static matrix state_of(const kilter_corrector *c)
+static matrix state_of(const kc_corrector *c)
 {
     return scratch_of(c) + c->moves + 1 + c->joints + 6;
 }
 
-void kilter_restart(kilter_corrector *corrector, int settled)
+void kc_restart(kc_corrector *corrector, int settled)
 {
     if (corrector == NULL || corrector->memory == NULL) {
         return;
@@ -2436,11 +2436,11 @@ static void copy_text(char *to, const unsigned char *from, size_t count)
     to[count] = '\0';
 }
 
-int kilter_load(kilter_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles,
+int kc_load(kc_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles,
                 int settled)
 {
     if (corrector == NULL || program == NULL || memory == NULL) {
-        return KILTER_NO_MEMORY;
+        return KC_NO_MEMORY;
     }
     int count = 0, n = 0;
     const int fault = look(program, bytes, &count, &n);
@@ -2448,17 +2448,17 @@ int kilter_load(kilter_corrector *corrector, const void *program, size_t bytes, 
         return fault;
     }
     if (!possible(program, count, n)) {
-        return KILTER_IMPOSSIBLE;
+        return KC_IMPOSSIBLE;
     }
     const int m = (int)number_at(program, count - 1, M);
-    const size_t needed = (size_t)(count + rows_behind(m, n)) * KILTER_COLUMNS;
+    const size_t needed = (size_t)(count + rows_behind(m, n)) * KC_COLUMNS;
     if (doubles < needed) {
-        return KILTER_NO_MEMORY;
+        return KC_NO_MEMORY;
     }
     memset(memory, 0, needed * sizeof *memory);
     corrector->memory = (matrix)memory;
     for (int row = 0; row < count; row++) {
-        for (int column = 0; column < KILTER_COLUMNS; column++) {
+        for (int column = 0; column < KC_COLUMNS; column++) {
             corrector->memory[row][column] = number_at(program, row, column);
         }
     }
@@ -2468,22 +2468,22 @@ int kilter_load(kilter_corrector *corrector, const void *program, size_t bytes, 
     corrector->number = long_word((const unsigned char *)program + AT_NUMBER);
     copy_text(corrector->version, (const unsigned char *)program + AT_VERSION, VERSION_BYTES);
     copy_text(corrector->robot, (const unsigned char *)program + AT_ROBOT, ROBOT_BYTES);
-    kilter_restart(corrector, settled);
+    kc_restart(corrector, settled);
     return 0;
 }
 
-int kilter_change(kilter_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles)
+int kc_change(kc_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles)
 {
     if (corrector == NULL || corrector->memory == NULL || memory == NULL || (matrix)memory == corrector->memory) {
-        return KILTER_NO_MEMORY;
+        return KC_NO_MEMORY;
     }
-    kilter_corrector next;
-    const int fault = kilter_load(&next, program, bytes, memory, doubles, 0);
+    kc_corrector next;
+    const int fault = kc_load(&next, program, bytes, memory, doubles, 0);
     if (fault != 0) {
         return fault;
     }
     if (next.joints != corrector->joints || strcmp(next.robot, corrector->robot) != 0) {
-        return KILTER_OTHER_ARM;
+        return KC_OTHER_ARM;
     }
     memcpy(state_of(&next), state_of(corrector), (size_t)(next.joints + 1) * sizeof *next.memory);
     state_of(&next)[next.joints][REBASE] = 1.0;
@@ -2492,7 +2492,7 @@ int kilter_change(kilter_corrector *corrector, const void *program, size_t bytes
 }
 
 /* Setpoint side by side, as the kernels take it; the number of vectors, 0 when only one of speeds and accelerations came. */
-static int side_by_side(kilter_corrector *c, const double *q, const double *qd, const double *qdd)
+static int side_by_side(kc_corrector *c, const double *q, const double *qd, const double *qdd)
 {
     const size_t size = (size_t)c->joints * sizeof *q;
     if ((qd == NULL) != (qdd == NULL) || q == NULL) {
@@ -2507,12 +2507,12 @@ static int side_by_side(kilter_corrector *c, const double *q, const double *qd, 
     return 3;
 }
 
-static int said(const kilter_corrector *c, const double *out, const double *info, int status, double *corrected,
-                kilter_answer *answer)
+static int said(const kc_corrector *c, const double *out, const double *info, int status, double *corrected,
+                kc_answer *answer)
 {
     memcpy(corrected, out, (size_t)c->joints * sizeof *out);
     if (answer != NULL) {
-        const kilter_answer told = {
+        const kc_answer told = {
             status, (unsigned)info[0], (unsigned)info[1], (int)info[7],
             {info[LEFT], info[LEFT + 1], info[LEFT + 2]}, info[LEFT_TURN], info[2],
             {-info[REMOVED], -info[REMOVED + 1], -info[REMOVED + 2]}
@@ -2522,7 +2522,7 @@ static int said(const kilter_corrector *c, const double *out, const double *info
     return status;
 }
 
-static int not_loaded(kilter_answer *answer, int status)
+static int not_loaded(kc_answer *answer, int status)
 {
     if (answer != NULL) {
         memset(answer, 0, sizeof *answer);
@@ -2531,18 +2531,18 @@ static int not_loaded(kilter_answer *answer, int status)
     return status;
 }
 
-int kilter_correct(kilter_corrector *corrector, const double *q, const double *qd, const double *qdd, double dt,
-                   double *corrected, kilter_answer *answer)
+int kc_correct(kc_corrector *corrector, const double *q, const double *qd, const double *qdd, double dt,
+                   double *corrected, kc_answer *answer)
 {
     if (corrector == NULL || corrector->memory == NULL || corrected == NULL) {
-        return not_loaded(answer, KILTER_NOT_LOADED);
+        return not_loaded(answer, KC_NOT_LOADED);
     }
     const int width = side_by_side(corrector, q, qd, qdd);
     if (width == 0 || !(dt >= 0.0)) {
         for (int i = 0; i < corrector->joints; i++) {
             corrected[i] = NAN;
         }
-        return not_loaded(answer, KILTER_NOT_FINITE);
+        return not_loaded(answer, KC_NOT_FINITE);
     }
     const matrix state = state_of(corrector);
     double *out = state[corrector->joints + 1], *info = state[corrector->joints + 2];
@@ -2551,21 +2551,21 @@ int kilter_correct(kilter_corrector *corrector, const double *q, const double *q
     return said(corrector, out, info, status, corrected, answer);
 }
 
-int kilter_correct_alone(kilter_corrector *corrector, const double *q, const double *qd, const double *qdd,
-                         const double *direction, double *corrected, kilter_answer *answer)
+int kc_correct_alone(kc_corrector *corrector, const double *q, const double *qd, const double *qdd,
+                         const double *direction, double *corrected, kc_answer *answer)
 {
-    static const double still[KILTER_MOST_JOINTS];
+    static const double still[KC_MOST_JOINTS];
     if (corrector == NULL || corrector->memory == NULL || corrected == NULL) {
-        return not_loaded(answer, KILTER_NOT_LOADED);
+        return not_loaded(answer, KC_NOT_LOADED);
     }
     const int n = corrector->joints, width = side_by_side(corrector, q, qd, qdd);
     for (int i = 0; i < n * width; i++) {
         if (!(fabs(corrector->setpoint[i]) < INFINITY)) {
-            return not_loaded(answer, KILTER_NOT_FINITE);
+            return not_loaded(answer, KC_NOT_FINITE);
         }
     }
     if (width == 0) {
-        return not_loaded(answer, KILTER_NOT_FINITE);
+        return not_loaded(answer, KC_NOT_FINITE);
     }
     const matrix state = state_of(corrector);
     double *out = state[n + 1], *info = state[n + 2];
@@ -2575,23 +2575,23 @@ int kilter_correct_alone(kilter_corrector *corrector, const double *q, const dou
     return said(corrector, out, info, status, corrected, answer);
 }
 
-const char *kilter_sentence(int code)
+const char *kc_sentence(int code)
 {
     switch (code) {
-    case KILTER_OK: return "Corrected.";
-    case KILTER_NOT_FINITE: return "A setpoint is not a number: send finite joints, speeds with accelerations or neither.";
-    case KILTER_JOINT_LIMIT: return "Joints are outside the limits of the arm: see limit_mask, and plan within them.";
-    case KILTER_TOO_LARGE: return "The correction exceeds its limits: raise them on the robot, or check the version.";
-    case KILTER_RATE_LIMIT: return "A joint is asked to move faster than it may: send setpoints closer together.";
-    case KILTER_NOT_LOADED: return "No program is loaded: call kilter_load first.";
-    case KILTER_TRUNCATED: return "The program is cut off: export it again.";
-    case KILTER_NOT_A_PROGRAM: return "This is not a program: take what kilter export --format corrector writes.";
-    case KILTER_NEWER_FORMAT: return "The program is newer than this code: take the kilter_corrector.c of its release.";
-    case KILTER_OTHER_LAYOUT: return "The program is of another release: export it again, or take its kilter_corrector.c.";
-    case KILTER_DAMAGED: return "The program was altered on its way, its checksum is wrong: export it again.";
-    case KILTER_IMPOSSIBLE: return "The program's numbers are those of no arm: export it again.";
-    case KILTER_NO_MEMORY: return "The memory is too small or in use: ask kilter_memory_needed, and take another piece.";
-    case KILTER_OTHER_ARM: return "The program is of another robot than the one in use: load it afresh.";
+    case KC_OK: return "Corrected.";
+    case KC_NOT_FINITE: return "A setpoint is not a number: send finite joints, speeds with accelerations or neither.";
+    case KC_JOINT_LIMIT: return "Joints are outside the limits of the arm: see limit_mask, and plan within them.";
+    case KC_TOO_LARGE: return "The correction exceeds its limits: raise them on the robot, or check the version.";
+    case KC_RATE_LIMIT: return "A joint is asked to move faster than it may: send setpoints closer together.";
+    case KC_NOT_LOADED: return "No program is loaded: call kc_load first.";
+    case KC_TRUNCATED: return "The program is cut off: export it again.";
+    case KC_NOT_A_PROGRAM: return "This is not a program: take what kilter export --format corrector writes.";
+    case KC_NEWER_FORMAT: return "The program is newer than this code: take the kilter_corrector.c of its release.";
+    case KC_OTHER_LAYOUT: return "The program is of another release: export it again, or take its kilter_corrector.c.";
+    case KC_DAMAGED: return "The program was altered on its way, its checksum is wrong: export it again.";
+    case KC_IMPOSSIBLE: return "The program's numbers are those of no arm: export it again.";
+    case KC_NO_MEMORY: return "The memory is too small or in use: ask kc_memory_needed, and take another piece.";
+    case KC_OTHER_ARM: return "The program is of another robot than the one in use: load it afresh.";
     default: return "Unknown.";
     }
 }

@@ -3,11 +3,11 @@
  * SPDX-License-Identifier: Apache-2.0 OR MIT OR GPL-2.0-or-later
  *
  * A program is what `kilter export VERSION --format corrector` writes: one version of one arm. Load it once, then call
- * kilter_correct for every setpoint, from one thread. Nothing is allocated and nothing is locked.
+ * kc_correct for every setpoint, from one thread. Nothing is allocated and nothing is locked.
  * Angles rad, lengths m, times s.
  */
-#ifndef KILTER_CORRECTOR_H
-#define KILTER_CORRECTOR_H
+#ifndef KC_CORRECTOR_H
+#define KC_CORRECTOR_H
 
 #include <stddef.h>
 #include <stdint.h>
@@ -16,50 +16,50 @@
 extern "C" {
 #endif
 
-#define KILTER_FORMAT 1u          /* of the program's header */
-#define KILTER_LAYOUT 0x85014a26u  /* of its numbers: a program for another layout is refused */
-#define KILTER_COLUMNS 48
-#define KILTER_HEADER_BYTES 128
-#define KILTER_MOST_JOINTS 16
-#define KILTER_MOST_MOVES 64
-#define KILTER_MOST_ROWS 1024
-#define KILTER_MOST_ROUNDS 1000
+#define KC_FORMAT 1u          /* of the program's header */
+#define KC_LAYOUT 0x85014a26u  /* of its numbers: a program for another layout is refused */
+#define KC_COLUMNS 48
+#define KC_HEADER_BYTES 128
+#define KC_MOST_JOINTS 16
+#define KC_MOST_MOVES 64
+#define KC_MOST_ROWS 1024
+#define KC_MOST_ROUNDS 1000
 
-/* Verdict on a setpoint: the numbers of the stream. Only KILTER_OK leaves joints. */
+/* Verdict on a setpoint: the numbers of the stream. Only KC_OK leaves joints. */
 enum {
-    KILTER_OK = 0,
-    KILTER_NOT_FINITE = 5,     /* a setpoint is not a number */
-    KILTER_JOINT_LIMIT = 6,    /* wanted joints are outside the limits of the arm */
-    KILTER_TOO_LARGE = 7,      /* the correction exceeds its limits */
-    KILTER_RATE_LIMIT = 8,     /* a joint is asked to move faster than it may */
-    KILTER_NOT_LOADED = 20   /* no program was loaded */
+    KC_OK = 0,
+    KC_NOT_FINITE = 5,     /* a setpoint is not a number */
+    KC_JOINT_LIMIT = 6,    /* wanted joints are outside the limits of the arm */
+    KC_TOO_LARGE = 7,      /* the correction exceeds its limits */
+    KC_RATE_LIMIT = 8,     /* a joint is asked to move faster than it may */
+    KC_NOT_LOADED = 20   /* no program was loaded */
 };
 
 /* How an answer was made: flags, together. */
 enum {
-    KILTER_DYNAMIC = 256,     /* the loads include motion */
-    KILTER_RAMPING = 512,     /* the start, or a change of version, is still being ramped */
-    KILTER_REVERSING = 1024,  /* clearance or backlash changes sides: softly, or at its rate */
-    KILTER_DAMPED = 2048,     /* near a singular posture the correction is damped */
-    KILTER_RESIDUAL = 4096,   /* the tool is left off by more than the program's bound: see left_m */
-    KILTER_SATURATED = 8192,  /* the correction is held at its limit, and part of the error is left */
-    KILTER_SLOWED = 16384     /* the correction is held back by the bound on its rate or acceleration */
+    KC_DYNAMIC = 256,     /* the loads include motion */
+    KC_RAMPING = 512,     /* the start, or a change of version, is still being ramped */
+    KC_REVERSING = 1024,  /* clearance or backlash changes sides: softly, or at its rate */
+    KC_DAMPED = 2048,     /* near a singular posture the correction is damped */
+    KC_RESIDUAL = 4096,   /* the tool is left off by more than the program's bound: see left_m */
+    KC_SATURATED = 8192,  /* the correction is held at its limit, and part of the error is left */
+    KC_SLOWED = 16384     /* the correction is held back by the bound on its rate or acceleration */
 };
 
 /* Why a program was not loaded. */
 enum {
-    KILTER_TRUNCATED = -1,
-    KILTER_NOT_A_PROGRAM = -2,
-    KILTER_NEWER_FORMAT = -3,
-    KILTER_OTHER_LAYOUT = -4,
-    KILTER_DAMAGED = -5,      /* its checksum is wrong */
-    KILTER_IMPOSSIBLE = -6,   /* its numbers are those of no arm */
-    KILTER_NO_MEMORY = -7,    /* the memory handed over is too small */
-    KILTER_OTHER_ARM = -8     /* it is of another robot than the one before it */
+    KC_TRUNCATED = -1,
+    KC_NOT_A_PROGRAM = -2,
+    KC_NEWER_FORMAT = -3,
+    KC_OTHER_LAYOUT = -4,
+    KC_DAMAGED = -5,      /* its checksum is wrong */
+    KC_IMPOSSIBLE = -6,   /* its numbers are those of no arm */
+    KC_NO_MEMORY = -7,    /* the memory handed over is too small */
+    KC_OTHER_ARM = -8     /* it is of another robot than the one before it */
 };
 
 typedef struct {
-    int status;              /* KILTER_OK, or why there are no joints */
+    int status;              /* KC_OK, or why there are no joints */
     unsigned flags;
     unsigned limit_mask;     /* bit i: joint i is concerned */
     int rounds;              /* of the search */
@@ -67,7 +67,7 @@ typedef struct {
     double left_rad;
     double left;             /* its length, m */
     double without_m[3];     /* the tool's error without the correction, predicted: actual minus wanted */
-} kilter_answer;
+} kc_answer;
 
 typedef struct {
     char version[41];        /* id of the version */
@@ -76,38 +76,38 @@ typedef struct {
     int joints;
     /* private */
     int rows, moves;
-    double (*memory)[KILTER_COLUMNS];
-    double setpoint[3 * KILTER_MOST_JOINTS];
-} kilter_corrector;
+    double (*memory)[KC_COLUMNS];
+    double setpoint[3 * KC_MOST_JOINTS];
+} kc_corrector;
 
 /* How many doubles of memory a program needs; 0 when it is not one. */
-size_t kilter_memory_needed(const void *program, size_t bytes);
+size_t kc_memory_needed(const void *program, size_t bytes);
 
 /* Load a program into the memory handed over, which the corrector uses until another program is loaded. `settled`: the
  * arm rests at the first setpoint, which gets the whole correction at once; else it is ramped in. Returns 0 or a
  * negative reason, which leaves the corrector as it was. */
-int kilter_load(kilter_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles,
+int kc_load(kc_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles,
                 int settled);
 
 /* Go on with another version of the same arm: the difference is ramped. The memory must not be that in use. */
-int kilter_change(kilter_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles);
+int kc_change(kc_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles);
 
 /* Forget the past. */
-void kilter_restart(kilter_corrector *corrector, int settled);
+void kc_restart(kc_corrector *corrector, int settled);
 
 /* Correct one setpoint of a stream, `dt` s after the last one; qd and qdd are both given or both NULL. Writes
- * `corrected`, joints many, NaN unless the status is KILTER_OK. Returns the status. */
-int kilter_correct(kilter_corrector *corrector, const double *q, const double *qd, const double *qdd, double dt,
-                   double *corrected, kilter_answer *answer);
+ * `corrected`, joints many, NaN unless the status is KC_OK. Returns the status. */
+int kc_correct(kc_corrector *corrector, const double *q, const double *qd, const double *qdd, double dt,
+                   double *corrected, kc_answer *answer);
 
 /* Correct a setpoint that follows no other: no ramp, no rates, whole at once. `direction`: of the last motion of each
  * joint, -1, 0 or 1, or NULL. The stream's memory is not touched. The joints are written where the status is
- * KILTER_OK; elsewhere they are what could be reached, and nothing may move by them. */
-int kilter_correct_alone(kilter_corrector *corrector, const double *q, const double *qd, const double *qdd,
-                         const double *direction, double *corrected, kilter_answer *answer);
+ * KC_OK; elsewhere they are what could be reached, and nothing may move by them. */
+int kc_correct_alone(kc_corrector *corrector, const double *q, const double *qd, const double *qdd,
+                         const double *direction, double *corrected, kc_answer *answer);
 
 /* What a status or a reason means, in a sentence. */
-const char *kilter_sentence(int code);
+const char *kc_sentence(int code);
 
 #ifdef __cplusplus
 }

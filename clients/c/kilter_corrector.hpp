@@ -15,10 +15,10 @@
 
 namespace kilter {
 
-// A program that cannot be loaded: what() says why and what to do, code() is the reason of kilter_load.
+// A program that cannot be loaded: what() says why and what to do, code() is the reason of kc_load.
 class ProgramError : public std::runtime_error {
 public:
-    explicit ProgramError(int code) : std::runtime_error(kilter_sentence(code)), code_(code) {}
+    explicit ProgramError(int code) : std::runtime_error(kc_sentence(code)), code_(code) {}
     int code() const noexcept { return code_; }
 
 private:
@@ -42,7 +42,7 @@ public:
     // settled: the arm rests at the first setpoint, which gets the whole correction at once; else it ramps in.
     explicit Corrector(const Program &program, bool settled = false) : state_(), memory_(doubles_of(program))
     {
-        check(kilter_load(&state_, program.data(), program.size(), memory_.data(), memory_.size(), settled));
+        check(kc_load(&state_, program.data(), program.size(), memory_.data(), memory_.size(), settled));
     }
     Corrector(const Corrector &) = delete; // the C state points into this object's memory
     Corrector &operator=(const Corrector &) = delete;
@@ -51,23 +51,23 @@ public:
     void change(const Program &program)
     {
         std::vector<double> next(doubles_of(program));
-        check(kilter_change(&state_, program.data(), program.size(), next.data(), next.size()));
+        check(kc_change(&state_, program.data(), program.size(), next.data(), next.size()));
         memory_.swap(next); // moves no element, so the state still points to them
     }
 
-    void restart(bool settled = false) noexcept { kilter_restart(&state_, settled); }
+    void restart(bool settled = false) noexcept { kc_restart(&state_, settled); }
 
-    // Corrects one setpoint of joints() numbers, dt seconds after the last; `corrected` is NaN unless KILTER_OK.
-    int operator()(const double *q, double dt, double *corrected, kilter_answer *answer = nullptr) noexcept
+    // Corrects one setpoint of joints() numbers, dt seconds after the last; `corrected` is NaN unless KC_OK.
+    int operator()(const double *q, double dt, double *corrected, kc_answer *answer = nullptr) noexcept
     {
-        return kilter_correct(&state_, q, nullptr, nullptr, dt, corrected, answer);
+        return kc_correct(&state_, q, nullptr, nullptr, dt, corrected, answer);
     }
 
     // The same with speeds and accelerations: then the loads include motion.
     int operator()(const double *q, const double *qd, const double *qdd, double dt, double *corrected,
-                   kilter_answer *answer = nullptr) noexcept
+                   kc_answer *answer = nullptr) noexcept
     {
-        return kilter_correct(&state_, q, qd, qdd, dt, corrected, answer);
+        return kc_correct(&state_, q, qd, qdd, dt, corrected, answer);
     }
 
     std::size_t joints() const noexcept { return static_cast<std::size_t>(state_.joints); }
@@ -84,11 +84,11 @@ private:
 
     static std::size_t doubles_of(const Program &program)
     {
-        const std::size_t doubles = kilter_memory_needed(program.data(), program.size());
-        return doubles == 0 ? 1 : doubles; // kilter_load then says what is wrong
+        const std::size_t doubles = kc_memory_needed(program.data(), program.size());
+        return doubles == 0 ? 1 : doubles; // kc_load then says what is wrong
     }
 
-    kilter_corrector state_;
+    kc_corrector state_;
     std::vector<double> memory_;
 };
 

@@ -14,7 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-typedef double (*matrix)[KILTER_COLUMNS];
+typedef double (*matrix)[KC_COLUMNS];
 typedef struct { matrix at; int count; } rows;
 typedef struct { double at[2]; } tuple2;
 typedef struct { double at[3]; } tuple3;

@@ -53,9 +53,9 @@ int main(int count, char **arguments)
                     return 2;
                 }
             }
-            kilter_answer answer;
+            kc_answer answer;
             const int status = correct(wanted.data(), dt, corrected.data(), &answer);
-            if (status == KILTER_OK) {
+            if (status == KC_OK) {
                 since_s = 0.0;
                 dt = cycle_s;
                 for (std::size_t i = 0; i < n; i++) {
@@ -68,7 +68,7 @@ int main(int count, char **arguments)
                     corrected[i] = wanted[i] + share_of_last(since_s) * last[i];
                 }
                 stranded = true;
-                std::cerr << "setpoint " << cycle << ": " << kilter_sentence(status) << "\n";
+                std::cerr << "setpoint " << cycle << ": " << kc_sentence(status) << "\n";
             }
             for (std::size_t i = 0; i < n; i++) {
                 std::printf("%.17g%c", corrected[i], i + 1 < n ? ' ' : '\n');

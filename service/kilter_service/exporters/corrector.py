@@ -14,7 +14,7 @@ BYTES_A_LINE = 20
 
 
 def corrector(version: Exportable) -> Written:
-    """Write the program that ``kilter_load`` takes.
+    """Write the program that ``kc_load`` takes.
 
     Raises:
         OptionError: the arm cannot hold the rows of the task.
@@ -25,7 +25,7 @@ def corrector(version: Exportable) -> Written:
 
 
 def c_source(version: Exportable) -> Written:
-    """Write one C file that compiles alone: header, corrector, and the program as ``kilter_program``."""
+    """Write one C file that compiles alone: header, corrector, and the program as ``kc_program``."""
     program = _program(version)
     content = _file(version, program)
     sources = _sources()
@@ -35,13 +35,13 @@ def c_source(version: Exportable) -> Written:
     text = "\n".join(
         (
             f"/* Version {version.version.id} of {_plain(version.version.robot)}, with the code that corrects by it. Load it:",
-            " *     kilter_load(&corrector, kilter_program, sizeof kilter_program, memory, doubles, 0);",
+            " *     kc_load(&corrector, kc_program, sizeof kc_program, memory, doubles, 0);",
             " * Other files that call it take kilter_corrector.h, which is the first part of this one. */",
             header,
             code.replace('#include "kilter_corrector.h"\n', ""),
             "/* The program: what kilter export --format corrector writes. */",
-            "extern const unsigned char kilter_program[];",
-            f"const unsigned char kilter_program[{len(content)}] = {{",
+            "extern const unsigned char kc_program[];",
+            f"const unsigned char kc_program[{len(content)}] = {{",
             *(f"    {line}," for line in lines),
             "};",
             "",

@@ -21,7 +21,7 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")
 
 
 class Answer(ctypes.Structure):
-    """kilter_answer."""
+    """kc_answer."""
 
     _fields_ = (
         ("status", ctypes.c_int), ("flags", ctypes.c_uint), ("limit_mask", ctypes.c_uint), ("rounds", ctypes.c_int),
@@ -47,8 +47,8 @@ def built(folder: Path, *options: str) -> ctypes.CDLL:
     command = [str(COMPILER), *WARNINGS, "-O2", "-shared", "-fPIC", *options, "-o", str(made), source, "-lm"]
     subprocess.run(command, check=True)
     library = ctypes.CDLL(str(made))
-    library.kilter_memory_needed.restype = ctypes.c_size_t
-    library.kilter_sentence.restype = ctypes.c_char_p
+    library.kc_memory_needed.restype = ctypes.c_size_t
+    library.kc_sentence.restype = ctypes.c_char_p
     return library
 
 
@@ -58,12 +58,12 @@ class Corrector:
     def __init__(self, library: ctypes.CDLL, blob: bytes, *, settled: bool = False) -> None:
         self.library, self.state = library, State()
         self.memory = self._fresh(blob)
-        self.loaded = library.kilter_load(
+        self.loaded = library.kc_load(
             ctypes.byref(self.state), blob, ctypes.c_size_t(len(blob)), *self.memory[:2], int(settled)
         )
 
     def _fresh(self, blob: bytes) -> tuple[ctypes.c_void_p, ctypes.c_size_t, Floats]:
-        doubles = int(self.library.kilter_memory_needed(blob, ctypes.c_size_t(len(blob))))
+        doubles = int(self.library.kc_memory_needed(blob, ctypes.c_size_t(len(blob))))
         memory = np.full(doubles, np.nan)
         return ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(doubles), memory
 
@@ -71,7 +71,7 @@ class Corrector:
         """Go on with another version."""
         memory = self._fresh(blob)
         code = int(
-            self.library.kilter_change(ctypes.byref(self.state), blob, ctypes.c_size_t(len(blob)), memory[0], memory[1])
+            self.library.kc_change(ctypes.byref(self.state), blob, ctypes.c_size_t(len(blob)), memory[0], memory[1])
         )
         if code == 0:
             self.memory = memory
@@ -82,14 +82,14 @@ class Corrector:
         out, answer = np.empty(len(q)), Answer()
         vectors = [_pointer(v) for v in (q, *motion)] + [None] * (2 - len(motion))
         call = (ctypes.byref(self.state), *vectors, ctypes.c_double(dt), _pointer(out), ctypes.byref(answer))
-        return int(self.library.kilter_correct(*call)), out, answer
+        return int(self.library.kc_correct(*call)), out, answer
 
     def correct_alone(self, q: Floats, direction: Floats, *motion: Floats) -> tuple[int, Floats, Answer]:
         """Correct a setpoint that follows no other."""
         out, answer = np.empty(len(q)), Answer()
         vectors = [_pointer(v) for v in (q, *motion)] + [None] * (2 - len(motion))
         call = (ctypes.byref(self.state), *vectors, _pointer(direction), _pointer(out), ctypes.byref(answer))
-        return int(self.library.kilter_correct_alone(*call)), out, answer
+        return int(self.library.kc_correct_alone(*call)), out, answer
 
 
 def _pointer(numbers: Floats) -> ctypes.c_void_p:

@@ -166,7 +166,7 @@ def test_a_program_that_was_cut_altered_or_made_for_another_layout_is_refused_wi
         altered[place] ^= 1 << int(rng.integers(8))
         assert Corrector(library, bytes(altered)).loaded == -5
     for code in (-1, -2, -3, -4, -5, -6, -7, -8, 0, 5, 6, 7, 8, 20):
-        assert len(library.kilter_sentence(code).decode()) > 8
+        assert len(library.kc_sentence(code).decode()) > 8
 
 
 def test_a_refused_change_leaves_the_version_in_use(library: ctypes.CDLL) -> None:
@@ -188,19 +188,19 @@ SANITIZED = """
 int main(void)
 {
     static unsigned char blob[1 << 20];
-    static double memory[(KILTER_MOST_ROWS + 256) * KILTER_COLUMNS];
+    static double memory[(KC_MOST_ROWS + 256) * KC_COLUMNS];
     unsigned size = 0, loaded = 0;
     while (fread(&size, 4, 1, stdin) == 1 && size <= sizeof blob && fread(blob, 1, size, stdin) == size) {
         unsigned char *exact = malloc(size ? size : 1); /* so that a read beyond the end shows */
         for (unsigned i = 0; i < size; i++) exact[i] = blob[i];
         kilter_corrector c;
-        if (kilter_load(&c, exact, size, memory, sizeof memory / sizeof *memory, 0) == 0) {
-            double q[KILTER_MOST_JOINTS] = {0}, out[KILTER_MOST_JOINTS];
-            kilter_answer answer;
+        if (kc_load(&c, exact, size, memory, sizeof memory / sizeof *memory, 0) == 0) {
+            double q[KC_MOST_JOINTS] = {0}, out[KC_MOST_JOINTS];
+            kc_answer answer;
             for (int k = 0; k < 20; k++) {
                 for (int i = 0; i < c.joints; i++) q[i] = 0.01 * k * (i + 1);
-                kilter_correct(&c, q, k % 2 ? q : 0, k % 2 ? q : 0, 0.01, out, &answer);
-                kilter_correct_alone(&c, q, 0, 0, 0, out, &answer);
+                kc_correct(&c, q, k % 2 ? q : 0, k % 2 ? q : 0, 0.01, out, &answer);
+                kc_correct_alone(&c, q, 0, 0, 0, out, &answer);
             }
             loaded++;
         }

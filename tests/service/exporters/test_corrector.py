@@ -56,7 +56,7 @@ def test_the_c_file_compiles_alone_and_holds_the_same_program(tmp_path: Path) ->
     subprocess.run([str(COMPILER), *WARNINGS, "-shared", "-fPIC", "-o", str(made), str(source), "-lm"], check=True)
     content = export("corrector", version).text
     assert isinstance(content, bytes)
-    held = (ctypes.c_ubyte * len(content)).in_dll(ctypes.CDLL(str(made)), "kilter_program")
+    held = (ctypes.c_ubyte * len(content)).in_dll(ctypes.CDLL(str(made)), "kc_program")
     assert bytes(held) == content
     assert HEADER.unpack(content[: HEADER.size])[9].rstrip(b"\0") == b"ver_1a"
 
