@@ -1,0 +1,133 @@
+"""The example controller in C over zenoh-pico, built and run against a corrector: frames, versions, and their end."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tarfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kilter_client.signing import on_this_machine
+from kilter_core.correct.program import Track
+from kilter_core.model import Calibration
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.specs import Rules
+from kilter_service.settings import Settings
+from tests.corrector.conftest import MemorySource
+from tests.corrector.live import ROBOT, open_stream
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "c"
+PICO = EXAMPLES.parents[2] / "shared" / "data" / "zenoh-pico" / "zenoh-pico-1.9.0.tar.gz"
+COMPILER, CMAKE = shutil.which("cc") or shutil.which("gcc"), shutil.which("cmake")
+pytestmark = [
+    pytest.mark.skipif(COMPILER is None or CMAKE is None, reason="no C compiler or no CMake on this machine"),
+    pytest.mark.skipif(not PICO.is_file(), reason="the source of zenoh-pico is not beside the repository"),
+]
+JOINTS, CYCLE_US = 5, 4000
+HOLD, FADE = 20, 200  # cycles, as the controller has them
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pico")
+    with tarfile.open(PICO) as archive:
+        archive.extractall(folder, filter="data")
+    source, build, made = folder / "zenoh-pico-1.9.0", folder / "build", folder / "zenoh_controller"
+    plain = ["-DBUILD_SHARED_LIBS=OFF", "-DBUILD_EXAMPLES=OFF", "-DBUILD_TESTING=OFF"]
+    for command in ([str(CMAKE), "-S", source, "-B", build, *plain], [str(CMAKE), "--build", build, "-j2"]):
+        subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    warnings = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-O2"]
+    includes = [f"-I{EXAMPLES}", "-isystem", str(source / "include"), "-isystem", str(build / "include")]
+    library = str(build / "lib" / "libzenohpico.a")
+    files = [str(EXAMPLES / "zenoh_controller.c"), library, "-lpthread", "-lm"]
+    subprocess.run([str(COMPILER), *warnings, *includes, "-o", str(made), *files], check=True)
+    return made
+
+
+class Said(NamedTuple):
+    """What the controller printed: status and cycles since the last good one (N,), wanted and sent joints (N, n)."""
+
+    status: NDArray[np.int64]
+    since: NDArray[np.int64]
+    wanted: NDArray[np.float64]
+    sent: NDArray[np.float64]
+
+
+def begin(controller: Path, corrector: Corrector, stream: str, cycles: int) -> subprocess.Popen[str]:
+    session = on_this_machine(corrector.file.parent / "stream-keys.json", "test", ROBOT, stream)
+    assert session is not None
+    endpoint = corrector.endpoints["stream"]
+    command = [endpoint, "test", ROBOT, stream, session.id.hex(), session.key.hex(), JOINTS, cycles, CYCLE_US]
+    return subprocess.Popen([str(controller), *map(str, command)], stdout=subprocess.PIPE, text=True)
+
+
+def ended(running: subprocess.Popen[str]) -> Said:
+    out, _ = running.communicate(timeout=60)
+    assert running.returncode == 0
+    table = np.array([line.split() for line in out.splitlines()], dtype=float)
+    joints = table[:, 3:].reshape(len(table), JOINTS, 2)
+    return Said(table[:, 1].astype(int), table[:, 2].astype(int), joints[:, :, 0], joints[:, :, 1])
+
+
+def test_its_setpoints_are_corrected_also_after_an_activation(
+    controller: Path, corrector: Corrector, source: MemorySource, active_of: Callable[..., Active],
+    calibration_of: Callable[..., Calibration], katana: Calibration,
+) -> None:  # fmt: skip
+    running = begin(controller, corrector, "c1", 1500)
+    time.sleep(2.5)
+    after = active_of(calibration_of(ROBOT, seed=9), epoch=2, ramp_s=0.05)
+    source.use(after)
+    corrector.poll()
+    try:
+        said = ended(running)
+    finally:
+        source.use(active_of(katana, epoch=3, ramp_s=0.05))
+        corrector.poll()
+    good = said.status == 0
+    assert good.mean() > 0.8  # a busy machine makes some late, and the start and the change cost a few
+    assert good[-100:].mean() > 0.5
+    # Once the change is over, what it sends is what the new version's own program says.
+    track = Track(after.program, settled=True)
+    expected = []
+    for wanted in said.wanted[-200:]:
+        assert track.step(wanted, 1, CYCLE_US * 1e-6) == 0
+        expected.append(track.out.copy())
+    off = np.abs(said.sent[-200:] - expected)[good[-200:]]
+    assert np.quantile(off, 0.9) < 1e-5
+    assert np.abs(said.sent - said.wanted)[good].max() > 1e-4  # and it is a correction
+
+
+def test_without_a_corrector_it_holds_and_fades_without_a_step(
+    controller: Path, source: MemorySource, tmp_path: Path
+) -> None:
+    own = Corrector(Settings(data=tmp_path, zenoh_listen="tcp/127.0.0.1:0", site="test"), source, Rules())
+    own.start()
+    try:
+        with open_stream(own, "first", connect_timeout_s=60.0):
+            pass
+        running = begin(controller, own, "c2", 1500)
+        time.sleep(2.0)
+    finally:
+        own.stop()
+    said = ended(running)
+    assert (said.status[100:300] == 0).mean() > 0.5
+    delta = said.sent - said.wanted
+    gone = int(np.flatnonzero(said.status == 0)[-1])
+    assert len(delta) - gone > HOLD + FADE
+    assert np.allclose(delta[gone + 1 : gone + 1 + HOLD], delta[gone], rtol=0, atol=1e-12)
+    assert np.abs(delta[gone + HOLD + FADE :]).max() < 1e-12
+    assert np.abs(np.diff(delta[gone:], axis=0)).max() < 0.02 * np.abs(delta[gone]).max()
+
+
+def test_what_it_is_given_is_checked(controller: Path) -> None:
+    for given, words in ((["x"] * 3, "usage"), (["x"] * 9, "SESSION_ID has 32")):
+        done = subprocess.run([str(controller), *given], capture_output=True, text=True, check=False)
+        assert (done.returncode, words in done.stderr) == (2, True)
