@@ -35,6 +35,7 @@ NEEDED = {
         GET /v1/robots/{robot}/meshes/{link} GET /v1/campaigns/{campaign} GET /v1/jobs
         GET /v1/jobs/{job} GET /v1/jobs/{job}/events GET /v1/versions/{version} GET /v1/resolve GET /v1/tombstones
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals
+        GET /v1/campaigns/{campaign}/suspicious
         GET /v1/robots/{robot}/urdf-shapes
         GET /v1/versions/{version}/export GET /metrics GET /v1/fleet-jobs GET /v1/fleet-jobs/{fleet_job}""",
     "operator": """POST /v1/robots/check POST /v1/robots/convert POST /v1/robots/from-circles POST /v1/frames
@@ -118,7 +119,11 @@ def house(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[
 
 def looked_up(route: str) -> str:
     """Robot to ask about: what computes for long is asked about a version that does not exist."""
-    return "nobody" if any(word in route for word in ("/preview", "/diff/", "/residuals", "/export")) else OWN
+    return (
+        "nobody"
+        if any(word in route for word in ("/preview", "/diff/", "/residuals", "/suspicious", "/export"))
+        else OWN
+    )
 
 
 def refusal(answer: httpx.Response) -> tuple[int, str]:
