@@ -50,6 +50,7 @@ from kilter_core.gap.report.next_poses import beyond_poses, rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
+from kilter_core.gap.search.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
 from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
@@ -202,9 +203,11 @@ class _Run:
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
         poses, beyond = self._next_poses(found, effects)
+        lacking = missing_directions(problem, found.columns)
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
-            sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence()),
+            sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
+            + incomplete_sentence(lacking),
             where=places,
             gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
             predictive=judging.predictive,
@@ -213,6 +216,7 @@ class _Run:
             next_poses=poses, negative_control=control,
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
+                *incomplete_warnings(lacking),
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
                 *self._unplanned(effects), *kept.alike(), *beyond,
