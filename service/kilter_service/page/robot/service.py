@@ -83,19 +83,23 @@ def of(database: Database, settings: Settings, name: str, version: str | None, c
         campaigns=measured,
         versions=made,
         looked_at=looked_at,
-        campaign=_campaign(database, measured, looked_at, campaign),
+        campaign=_campaign(database, measured, looked_at, campaign, now),
         meshes=meshes.listed(database, name).meshes,
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
     )
 
 
 def _campaign(
-    database: Database, measured: Sequence[Campaign], version: VersionSummary | None, wanted: str | None
+    database: Database, measured: Sequence[Campaign], version: VersionSummary | None, wanted: str | None, now: Today
 ) -> Campaign | None:
-    """The campaign that was chosen, else one that the version was not fitted to, else the newest."""
+    """The campaign that was chosen, else that of today's errors, else one that no fit used, else the newest."""
     by_id = {one.id: one for one in measured}
     if wanted in by_id:
         return by_id[wanted]
+    if version is not None and version.id == now.version_id and now.newest is not None:
+        for seen in now.newest.campaigns:  # the picture beside today's number shows today's rows
+            if seen.id in by_id:
+                return by_id[seen.id]
     used = [] if version is None else versions.get(database, version.id).campaigns
     for use in ("validation", "confirmation", "train"):
         for one in used:
