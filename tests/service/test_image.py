@@ -117,14 +117,11 @@ def test_the_server_works_where_only_its_data_can_be_written(server: dict[str, A
     assert re.search(r"^CapEff:\s+0+$", status, re.MULTILINE)
     assert " / ro" in Path(f"/proc/{server['pid']}/mountinfo").read_text(encoding="ascii")
     robot = {"name": "arm", "convention": "preset", "preset": "katana450-chapter4"}
-    assert httpx.post(f"{url}/v1/robots", json=robot, headers=access).status_code == 201
     rows = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,x_mm,y_mm,z_mm\n1,20,30,-40,5,300,20,400\n"
-    campaign = httpx.post(f"{url}/v1/robots/arm/campaigns", json={"name": "a"}, headers=access).json()["id"]
-    stored = httpx.post(
-        f"{url}/v1/campaigns/{campaign}/observations",
-        content=rows,
-        headers={**access, "Content-Type": "text/csv"},
-    )
+    with httpx.Client(base_url=f"{url}/v1", headers=access, timeout=60) as http:
+        assert http.post("robots", json=robot).status_code == 201
+        campaign = http.post("robots/arm/campaigns", json={"name": "a"}).json()["id"]
+        stored = http.post(f"campaigns/{campaign}/observations", content=rows, headers={"Content-Type": "text/csv"})
     assert stored.status_code in (200, 201), stored.text
     assert (data / "kilter.sqlite").stat().st_uid == int(user)
 

@@ -193,7 +193,7 @@ int main(void)
     while (fread(&size, 4, 1, stdin) == 1 && size <= sizeof blob && fread(blob, 1, size, stdin) == size) {
         unsigned char *exact = malloc(size ? size : 1); /* so that a read beyond the end shows */
         for (unsigned i = 0; i < size; i++) exact[i] = blob[i];
-        kilter_corrector c;
+        kc_corrector c;
         if (kc_load(&c, exact, size, memory, sizeof memory / sizeof *memory, 0) == 0) {
             double q[KC_MOST_JOINTS] = {0}, out[KC_MOST_JOINTS];
             kc_answer answer;

@@ -8,15 +8,14 @@ of itself, geometry is projected off, and what is left of the tilt is tested lik
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.arm.chain import Axis, Chain, Element
+from kilter_core.arm.chain import Axis, Element
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.tool_source import ToolSource
 from kilter_core.types import Floats
 
 STEP_RAD = 1e-5  # of the difference quotient: far above rounding, far below where a tilt is no longer linear
@@ -40,16 +39,16 @@ class MissingDirection:
 
 def missing_directions(problem: LinearizedProblem, chosen: Sequence[int]) -> tuple[MissingDirection, ...]:
     """Directions that explain the rows at least as well, number for number, as the effects ``chosen`` do."""
-    source = problem.settings.source
-    if not isinstance(source, ToolSource):
-        return ()
     y, places, columns = problem.y, [], []
-    for joint, element in enumerate(source.model.robot.chain.primary):
-        about = source.model.robot.chain.elements[element].axis
+    chain = problem.settings.source.model.robot.chain
+    for joint, element in enumerate(chain.primary):
+        about = chain.elements[element].axis
         for axis in (Axis.RX, Axis.RY, Axis.RZ):
             if axis % 3 == about % 3:
                 continue
-            raw = _column(problem, source, element, axis)
+            raw = _column(problem, element, axis)
+            if raw is None:
+                return ()
             left = _off(problem, raw)
             if np.linalg.norm(left) > TELLING * max(float(np.linalg.norm(raw)), 1e-300):
                 places.append((joint, axis))
@@ -96,18 +95,15 @@ def _gain(column: Floats, y: Floats) -> float:
     return float(column @ y) ** 2 / float(column @ column)
 
 
-def _column(problem: LinearizedProblem, source: ToolSource, element: int, axis: Axis) -> Floats:
-    """Whitened derivative (R,) of the residuals by a rotation before an element of the chain."""
-    robot = source.model.robot
-
-    def tilted(angle: float) -> Floats:
-        elements = list(robot.chain.elements)
-        elements.insert(element, Element(axis, angle))
-        other = replace(robot, chain=Chain(tuple(elements), robot.chain.n_joints))
-        moved = replace(source, model=replace(source.model, robot=other))
-        return problem.settings.whitening.residual(moved.residual(problem.values)).reshape(-1)
-
-    return (tilted(STEP_RAD) - tilted(-STEP_RAD)) / (2.0 * STEP_RAD)
+def _column(problem: LinearizedProblem, element: int, axis: Axis) -> Floats | None:
+    """Whitened derivative (R,) of the residuals by a rotation before an element of the chain; None where none is fitted."""
+    sides = []
+    for angle in (STEP_RAD, -STEP_RAD):
+        tilted = problem.settings.source.with_rotation_before(element, Element(axis, angle))
+        if tilted is None:
+            return None
+        sides.append(problem.settings.whitening.residual(tilted.residual(problem.values)).reshape(-1))
+    return np.asarray((sides[0] - sides[1]) / (2.0 * STEP_RAD))
 
 
 def _off(problem: LinearizedProblem, column: Floats) -> Floats:

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from kilter_core.arm.chain import Element
 from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError
 from kilter_core.gap.noise.from_repeats import Noise
@@ -201,6 +202,10 @@ class Source(ABC):
         """Columns (V, m, K) of a version's parameters, of the ``names`` those that these rows tell, and how far ``values``
         are from the version (K,).
         """
+
+    def with_rotation_before(self, element: int, rotation: Element) -> Source | None:
+        """The same rows on a chain with a ``rotation`` before one of its elements; None where no chain is fitted."""
+        return None
 
     def all_columns(self, values: Floats, names: Sequence[str]) -> tuple[Floats, list[str]]:
         """Derivatives (V, m, K) by all parameters of the model among the ``names``, base and tool too."""

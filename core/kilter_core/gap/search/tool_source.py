@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from kilter_core.arm.chain import Chain, Element
 from kilter_core.effects import Batch, Effect
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.source import Linear, Source
@@ -262,6 +263,13 @@ class ToolSource(Source):
         index = [k for k, name in enumerate(self.model.names) if name in names]
         linear = replace(self, free=np.array(index, dtype=np.int64)).linear(values, None, [])
         return linear.G, [self.model.names[k] for k in index]
+
+    def with_rotation_before(self, element: int, rotation: Element) -> ToolSource:
+        """The same rows on a chain with a ``rotation`` before one of its elements."""
+        chain = self.model.robot.chain
+        elements = (*chain.elements[:element], rotation, *chain.elements[element:])
+        robot = replace(self.model.robot, chain=Chain(elements, chain.n_joints))
+        return replace(self, model=replace(self.model, robot=robot))
 
     def _library_effects(self) -> int:
         left, count = self.n_library, 0
