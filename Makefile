@@ -4,8 +4,9 @@ BIN := .venv/bin
 READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
-# Processes that share the tests, module by module.
+# Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first.
 TESTERS ?= 3
+SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
 
@@ -37,8 +38,22 @@ OTHER_CORE_TESTS := tests/core/identify/test_identify.py tests/core/identify/tes
 	tests/core/measurement/test_contacts.py tests/core/measurement/test_distances.py tests/core/procedures
 
 test: $(KERNELS) ## run the tests, the numeric part first under another kind of processor (OTHER_CORE=Sandybridge)
-	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q -n $(TESTERS) --dist loadscope $(OTHER_CORE_TESTS)
-	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
+	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(SHARED) $(OTHER_CORE_TESTS)
+	$(BIN)/python -m pytest $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
+
+# While one area changes: its own tests. Each folder of tests is in one of these or in test-page.
+CORE_TESTS := tests/core tests/blind tests/frozen tests/thesis tests/mix_ups
+SERVER_TESTS := tests/service tests/corrector tests/fuzz
+CLIENTS_TESTS := tests/clients tests/contract
+
+test-core: $(KERNELS) ## of the tests, those of the numeric part
+	$(BIN)/python -m pytest -q $(SHARED) $(CORE_TESTS)
+
+test-server: $(KERNELS) ## of the tests, those of the server and of the corrector
+	$(BIN)/python -m pytest -q $(SHARED) $(SERVER_TESTS)
+
+test-clients: $(KERNELS) ## of the tests, those of the command, the library, the readers of files, the contract and the docs
+	$(BIN)/python -m pytest -q $(SHARED) $(CLIENTS_TESTS)
 
 test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
 	$(BIN)/python -m tests.core.processors.compared --n $(or $(N),1000)
@@ -59,7 +74,7 @@ KERNEL_TESTS := tests/core/arm/test_chain.py tests/core/arm/test_moments.py test
 
 coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels without the compiler (slow)
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -n $(TESTERS) --dist loadscope
+	$(BIN)/coverage run -m pytest $(SHARED)
 	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -q -W ignore::RuntimeWarning $(KERNEL_TESTS)
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report
@@ -160,7 +175,7 @@ kills: $(KERNELS) ## kill processes of a server at random while clients work, an
 	$(BIN)/python -m tests.service.kill_campaign --n $(or $(N),500) $(if $(SEED),--seed $(SEED))
 
 test-slow: $(KERNELS) ## run the longer tests that make test leaves out and no other target names
-	$(BIN)/python -m pytest -m slow -n $(TESTERS) --dist loadscope tests/core tests/contract tests/clients
+	$(BIN)/python -m pytest -m slow $(SHARED) tests/core tests/contract tests/clients
 
 test-page: $(KERNELS) ## run all tests of the page, the long ones too (needs Chromium; screenshots in build/page-screenshots)
 	$(BIN)/python -m pytest -m "slow or not slow" tests/page

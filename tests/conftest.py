@@ -19,6 +19,29 @@ settings.load_profile("kilter")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
+# Modules that take a minute or more. A module is one process's: begun last, the others would wait for it.
+LONG = (
+    "contract/test_doc_examples.py",
+    "blind/test_gap_blind.py",
+    "core/identify/test_plausibility.py",
+    "service/test_gap.py",
+    "service/test_activation_guard.py",
+    "service/test_seals.py",
+    "core/gap/test_no_worse.py",
+    "core/gap/test_find_gap.py",
+    "service/test_workers.py",
+    "contract/test_demo.py",
+    "mix_ups/test_mix_ups.py",
+    "clients/sheet/test_points_order.py",
+)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the long modules first, in their order; what is in a module, and all others, stays as it was."""
+    first = {REPOSITORY / "tests" / name: place for place, name in enumerate(LONG)}
+    items.sort(key=lambda item: first.get(item.path, len(first)))
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:

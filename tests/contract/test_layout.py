@@ -215,3 +215,18 @@ def test_every_make_target_is_listed_by_help() -> None:
     declared = set(re.findall(r"^([a-z-]+):(?!=)", text, re.MULTILINE))
     assert declared == set(re.findall(r"^([a-z-]+):.*## ", text, re.MULTILINE))  # .PHONY is made from these
     assert {"setup", "demo", "serve", "test", "check", "bench", "image", "fmt", "clean", "help"} <= declared
+
+
+def test_every_folder_of_tests_is_run_by_one_target_of_an_area() -> None:
+    text = (REPOSITORY / "Makefile").read_text()
+    areas = [folder for line in re.findall(r"^[A-Z]+_TESTS := (.*)$", text, re.MULTILINE) for folder in line.split()]
+    in_areas = [folder for folder in areas if folder.count("/") == 1]
+    there = {f"tests/{path.parent.name}" for path in (REPOSITORY / "tests").glob("*/test_*.py")}
+    there |= {f"tests/{path.parents[1].name}" for path in (REPOSITORY / "tests").glob("*/*/test_*.py")}
+    assert sorted([*in_areas, "tests/page"]) == sorted(there)
+
+
+def test_the_modules_that_are_run_first_are_there() -> None:
+    from tests.conftest import LONG
+
+    assert [name for name in LONG if not (REPOSITORY / "tests" / name).is_file()] == []

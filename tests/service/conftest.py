@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,6 +26,7 @@ from kilter_service.db import Database, revision
 from kilter_service.db.tables import HeartbeatRow
 from kilter_service.serving import KEEP_ALIVE_S
 from kilter_service.settings import DATABASE_FILE, Settings
+from tests.service.forked import forked_worker
 from tests.service.postgresql import database_of, programs, running_postgresql
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -182,15 +182,12 @@ class WorkerProcess:
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self._settings, self._database = settings, database
-        self.process: subprocess.Popen[bytes] | None = None
+        self.process: ForkServerProcess | None = None
 
     def start(self) -> None:
         """Start it and wait until it says that it is alive."""
-        environment = {**os.environ, **self._settings.environment()}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "kilter_service", "worker"], env=environment, cwd=REPOSITORY
-        )
-        wait_for(lambda: self._beats() or self.process is None or self.process.poll() is not None)
+        self.process = forked_worker({**os.environ, **self._settings.environment()}, REPOSITORY)
+        wait_for(lambda: self._beats() or self.process is None or self.process.exitcode is not None)
         assert self._beats()
 
     def _beats(self) -> bool:
@@ -202,15 +199,16 @@ class WorkerProcess:
         """End it as a power cut would."""
         if self.process is not None:
             self.process.kill()
-            self.process.wait(10)
+            self.process.join(10)
             self.process = None
 
     def stop(self) -> int:
         """Ask it to stop; returns its exit code."""
         assert self.process is not None
         self.process.terminate()
-        code = self.process.wait(10)
-        self.process = None
+        self.process.join(10)
+        code, self.process = self.process.exitcode, None
+        assert code is not None, "the worker did not stop"
         return code
 
 

@@ -40,8 +40,15 @@ def campaign(make: Callable[[np.random.Generator], tuple[Arm, Floats]], see: str
     return arm, replace(twice, position=noisy, rotation=turned, t=np.arange(2.0 * len(q)) * 10.0)
 
 
-@pytest.mark.parametrize("make", [grid, column])
-@pytest.mark.parametrize("see", ["position", "pose"])
+@pytest.mark.parametrize(
+    ("make", "see"),
+    [
+        (grid, "position"),
+        (column, "pose"),
+        pytest.param(grid, "pose", marks=pytest.mark.slow),
+        pytest.param(column, "position", marks=pytest.mark.slow),
+    ],
+)
 def test_after_is_never_above_before(make: Callable[[np.random.Generator], tuple[Arm, Floats]], see: str) -> None:
     arm, rows = campaign(make, see)
     robot = robot_from_document(arm.document())
