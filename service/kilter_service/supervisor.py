@@ -46,7 +46,7 @@ REFUSED = 2  # what a process ends with when its settings cannot be: the same ag
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
 KILLED = (-signal.SIGKILL, -signal.SIGTERM)
 REMEDY = "Mend what it says, `kilterd doctor` checks the rest"
-MOST_QUICK_ENDS = 3  # at the start of the server; a process that ended so often ends the same the next time
+MOST_ENDS = 3  # before the server ever stood; a process that ended so often ends the same the next time
 
 
 class Child:
@@ -65,7 +65,7 @@ class Child:
         self._said = LastWords(name)
         self._frozen = False
         self._ending = ""
-        self._quick_ends = 0
+        self._ends = 0
 
     def start(self) -> None:
         """Start the process; it ends by itself when this one does, because its standard input closes."""
@@ -96,8 +96,8 @@ class Child:
         time_s = time.monotonic()
         if self._again_at is None:
             if time_s - self._started > STEADY_S:
-                self._pause, self._quick_ends = FIRST_PAUSE_S, 0
-            self._quick_ends += 1
+                self._pause = FIRST_PAUSE_S
+            self._ends += 1
             self._ending = self._how_it_ended()
             log.error("%s %s: it starts again", self.name, self._ending)
             if self._process.returncode in KILLED:  # by somebody, not by its own failure: it need not be slowed down
@@ -132,9 +132,9 @@ class Child:
 
     def hopeless(self) -> str | None:
         """How it ended, when it ended again and again at the start of the server, with what it said last; None else."""
-        if self._quick_ends < MOST_QUICK_ENDS:
+        if self._ends < MOST_ENDS:
             return None
-        return f"{self._ending}, {self._quick_ends} times in a row"
+        return f"{self._ending}, {self._ends} times in a row"
 
     def refuse_if_hopeless(self) -> None:
         """Give up a process that ends again and again before the server was ever ready.
@@ -201,7 +201,8 @@ def serve(settings: Settings) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     with _alone(settings.data), listener(settings) as opened, ServerFile(settings.server_file) as file:
-        if not goes_on_alone(settings.corrector_file):
+        went_on = goes_on_alone(settings.corrector_file)
+        if not went_on:
             check_free(settings.zenoh_listen)
         children = [
             Child("api", settings, "--fd", str(opened.fileno()), keep=(opened.fileno(),)),
@@ -212,7 +213,7 @@ def serve(settings: Settings) -> None:
             children.append(Child("ros2", settings))
         try:
             _start(settings, children, stop)
-            missing = _wait_until_standing(settings, children, url_of(opened, settings), stop)
+            missing = _wait_until_standing(settings, children, url_of(opened, settings), stop, went_on)
             if missing is not None:
                 document = _document(settings, url_of(opened, settings), missing)
                 file.write(document)
@@ -253,11 +254,15 @@ def _stop(children: list[Child]) -> None:
         child.wait(deadline)
 
 
-def _wait_until_standing(settings: Settings, children: list[Child], url: str, stop: threading.Event) -> Missing | None:
+def _wait_until_standing(
+    settings: Settings, children: list[Child], url: str, stop: threading.Event, went_on: bool
+) -> Missing | None:
     """Wait until all is ready, or until only parts are missing that the arm's correction does without.
 
     Returns what is missing, in words; None when it was stopped meanwhile. A disk that is nearly full or a worker that ends
     at every start must not end a corrector that corrects: others ask for readiness, this one whether the processes stand.
+    Where a stream process `went_on` alone from the server before, an arm follows it: then not even an API that ends at
+    every start ends it.
 
     Raises:
         ServiceError: no setpoint can be corrected: the API or the corrector ends at every start, or did not start in time.
@@ -269,9 +274,13 @@ def _wait_until_standing(settings: Settings, children: list[Child], url: str, st
         for child in children:
             child.refuse_if_refused()  # later a port may be taken for a moment, and everything else goes on
             child.watch()
-            if child.name in NEEDED and _zenoh(settings) is None:
+        corrects = _zenoh(settings) is not None
+        for child in children:
+            if child.name in NEEDED and not (went_on and corrects):
                 child.refuse_if_hopeless()
-        missing = None if _zenoh(settings) is None else _missing(url)
+        missing = _missing(url) if corrects else None
+        if missing is None and corrects:  # the API does not answer
+            missing = _hopeless({"api": STARTING}, children) or None
         if missing == {}:
             return missing
         missing = None if missing is None else missing | _hopeless(missing, children)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from kilter_service.db import Database, revision
+from kilter_service.settings import Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -82,13 +83,23 @@ def test_a_file_that_is_no_database(tmp_path: Path) -> None:
     assert "kilterd restore" in done.stderr
 
 
-def test_an_api_that_ends_at_every_start_ends_the_server(tmp_path: Path) -> None:
-    """Nobody could ask what is wrong, so the last line says it."""
-    (tmp_path / "sitecustomize.py").write_text(
-        "import sys\nif 'api' in sys.orig_argv: raise SystemExit('no room for the API')\n"
-    )
+NO_API = """
+import os, sys, time
+if 'api' in sys.orig_argv:
+    deadline = time.monotonic() + 60
+    while os.environ.get('WAIT_FOR') and not os.path.exists(os.environ['WAIT_FOR']) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    raise SystemExit('no room for the API')
+"""
+
+
+@pytest.mark.parametrize("corrector_first", [False, True])
+def test_an_api_that_ends_at_every_start_ends_the_server(corrector_first: bool, tmp_path: Path) -> None:
+    """Nobody could ask what is wrong, so the last line says it; with a corrector that stood first it took 300 s."""
+    (tmp_path / "sitecustomize.py").write_text(NO_API)
     path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH", "")]))
-    done = kilterd("serve", KILTER_DATA=str(tmp_path / "data"), PYTHONPATH=path)
+    stands = str(Settings(data=tmp_path / "data").corrector_file) if corrector_first else ""
+    done = kilterd("serve", KILTER_DATA=str(tmp_path / "data"), PYTHONPATH=path, WAIT_FOR=stands)
     assert done.returncode == 1
     assert done.stdout == ""
     last = done.stderr.splitlines()[-1]

@@ -17,7 +17,7 @@ import httpx
 import pytest
 
 from kilter_service.settings import Settings
-from kilter_service.supervisor import MOST_QUICK_ENDS
+from kilter_service.supervisor import MOST_ENDS
 from tests.service.test_serve import REPOSITORY, Server, children
 
 
@@ -84,7 +84,7 @@ def test_a_worker_that_ends_again_and_again_at_the_start_ends_nothing_else(setti
     watch.start()
     try:
         killed: list[int] = []
-        while len(killed) <= MOST_QUICK_ENDS and process.poll() is None:
+        while len(killed) <= MOST_ENDS and process.poll() is None:
             with suppress(OSError):  # it ended while it was looked at
                 worker = children(process.pid).get("worker")
                 if worker is not None and worker not in killed:
@@ -100,3 +100,30 @@ def test_a_worker_that_ends_again_and_again_at_the_start_ends_nothing_else(setti
         assert process.wait(20) == 0
         assert process.stdout is not None
         process.stdout.close()
+
+
+def test_an_api_that_can_never_run_does_not_end_the_stream_that_an_arm_follows(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server above the stream was killed and started again: its stream process went on alone meanwhile."""
+    first = Server(settings)
+    stream = json.loads(settings.corrector_file.read_text())["endpoints"]["stream"]
+    first.process.kill()
+    first.process.wait()
+    assert first.process.stdout is not None
+    first.process.stdout.close()
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\nif 'api' in sys.orig_argv: raise SystemExit('no room for the API')\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH", "")])))
+    server = Server(settings)
+    try:
+        assert server.ready["zenoh"] == stream
+        assert server.ready["missing"].keys() == {"api"}
+        assert server.ready["missing"]["api"].startswith("ended with 1 (SystemExit: no room for the API), ")
+        assert server.process.poll() is None
+        assert "corrector" in children(server.process.pid)
+    finally:
+        assert server.stop() == 0
+        assert server.process.stdout is not None
+        server.process.stdout.close()
