@@ -54,10 +54,13 @@ def shared_data() -> Path:
 
 @pytest.fixture
 def kilterd() -> Iterator[Callable[[list[str]], None]]:
-    """The command of the server, in this process; what it sets up for its log lines ends with the test."""
+    """The command of the server, in this process; what it sets up for its log lines and its files ends with the test."""
     from kilter_service.__main__ import main
 
+    rights = os.umask(0o077)
+    os.umask(rights)
     yield main
+    os.umask(rights)
     for handler in [one for one in logging.root.handlers if type(one) is logging.StreamHandler]:
         logging.root.removeHandler(handler)
     logging.getLogger("kilter.access").disabled = True
