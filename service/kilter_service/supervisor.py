@@ -276,8 +276,8 @@ def _wait_until_standing(
             child.watch()
         corrects = _zenoh(settings) is not None
         for child in children:
-            if child.name in NEEDED and not (went_on and corrects):
-                child.refuse_if_hopeless()
+            if child.name in NEEDED and not (went_on and (corrects or child.name == "api")):
+                child.refuse_if_hopeless()  # of a stream that went on the API may end before the corrector stands
         missing = _missing(url) if corrects else None
         if missing is None and corrects:  # the API does not answer
             missing = _hopeless({"api": STARTING}, children) or None

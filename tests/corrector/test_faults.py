@@ -53,9 +53,12 @@ def test_killed_in_motion_it_is_noticed_before_the_deadline_and_comes_back(corre
                 supervisor.start()
                 supervisor.join()
                 until(lambda: stream.alive)
-            if k > 26 and sources[-1] == "corrected":
-                break
-            assert k < 2000
+                deadline = time.monotonic() + 60.0
+            if k > 26:
+                if sources[-1] == "corrected":
+                    break
+                assert time.monotonic() < deadline
+                time.sleep(0.001)
     order = [source for source, _ in itertools.groupby(sources)]
     assert order == ["corrected", "held", "bypass", "slowed", "corrected"]  # fades in again, and says so
     assert sources.count("held") == 3
