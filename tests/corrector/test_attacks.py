@@ -77,13 +77,17 @@ def truth(stream: CorrectedStream) -> np.ndarray:
     return np.array(last.delta)
 
 
+# What a cycle is answered whose frame, or the one before, a busy machine kept for too long or lost.
+KEPT_BACK = (None, Status.STALE.name, Status.SEQ_GAP.name, Status.OVERLOAD.name)
+
+
 def is_right(setpoint: Setpoint, right: np.ndarray) -> bool:
     """Whether a setpoint has the correction, or some of it where a busy machine itself kept a frame or its answer back."""
     delta = np.array(setpoint.delta)
     if setpoint.source == "corrected":
         return bool(np.abs(delta - right).max() < 1e-9)
     share = delta @ right / (right @ right)
-    late = setpoint.source == "slowed" or setpoint.status in (None, Status.STALE.name)
+    late = setpoint.source == "slowed" or setpoint.status in KEPT_BACK
     return late and -1e-9 <= share <= 1.0 + 1e-9 and bool(np.abs(delta - share * right).max() < 1e-9)
 
 
