@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import configparser
+import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
+import httpx
 import pytest
 import yaml
 
@@ -42,18 +46,66 @@ def test_units_call_commands_and_start_again(unit: Path) -> None:
     parsed.read(unit, encoding="utf-8")
     service = parsed["Service"]
     for key in ("ExecStart", "ExecStartPre"):
-        if key in service:
-            program, command = service[key].split()
-            assert (program, command in COMMANDS) == ("/opt/kilter/bin/kilterd", True)
+        program, command, *_ = service.get(key, "/bin/cp -").split()
+        assert program == "/bin/cp" or (program, command in COMMANDS) == ("/opt/kilter/bin/kilterd", True)
     assert service["Restart"] == "always"
     assert service["StateDirectory"] in service["Environment"]
     named = set(re.findall(r"KILTER_\w+", service["Environment"]))
     assert named <= VARIABLES
 
 
-def test_a_stream_outlives_the_corrector_that_systemd_starts_again() -> None:
+@pytest.mark.parametrize("unit", ["kilter-corrector.service", "kilter.service"])
+def test_a_stream_outlives_the_corrector_that_systemd_starts_again(unit: str) -> None:
     # By default systemd ends what is left of a service that was killed, and the stream process with it.
-    assert "\nKillMode=process\n" in (DEPLOY / "systemd" / "kilter-corrector.service").read_text(encoding="utf-8")
+    assert "\nKillMode=process\n" in (DEPLOY / "systemd" / unit).read_text(encoding="utf-8")
+
+
+def as_systemd(folder: Path, text: str) -> list[str]:
+    """Words of a line of the unit, its places in a folder of the test and its program this checkout's."""
+    places = {
+        "/var/lib/": f"{folder}/var/",
+        "${CREDENTIALS_DIRECTORY}": f"{folder}/credentials",
+        "/opt/kilter/bin/kilterd": f"{sys.executable} -m kilter_service",
+    }
+    for stated, here in places.items():
+        text = text.replace(stated, here)
+    return text.split()
+
+
+def test_the_unit_of_the_whole_server_runs_as_printed(tmp_path: Path) -> None:
+    unit = configparser.ConfigParser(interpolation=None)
+    unit.optionxform = str  # type: ignore[assignment, method-assign]
+    unit.read(DEPLOY / "systemd" / "kilter.service", encoding="utf-8")
+    service = unit["Service"]
+    name, _, source = service["LoadCredential"].partition(":")
+    etc, credentials, state = (tmp_path / part for part in ("etc", "credentials", "var/kilter"))
+    for folder in (etc, credentials, state):
+        folder.mkdir(parents=True, mode=0o700)
+    # As the how-to makes it; HOME is another place, so that nothing of the account's own is used.
+    environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path)}
+    make = [sys.executable, "-m", "kilter_service", "stream-keys", "--data", str(etc)]
+    subprocess.run(make, env=environment, check=True, capture_output=True, timeout=60)
+    secret = etc / Path(source).name
+    (credentials / name).write_bytes(secret.read_bytes())
+    (credentials / name).chmod(0o440)  # as systemd shows it where it gives the account an entry of an access list
+    environment |= dict(word.split("=", 1) for word in as_systemd(tmp_path, service["Environment"]))
+    del environment["NUMBA_CACHE_DIR"]  # the kernels of this checkout are compiled
+    environment |= {"KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}  # what /etc/kilter/kilter.env may say
+    umask = int(service["UMask"], 8)
+    for _ in range(2):  # the second start finds what the first has made
+        before = as_systemd(tmp_path, service["ExecStartPre"])
+        subprocess.run(before, env=environment, check=True, umask=umask, timeout=30)
+    command = as_systemd(tmp_path, service["ExecStart"])
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, umask=umask) as server:
+        try:
+            assert server.stdout is not None
+            document = json.loads(server.stdout.readline())
+            assert (document["data"], "missing" in document) == (str(state), False)
+            assert httpx.get(f"{document['url']}/v1/health/ready", timeout=30, trust_env=False).status_code == 200
+            assert (state / name).read_bytes() == secret.read_bytes()
+        finally:
+            server.terminate()
+            assert server.wait(int(service["TimeoutStopSec"])) == 0
 
 
 def test_units_are_sound_to_systemd() -> None:
