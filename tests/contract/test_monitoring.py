@@ -10,6 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from kilter_service.db import Database, revision
 from kilter_service.observability import service
+from kilter_service.settings import Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RULES = REPOSITORY / "examples" / "monitoring" / "alerts.yml"
@@ -23,7 +24,7 @@ def given(folder: Path) -> set[str]:
     database = Database(f"sqlite:///{folder / 'kilter.sqlite'}")
     revision.migrate(database)
     try:
-        page = service.text(database).decode()
+        page = service.text(database, Settings(data=folder)).decode()
     finally:
         database.close()
     return {family.name for family in text_string_to_metric_families(page)}

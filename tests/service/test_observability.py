@@ -10,19 +10,23 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import text
 
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
 from kilter_service.health import store as health
-from kilter_service.observability import logs, tracing
+from kilter_service.observability import logs, service, tracing
 from kilter_service.observability.requests import UNKNOWN
 from kilter_service.observability.service import HELD_BACK
 from kilter_service.settings import Settings
@@ -79,6 +83,21 @@ def test_metrics_say_that_the_database_does_not_answer(client: httpx.Client, dat
         session.execute(text("ALTER TABLE heartbeats RENAME TO away"))
     assert sample(client, "kilter_database_up") == 0
     assert sample(client, "process_resident_memory_bytes") > 1e7
+
+
+def test_metrics_say_how_much_room_is_left_and_when_the_certificate_ends(database: Database, tmp_path: Path) -> None:
+    now = datetime.now(UTC).replace(microsecond=0)
+    certificate = tmp_path / "cert.pem"
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "cell")])
+    made = x509.CertificateBuilder(name, name, key.public_key(), 7, now, now + timedelta(days=9))
+    certificate.write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    with_it = values(service.text(database, Settings(data=tmp_path, tls_certificate=certificate)).decode())
+    assert with_it["kilter_certificate_end_seconds", ()] == (now + timedelta(days=9)).timestamp()
+    assert with_it["kilter_disk_free_bytes", ()] > 0
+    for settings in (Settings(data=tmp_path), Settings(data=tmp_path, tls_certificate=tmp_path / "none.pem")):
+        without = values(service.text(database, settings).decode())
+        assert ("kilter_certificate_end_seconds", ()) not in without
 
 
 def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database: Database) -> None:

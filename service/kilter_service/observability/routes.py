@@ -8,7 +8,7 @@ from fastapi import APIRouter, Response
 
 from kilter_service.observability import service
 from kilter_service.routing import GuardedRoute
-from kilter_service.state import DatabaseOfApp
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(tags=["health"], route_class=GuardedRoute)
 TEXT: dict[int | str, dict[str, Any]] = {
@@ -17,6 +17,6 @@ TEXT: dict[int | str, dict[str, Any]] = {
 
 
 @router.get("/metrics", response_class=Response, responses=TEXT)
-def metrics(database: DatabaseOfApp) -> Response:
+def metrics(database: DatabaseOfApp, settings: SettingsOfApp) -> Response:
     """Return the metrics of this process and of the database, in the text format of Prometheus."""
-    return Response(service.text(database), headers={"Content-Type": service.MEDIA_TYPE})
+    return Response(service.text(database, settings), headers={"Content-Type": service.MEDIA_TYPE})

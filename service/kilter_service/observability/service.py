@@ -12,8 +12,9 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
 from kilter_service.db import Database, Session
-from kilter_service.observability import store
+from kilter_service.observability import machine, store
 from kilter_service.observability.metrics import REGISTRY
+from kilter_service.settings import Settings
 from kilter_service.version import code_version
 from kilter_service.wire import to_metres
 
@@ -25,10 +26,10 @@ LATELY_S = 3600.0
 HELD_BACK = ("reversing", "damped", "saturated", "slowed")  # counters of a stream's status
 
 
-def text(database: Database) -> bytes:
+def text(database: Database, settings: Settings) -> bytes:
     """Write all metrics in the text format of Prometheus; without a database, those of the process alone."""
     asked = CollectorRegistry()
-    asked.register(_Asked(database))
+    asked.register(_Asked(database, settings))
     return generate_latest(REGISTRY) + generate_latest(asked)
 
 
@@ -41,8 +42,8 @@ def streams(database: Database) -> list[dict[str, Any]]:
 class _Asked(Collector):
     """Metrics that are read when they are asked for."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, database: Database, settings: Settings) -> None:
+        self._database, self._settings = database, settings
 
     def describe(self) -> Iterable[Metric]:
         """Name nothing beforehand, so that registering reads nothing."""
@@ -51,6 +52,7 @@ class _Asked(Collector):
     def collect(self) -> Iterable[Metric]:
         """Read and give the metrics."""
         yield _gauge("kilter_build", "1, with the version that runs.", ("version",), [((code_version(),), 1.0)])
+        yield from machine.of(self._settings)
         try:
             with self._database.reading() as session:
                 known = list(_of(session))

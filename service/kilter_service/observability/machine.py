@@ -1,0 +1,36 @@
+"""What the machine of the API says in numbers: room on the disk, and the end of the certificate."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterable
+
+from prometheus_client.core import GaugeMetricFamily, Metric
+
+from kilter_service.settings import Settings
+
+
+def of(settings: Settings) -> Iterable[Metric]:
+    """Give what can be read; what cannot is left out, so that an alert on its absence may say so."""
+    free = GaugeMetricFamily("kilter_disk_free_bytes", "Bytes free on the disk of the data folder.")
+    end = GaugeMetricFamily("kilter_certificate_end_seconds", "When the server's certificate ends, s since 1970.")
+    with contextlib.suppress(OSError):
+        free.add_metric((), float(shutil.disk_usage(settings.data).free))
+    moment = _certificate_end_s(settings)
+    if moment is not None:
+        end.add_metric((), moment)
+    return free, end
+
+
+def _certificate_end_s(settings: Settings) -> float | None:
+    """End of the first certificate of the file, which is the server's own; None without one that can be read."""
+    if settings.tls_certificate is None:
+        return None
+    from cryptography import x509
+
+    try:
+        certificate = x509.load_pem_x509_certificate(settings.tls_certificate.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return certificate.not_valid_after_utc.timestamp()
