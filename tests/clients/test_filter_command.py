@@ -1,0 +1,139 @@
+"""`kilter filter`: a corrected program takes the real arm where the nominal arm was taught."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kilter_client import Kilter
+from kilter_client.cli import run
+
+from .answered import document
+
+Floats = NDArray[np.float64]
+LENGTHS_MM = (400.0, 300.0, 200.0)
+REAL_MM = LENGTHS_MM
+OFF_DEG = np.array([0.1, -0.05, 0.08])
+TAUGHT = np.array([[0.0, 30.0, 40.0], [50.0, 20.0, -30.0], [-40.0, 45.0, 60.0]])
+
+
+def tip_mm(q_deg: Floats, lengths: tuple[float, float, float] = LENGTHS_MM) -> Floats:
+    q1, q2, q3 = np.radians(q_deg.T)
+    out = lengths[1] * np.cos(q2) + lengths[2] * np.cos(q2 + q3)
+    up = lengths[0] + lengths[1] * np.sin(q2) + lengths[2] * np.sin(q2 + q3)
+    return np.stack([out * np.cos(q1), out * np.sin(q1), up], axis=1)
+
+
+def add_arm(kilter: Kilter, name: str, lengths: tuple[float, float, float], off_deg: Floats, path: Path) -> None:
+    """Add the arm and activate what exact measurements of the arm with these lengths and offsets identify."""
+    rows = [(90.0, 0.0, LENGTHS_MM[0]), (0.0, LENGTHS_MM[1], 0.0), (0.0, LENGTHS_MM[2], 0.0)]
+    kilter.robots.add(
+        {
+            "name": name,
+            "convention": "dh",
+            "joints": [{"name": f"j{k}", "limits_deg": [-170, 170]} for k in (1, 2, 3)],
+            "rows": [
+                {"type": "revolute", "alpha_deg": alpha, "a_mm": a, "theta_offset_deg": 0, "d_mm": d}
+                for alpha, a, d in rows
+            ],
+        }
+    )
+    rng = np.random.default_rng(3)
+    q = rng.uniform((-90, 0, -80), (90, 70, 80), (60, 3))
+    seen = tip_mm(q + off_deg, lengths) + rng.normal(0, 1e-3, q.shape)
+    lines = [",".join(f"{v:.9g}" for v in row) for row in np.hstack([q, seen])]
+    path.write_text("\n".join(["q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm", *lines, ""]))
+    assert run(["upload", name, str(path), "--name", "monday"]) == 0
+    fit = ["identify", name, "-c", "monday", "--level", "2", "--tool", "fixed", "--base", "fixed"]
+    assert run(fit) == 0
+    assert run(["activate", "latest", "--robot", name, "--force"]) == 0
+
+
+@pytest.fixture
+def arm(kilter: Kilter, tmp_path: Path, request: pytest.FixtureRequest) -> str:
+    name = re.sub(r"\W", "-", request.node.name)[:60]
+    add_arm(kilter, name, REAL_MM, OFF_DEG, tmp_path / "measured.csv")
+    return name
+
+
+def krl(rows: Floats) -> bytes:
+    moves = "".join(f"PTP {{A1 {a:.3f}, A2 {b:.3f},A3 {c:.3f}}} ; {{A1 9}}\r\n" for a, b, c in rows)
+    return f"DEF w()\r\n$VEL.CP=0.2\r\n{moves}END\r\n".encode()
+
+
+def fanuc(rows: Floats) -> bytes:
+    said = "".join(
+        f"P[{k}]{{J1= {a:.3f} deg, J2= {b:.3f} deg, J3= {c:.3f} deg}};\n" for k, (a, b, c) in enumerate(rows)
+    )
+    return f"/PROG W\n/POS\n{said}/END\n".encode()
+
+
+NUMBERS = re.compile(r"[AJ]\d=? (-?[\d.]+)")
+
+
+def joints(text: bytes) -> Floats:
+    moves = [line.partition(";")[0] for line in text.decode().splitlines() if line.startswith(("PTP", "P["))]
+    return np.array([[float(v) for v in NUMBERS.findall(line)] for line in moves])
+
+
+Writer = Callable[[Floats], bytes]
+
+
+@pytest.mark.parametrize(
+    ("name", "written", "options", "into", "tolerance_mm"),
+    [
+        ("w.src", krl, [], lambda q: q, 0.01),
+        ("w.src", krl, ["--signs=+,-,+"], lambda q: q * [1, -1, 1], 0.01),
+        ("w.ls", fanuc, ["--fanuc-j3", "coupled"], lambda q: q - np.outer(q[:, 1], [0, 0, 1]), 0.02),
+    ],
+)
+def test_the_real_arm_goes_where_the_nominal_was_taught(
+    arm: str, tmp_path: Path, name: str, written: Writer, options: list[str], into: Callable[[Floats], Floats],
+    tolerance_mm: float, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    path, output = tmp_path / name, tmp_path / f"out-{name}"
+    path.write_bytes(written(into(TAUGHT)))
+    told = document(capsys, "filter", path, "--robot", arm, "-o", output, "--diff", *options)
+    assert told["targets"] == 3
+    assert told["left"] == told["not_ok"] == []
+    assert 0.05 < told["largest_change_deg"] < 2
+    assert told["diff"].count("\n+") == 4  # the heading and three lines
+    back = joints(output.read_bytes())
+    if "coupled" in options:
+        back[:, 2] += back[:, 1]
+    if "--signs=+,-,+" in options:
+        back[:, 1] *= -1
+    wanted = tip_mm(TAUGHT)
+    before = np.linalg.norm(tip_mm(TAUGHT + OFF_DEG, REAL_MM) - wanted, axis=1)
+    after = np.linalg.norm(tip_mm(back + OFF_DEG, REAL_MM) - wanted, axis=1)
+    assert before.min() > 0.3
+    assert after.max() < tolerance_mm
+
+
+def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = tmp_path / "w.src", tmp_path / "out.src"
+    path.write_bytes(krl(TAUGHT).replace(b"END\r\n", b"LIN {X 1,Y 2,Z 3}\r\nEND\r\n"))
+    told = document(capsys, "filter", path, "--robot", arm, "-o", output, "--strict", code=1)
+    assert told["code"] == "file_invalid"
+    assert "line 6: a pose" in told["detail"]
+    assert not output.exists()
+    told = document(capsys, "filter", path, "--robot", arm, "-o", output)
+    assert told["left"] == [{"line": 6, "what": "a pose"}]
+    assert b"LIN {X 1,Y 2,Z 3}\r\n" in output.read_bytes()
+    output.unlink()
+    path.write_bytes(krl(np.array([[0.0, 30, 40], [999, 0, 0]])))
+    assert "line 4: axis target" in document(capsys, "filter", path, "--robot", arm, "-o", output, code=1)["detail"]
+    path.write_bytes(b"PTP {A1 1,A2 2}\n")
+    assert "has 2 joints" in document(capsys, "filter", path, "--robot", arm, "-o", output, code=1)["detail"]
+    assert not output.exists()
+    assert document(capsys, "filter", path, "--robot", arm, "-o", path, code=2)["code"] == "usage"
+    assert document(capsys, "filter", path, "--robot", arm, code=2)["code"] == "usage"
+    (tmp_path / "w.ls").write_bytes(fanuc(TAUGHT))
+    assert "--fanuc-j3" in document(capsys, "filter", tmp_path / "w.ls", "--robot", arm, "-o", output, code=2)["detail"]
