@@ -53,7 +53,8 @@ async def admit(request: Request, path: str) -> Rule:
                 code="token_limited",
                 robots=sorted(caller.robots),
             )
-        await run_in_threadpool(check_path, request.app.state.database, request.path_params)
+        state = request.app.state
+        await run_in_threadpool(check_path, state.database, state.lookups, request.path_params)
     return rule
 
 
