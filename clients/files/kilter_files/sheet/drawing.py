@@ -1,17 +1,12 @@
-"""The sheet as SVG, written here, and as PDF, written by reportlab; both in true mm."""
+"""The sheet as a page: SVG and PDF, both in true mm."""
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import Any
-from xml.sax.saxutils import escape
 
-from kilter_files.errors import FileError, MissingPackageError, UsageError
+from kilter_files.printed import Printed, page_pdf, page_svg, save_page
 from kilter_files.sheet.layout import PAGES_MM, Sheet
-from kilter_files.sheet.shapes import Colour, Disc, Rect, Shape, Stroke, Text, shapes
-
-POINTS_PER_MM = 72 / 25.4
+from kilter_files.sheet.shapes import shapes
 
 
 def save_sheet(sheet: Sheet, path: Path) -> int:
@@ -23,45 +18,12 @@ def save_sheet(sheet: Sheet, path: Path) -> int:
         MissingPackageError: OpenCV, or for PDF reportlab, is not installed.
 
     """
-    writers = {".svg": lambda: to_svg(sheet).encode(), ".pdf": lambda: to_pdf(sheet)}
-    write = writers.get(path.suffix.lower())
-    if write is None:
-        raise UsageError(f"{path}: a sheet is written as .pdf or .svg.")
-    content = write()
-    try:
-        return path.write_bytes(content)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror or error}.", file=str(path)) from error
+    return save_page(_page(sheet), path)
 
 
 def to_svg(sheet: Sheet) -> str:
-    """Return the sheet as SVG text; its user units are mm, y up through the group's transform."""
-    width, height = PAGES_MM[sheet.page]
-    body = "\n".join(_svg(shape) for shape in shapes(sheet))
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
-        f'viewBox="0 0 {width:g} {height:g}">\n<rect width="{width:g}" height="{height:g}" fill="#fff"/>\n'
-        f'<g transform="translate({width / 2:g} {height / 2:g})">\n{body}\n</g>\n</svg>\n'
-    )
-
-
-def _svg(shape: Shape) -> str:
-    if isinstance(shape, Rect):
-        top = -(shape.y + shape.height)
-        size = f'width="{shape.width:.4f}" height="{shape.height:.4f}"'
-        return f'<rect x="{shape.x:.4f}" y="{top:.4f}" {size} fill="{_hex(shape.colour)}"/>'
-    if isinstance(shape, Disc):
-        return f'<circle cx="{shape.x:.4f}" cy="{-shape.y:.4f}" r="{shape.radius:g}" fill="{_hex(shape.colour)}"/>'
-    if isinstance(shape, Stroke):
-        points = " ".join(f"{x:.4f},{-y:.4f}" for x, y in shape.points)
-        ink = f'stroke="{_hex(shape.colour)}" stroke-width="{shape.width:g}"'
-        return f'<polyline points="{points}" fill="none" {ink}/>'
-    font = f'font-family="Helvetica, Arial, sans-serif" font-size="{shape.size:.3f}" text-anchor="middle"'
-    return f'<text x="{shape.x:.3f}" y="{-shape.y:.3f}" {font}>{escape(shape.text)}</text>'
-
-
-def _hex(colour: Colour) -> str:
-    return "#" + "".join(f"{round(255 * part):02x}" for part in colour)
+    """Return the sheet as SVG text; its user units are mm."""
+    return page_svg(_page(sheet))
 
 
 def to_pdf(sheet: Sheet) -> bytes:
@@ -71,44 +33,8 @@ def to_pdf(sheet: Sheet) -> bytes:
         MissingPackageError: reportlab is not installed.
 
     """
-    try:
-        from reportlab.pdfgen.canvas import Canvas  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise MissingPackageError(
-            "PDF needs reportlab: pip install reportlab. SVG (-o sheet.svg) does not need it.",
-            package="reportlab",
-        ) from error
-    width, height = (side * POINTS_PER_MM for side in PAGES_MM[sheet.page])
-    out = io.BytesIO()
-    canvas = Canvas(out, pagesize=(width, height), invariant=1, pageCompression=1)
-    canvas.setTitle(f"Kilter sheet, radius {sheet.radius_mm:g} mm")
-    # Viewers offer "no scaling" first when a document asks for it.
-    canvas.setViewerPreference("PrintScaling", "None")
-    canvas.translate(width / 2, height / 2)
-    canvas.scale(POINTS_PER_MM, POINTS_PER_MM)
-    for shape in shapes(sheet):
-        _pdf(canvas, shape)
-    canvas.showPage()
-    canvas.save()
-    return out.getvalue()
+    return page_pdf(_page(sheet))
 
 
-def _pdf(canvas: Any, shape: Shape) -> None:
-    if isinstance(shape, Rect):
-        canvas.setFillColorRGB(*shape.colour)
-        canvas.rect(shape.x, shape.y, shape.width, shape.height, stroke=0, fill=1)
-    elif isinstance(shape, Disc):
-        canvas.setFillColorRGB(*shape.colour)
-        canvas.circle(shape.x, shape.y, shape.radius, stroke=0, fill=1)
-    elif isinstance(shape, Stroke):
-        canvas.setStrokeColorRGB(*shape.colour)
-        canvas.setLineWidth(shape.width)
-        path = canvas.beginPath()
-        path.moveTo(*shape.points[0])
-        for point in shape.points[1:]:
-            path.lineTo(*point)
-        canvas.drawPath(path, stroke=1, fill=0)
-    elif isinstance(shape, Text):
-        canvas.setFillColorRGB(0, 0, 0)
-        canvas.setFont("Helvetica", shape.size)
-        canvas.drawCentredString(shape.x, shape.y, shape.text)
+def _page(sheet: Sheet) -> Printed:
+    return Printed(f"Kilter sheet, radius {sheet.radius_mm:g} mm", PAGES_MM[sheet.page], tuple(shapes(sheet)))

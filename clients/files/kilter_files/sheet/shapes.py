@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from kilter_files.errors import MissingPackageError
+from kilter_files.markers import marker_shapes
+from kilter_files.printed import WHITE, Colour, Disc, Shape, Stroke, Text
 from kilter_files.sheet.layout import (
     LINE_MM,
     MARKER_CELLS,
@@ -19,55 +19,8 @@ from kilter_files.sheet.layout import (
     Sheet,
 )
 
-Colour = tuple[float, float, float]
-
-BLACK: Colour = (0.0, 0.0, 0.0)
-WHITE: Colour = (1.0, 1.0, 1.0)
 PALE: Colour = (0.35, 0.75, 0.88)  # cyan: the red of a colour scan sees it, its blue hardly does
 GREY: Colour = (0.35, 0.35, 0.35)
-
-
-@dataclass(frozen=True)
-class Rect:
-    """A filled rectangle from its lower left corner."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-    colour: Colour = BLACK
-
-
-@dataclass(frozen=True)
-class Disc:
-    """A filled disc."""
-
-    x: float
-    y: float
-    radius: float
-    colour: Colour = BLACK
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """A line through points."""
-
-    points: tuple[tuple[float, float], ...]
-    width: float = LINE_MM
-    colour: Colour = BLACK
-
-
-@dataclass(frozen=True)
-class Text:
-    """Words centred on a point; ``size`` in mm."""
-
-    x: float
-    y: float
-    text: str
-    size: float = 2.6
-
-
-Shape = Rect | Disc | Stroke | Text
 
 
 def aruco() -> tuple[Any, Any]:
@@ -101,24 +54,8 @@ def _circle(sheet: Sheet) -> Iterator[Shape]:
 
 
 def _markers(sheet: Sheet) -> Iterator[Shape]:
-    cv2, dictionary = aruco()
-    cell = MARKER_MM / MARKER_CELLS
     for number, (x, y) in sheet.markers().items():
-        black = cv2.aruco.generateImageMarker(dictionary, number, MARKER_CELLS) == 0
-        left, top = x - MARKER_MM / 2, y + MARKER_MM / 2
-        yield Rect(left, top - MARKER_MM, MARKER_MM, MARKER_MM)
-        for k in range(MARKER_CELLS):
-            for start, length in _white(black[k]):
-                yield Rect(left + start * cell, top - (k + 1) * cell, length * cell, cell, WHITE)
-
-
-def _white(cells: Any) -> Iterator[tuple[int, int]]:
-    at = 0
-    for black, group in itertools.groupby(bool(cell) for cell in cells):
-        length = len(list(group))
-        if not black:
-            yield at, length
-        at += length
+        yield from marker_shapes(aruco(), number, x - MARKER_MM / 2, y + MARKER_MM / 2, MARKER_MM, MARKER_CELLS)
 
 
 def _targets(sheet: Sheet) -> Iterator[Shape]:

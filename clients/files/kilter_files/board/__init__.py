@@ -1,0 +1,1 @@
+"""Boards that a camera sees: printed in true mm."""

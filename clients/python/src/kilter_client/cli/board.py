@@ -1,0 +1,61 @@
+"""``kilter board``: a board to print for a camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.output import emit, say
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter board --columns 8 --rows 6 --square-mm 30 -o board.pdf")(board)
+
+
+def board(
+    columns: Annotated[int, typer.Option(help="Squares from left to right.")],
+    rows: Annotated[int, typer.Option(help="Squares from top to bottom.")],
+    square_mm: Annotated[float, typer.Option("--square-mm", help="Side of a square; also from tag to tag.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="board.pdf or board.svg; board.json comes beside it.")
+    ],
+    kind: Annotated[
+        Literal["charuco", "apriltag"], typer.Option(help="A chessboard with markers, or tags alone.")
+    ] = "charuco",
+    marker_mm: Annotated[
+        float | None, typer.Option("--marker-mm", help="Side of a marker; default: 0.75 of a square.")
+    ] = None,
+    dictionary: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="As OpenCV names it, 6x6_250; default 5x5_1000, of tags apriltag_36h11."),
+    ] = None,
+    first_id: Annotated[
+        int, typer.Option("--first-id", help="Number of its first marker: boards in one picture need numbers apart.")
+    ] = 0,
+    page: Annotated[
+        Literal["a4", "a3", "a2", "a1", "a0", "letter"] | None,
+        typer.Option(help="Paper; default: the smallest A page on which it fits."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a board to print for a camera, in true mm with rulers, and its description as JSON."""
+    from kilter_files.board.drawing import save_board
+    from kilter_files.board.layout import USUAL, Board, check_board
+
+    side = 0.75 * square_mm if marker_mm is None else marker_mm
+    made = check_board(Board(kind, columns, rows, square_mm, side, dictionary or USUAL[kind], first_id))
+    document = save_board(made, output, page)
+    files = {"file": str(output), "description": str(output.with_suffix(".json"))}
+    emit(files | document, as_json, _show)
+
+
+def _show(document: dict[str, Any]) -> None:
+    page, rulers = document["page"], document["rulers_mm"]
+    size = f"{page['name'].upper()}, {len(document['markers'])} markers, {len(document['corners'])} corners"
+    say(f"{document['file']}: {size}; described in {document['description']}")
+    lengths = f"{rulers['across']:g} mm across and {rulers['upright']:g} mm upright"
+    say(f"  Print it at 100 % and measure both rulers: {lengths}.")
