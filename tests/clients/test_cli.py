@@ -72,7 +72,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         *(f"{kind} {verb}" for kind in ("campaigns", "versions")
           for verb in ("list", "name", "note", "retire", "restore", "purge")),
         "upload", "inspect", "match",
-        "sheet", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
+        "sheet", "filter", "board", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),

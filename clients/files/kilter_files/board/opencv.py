@@ -7,7 +7,7 @@ from typing import Any
 from kilter_files.errors import MissingPackageError
 
 OLDEST = (4, 14)
-INSTALL = "pip install 'kilter-files[camera]'"
+INSTALL = "pip install 'opencv-python-headless>=4.14.0.94'"
 
 
 def dictionary(name: str) -> tuple[Any, Any]:
@@ -20,9 +20,7 @@ def dictionary(name: str) -> tuple[Any, Any]:
     try:
         import cv2
     except ImportError as error:
-        raise MissingPackageError(
-            f"Boards need OpenCV, which the extra camera brings. Install it with: {INSTALL}", package="opencv"
-        ) from error
+        raise MissingPackageError(f"Boards need OpenCV. Install it with: {INSTALL}", package="opencv") from error
     check_release(cv2.__version__)
     spelled = name.removeprefix("apriltag_") if name.startswith("apriltag_") else name.upper()
     prefix = "DICT_APRILTAG_" if name.startswith("apriltag_") else "DICT_"
