@@ -31,7 +31,7 @@ from kilter_service.observability.requests import Observed
 from kilter_service.observability.routes import router as metrics
 from kilter_service.page.drop.drafts import Drafts
 from kilter_service.page.routes import ROUTERS as PAGE
-from kilter_service.path_lookups import LOOKUPS
+from kilter_service.path_lookups import look_up
 from kilter_service.private_files import TEMPORARY, Scratch
 from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
@@ -66,7 +66,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.slots = Slots(settings)
     app.state.rates = Rates(settings.rate)
-    app.state.lookups = LOOKUPS
+    app.state.look_up = look_up
     app.add_middleware(Unhurried)
     app.add_middleware(Gate, settings=settings)
     problems.install(app)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kilter_service.auth.scope import Lookup, Lookups
+from collections.abc import Callable, Mapping
+
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Session
 from kilter_service.jobs import store as jobs
@@ -11,23 +12,23 @@ from kilter_service.references.store import NOMINAL
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 
-
-def _unless_nominal(lookup: Lookup) -> Lookup:
-    def look_up(session: Session, value: str) -> object:
-        return None if value == NOMINAL else lookup(session, value)
-
-    return look_up
-
-
-LOOKUPS: Lookups = {
-    name: _unless_nominal(lookup)
-    for name, lookup in {
-        "robot": robots.get,
-        "campaign": campaigns.get,
-        "version": versions.get,
-        "a": versions.get,
-        "b": versions.get,
-        "job": jobs.get,
-        "fleet_job": fleet_jobs.get,
-    }.items()
+LOOKED_UP: Mapping[str, Callable[[Session, str], object]] = {
+    "robot": robots.get,
+    "campaign": campaigns.get,
+    "version": versions.get,
+    "a": versions.get,
+    "b": versions.get,
+    "job": jobs.get,
+    "fleet_job": fleet_jobs.get,
 }
+
+
+def look_up(session: Session, name: str, value: str) -> None:
+    """Look up what a path calls ``name``; what has no robot of its own is passed over, as is `nominal`.
+
+    Raises:
+        ServiceError: it does not exist, or the caller may not see it.
+
+    """
+    if name in LOOKED_UP and value != NOMINAL:
+        LOOKED_UP[name](session, value)

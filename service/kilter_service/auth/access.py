@@ -54,7 +54,7 @@ async def admit(request: Request, path: str) -> Rule:
                 robots=sorted(caller.robots),
             )
         state = request.app.state
-        await run_in_threadpool(check_path, state.database, state.lookups, request.path_params)
+        await run_in_threadpool(check_path, state.database, state.look_up, request.path_params)
     return rule
 
 

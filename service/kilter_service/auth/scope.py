@@ -10,12 +10,11 @@ from collections.abc import Callable, Mapping
 
 from kilter_service.db import Database, Session
 
-Lookup = Callable[[Session, str], object]
-Lookups = Mapping[str, Lookup]
+LookUp = Callable[[Session, str, str], None]
 
 
-def check_path(database: Database, lookups: Lookups, named: Mapping[str, object]) -> None:
-    """Look up what a path names, each by the lookup of that name in paths; a name without one is nobody's robot.
+def check_path(database: Database, look_up: LookUp, named: Mapping[str, object]) -> None:
+    """Look up what a path names, each by its name in paths and its value.
 
     Raises:
         ServiceError: it does not exist, or the caller may not see it.
@@ -23,5 +22,4 @@ def check_path(database: Database, lookups: Lookups, named: Mapping[str, object]
     """
     with database.reading() as session:
         for name, value in named.items():
-            if name in lookups:
-                lookups[name](session, str(value))
+            look_up(session, name, str(value))

@@ -11,7 +11,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from kilter_service.settings import Settings
 
 
-def of(settings: Settings) -> Iterable[Metric]:
+def gauges(settings: Settings) -> Iterable[Metric]:
     """Give what can be read; what cannot is left out, so that an alert on its absence may say so."""
     free = GaugeMetricFamily("kilter_disk_free_bytes", "Bytes free on the disk of the data folder.")
     end = GaugeMetricFamily("kilter_certificate_end_seconds", "When the server's certificate ends, s since 1970.")

@@ -52,7 +52,7 @@ class _Asked(Collector):
     def collect(self) -> Iterable[Metric]:
         """Read and give the metrics."""
         yield _gauge("kilter_build", "1, with the version that runs.", ("version",), [((code_version(),), 1.0)])
-        yield from machine.of(self._settings)
+        yield from machine.gauges(self._settings)
         try:
             with self._database.reading() as session:
                 known = list(_of(session))
