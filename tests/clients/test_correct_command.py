@@ -11,46 +11,27 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from numpy.typing import NDArray
 from pyarrow import parquet
 
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError
 
+from .three_joint_arm import LENGTHS_MM, Floats, arm, tip_mm
+
 Capture = pytest.CaptureFixture[str]
 Write = Callable[..., Path]
-Floats = NDArray[np.float64]
-LENGTHS_MM = (400.0, 300.0, 200.0)
 HEAD = "q1_deg,q2_deg,q3_deg"
 OFF_DEG = np.array([0.1, 0, 0])
 
 
-def tip_mm(q_deg: Floats, lengths_mm: tuple[float, float, float] = LENGTHS_MM) -> Floats:
-    """Tool point of an arm with a turning column and two links in its plane, in its own base frame."""
-    q1, q2, q3 = np.radians(q_deg.T)
-    out = lengths_mm[1] * np.cos(q2) + lengths_mm[2] * np.cos(q2 + q3)
-    up = lengths_mm[0] + lengths_mm[1] * np.sin(q2) + lengths_mm[2] * np.sin(q2 + q3)
-    return np.stack([out * np.cos(q1), out * np.sin(q1), up], axis=1)
-
-
-def arm(name: str) -> dict[str, object]:
-    """The arm as DH table; its base stands a metre aside and is turned by 90 degrees about z."""
-    rows = [(90.0, 0.0, LENGTHS_MM[0]), (0.0, LENGTHS_MM[1], 0.0), (0.0, LENGTHS_MM[2], 0.0)]
-    return {
-        "name": name,
-        "convention": "dh",
-        "joints": [{"name": f"j{k}", "limits_deg": [-170, 170]} for k in (1, 2, 3)],
-        "rows": [
-            {"type": "revolute", "alpha_deg": alpha, "a_mm": a, "theta_offset_deg": 0, "d_mm": d}
-            for alpha, a, d in rows
-        ],
-        "base": {"x_mm": 1000, "y_mm": 0, "z_mm": 0, "rx_deg": 0, "ry_deg": 0, "rz_deg": 90},
-    }
+def aside(name: str) -> dict[str, object]:
+    """The arm, whose base stands a metre aside and is turned by 90 degrees about z."""
+    return arm(name) | {"base": {"x_mm": 1000, "y_mm": 0, "z_mm": 0, "rx_deg": 0, "ry_deg": 0, "rz_deg": 90}}
 
 
 def test_the_error_is_along_the_axes_of_the_robots_base(kilter: Kilter, tmp_path: Path, capsys: Capture) -> None:
-    kilter.robots.add(arm("aside"))
+    kilter.robots.add(aside("aside"))
     rng = np.random.default_rng(3)
     q = rng.uniform((-90, 0, -80), (90, 70, 80), (40, 3))
     own = tip_mm(q + OFF_DEG)
@@ -109,7 +90,7 @@ def test_a_path_of_which_nothing_is_corrected_exits_1(
 
 def test_what_a_correction_leaves_is_said_and_strict_cares(kilter: Kilter, tmp_path: Path, capsys: Capture) -> None:
     """With the elbow stretched an upper arm that is 0.5 mm too short cannot be corrected: every surface says what is left."""
-    kilter.robots.add(arm("short"))
+    kilter.robots.add(aside("short"))
     shorter = (LENGTHS_MM[0], LENGTHS_MM[1] - 0.5, LENGTHS_MM[2])
     rng = np.random.default_rng(4)
     q = rng.uniform((-90, 0, -80), (90, 70, 80), (60, 3))

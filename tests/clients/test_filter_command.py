@@ -8,41 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from kilter_client import Kilter
 from kilter_client.cli import run
 
 from .answered import document
+from .three_joint_arm import Floats, tip_mm
+from .three_joint_arm import arm as three_joint_arm
 
-Floats = NDArray[np.float64]
-LENGTHS_MM = (400.0, 300.0, 200.0)
-REAL_MM = LENGTHS_MM
+REAL_MM = (400.0, 300.6, 199.5)
 OFF_DEG = np.array([0.1, -0.05, 0.08])
 TAUGHT = np.array([[0.0, 30.0, 40.0], [50.0, 20.0, -30.0], [-40.0, 45.0, 60.0]])
 
 
-def tip_mm(q_deg: Floats, lengths: tuple[float, float, float] = LENGTHS_MM) -> Floats:
-    q1, q2, q3 = np.radians(q_deg.T)
-    out = lengths[1] * np.cos(q2) + lengths[2] * np.cos(q2 + q3)
-    up = lengths[0] + lengths[1] * np.sin(q2) + lengths[2] * np.sin(q2 + q3)
-    return np.stack([out * np.cos(q1), out * np.sin(q1), up], axis=1)
-
-
 def add_arm(kilter: Kilter, name: str, lengths: tuple[float, float, float], off_deg: Floats, path: Path) -> None:
     """Add the arm and activate what exact measurements of the arm with these lengths and offsets identify."""
-    rows = [(90.0, 0.0, LENGTHS_MM[0]), (0.0, LENGTHS_MM[1], 0.0), (0.0, LENGTHS_MM[2], 0.0)]
-    kilter.robots.add(
-        {
-            "name": name,
-            "convention": "dh",
-            "joints": [{"name": f"j{k}", "limits_deg": [-170, 170]} for k in (1, 2, 3)],
-            "rows": [
-                {"type": "revolute", "alpha_deg": alpha, "a_mm": a, "theta_offset_deg": 0, "d_mm": d}
-                for alpha, a, d in rows
-            ],
-        }
-    )
+    kilter.robots.add(three_joint_arm(name))
     rng = np.random.default_rng(3)
     q = rng.uniform((-90, 0, -80), (90, 70, 80), (60, 3))
     seen = tip_mm(q + off_deg, lengths) + rng.normal(0, 1e-3, q.shape)

@@ -11,6 +11,14 @@ from xml.sax.saxutils import escape
 from kilter_files.errors import FileError, MissingPackageError, UsageError
 
 POINTS_PER_MM = 72 / 25.4
+PAPER_MM: dict[str, tuple[float, float]] = {
+    "a4": (210.0, 297.0),
+    "a3": (297.0, 420.0),
+    "a2": (420.0, 594.0),
+    "a1": (594.0, 841.0),
+    "a0": (841.0, 1189.0),
+    "letter": (215.9, 279.4),
+}
 
 Colour = tuple[float, float, float]
 

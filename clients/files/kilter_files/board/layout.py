@@ -12,18 +12,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from kilter_files.errors import UsageError
+from kilter_files.printed import PAPER_MM
 
 Kind = Literal["charuco", "apriltag"]
 Point = tuple[float, float]
 
-PAGES_MM: dict[str, tuple[float, float]] = {
-    "a4": (210.0, 297.0),
-    "a3": (297.0, 420.0),
-    "a2": (420.0, 594.0),
-    "a1": (594.0, 841.0),
-    "a0": (841.0, 1189.0),
-    "letter": (215.9, 279.4),
-}
 DICTIONARIES: dict[str, tuple[int, int]] = {
     **{f"{n}x{n}_{count}": (n, count) for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "apriltag_16h5": (4, 30),
@@ -146,8 +139,8 @@ def page_for(board: Board, page: str | None = None) -> tuple[str, tuple[float, f
 
     """
     width, height = (side + 2 * AROUND_MM for side in board.size_mm)
-    for name in [page] if page else [name for name in PAGES_MM if name != "letter"]:
-        short, long = PAGES_MM[name]
+    for name in [page] if page else [name for name in PAPER_MM if name != "letter"]:
+        short, long = PAPER_MM[name]
         for size in ((short, long), (long, short)):
             if width <= size[0] and height <= size[1]:
                 return name, size

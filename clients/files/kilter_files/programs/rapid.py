@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 
 from kilter_files.programs.found import Program, blanked
-from kilter_files.target_rapid import PAIR
+from kilter_files.target_rapid import PAIR, POSE
 
 DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*(?:\{[\d,\s]*\})?\s*:=([^;]{0,200000})(;|\Z)", re.I)
 MOVE = re.compile(r"\b(Move\w{1,20}|TriggL|TriggJ|TriggC|SearchL|SearchC)\s+([^;]{0,2000})(;|\Z)", re.I)
-POSE = re.compile(r"\brobtarget\s+(\w+)\s*(?:\{[\d,\s]*\})?\s*:=", re.I)
 GOAL = re.compile(r"(\w+)(?:\s*\{[^}]{0,80}\})?\s*[\\,]")
 
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from kilter_files.errors import UsageError
+from kilter_files.printed import PAPER_MM
 
 Page = Literal["a4", "a3", "letter"]
 
-PAGES_MM: dict[str, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
+PAGES_MM: dict[str, tuple[float, float]] = {name: PAPER_MM[name] for name in get_args(Page)}
 PRINTER_MARGIN_MM = 5.0
 SMALLEST_RADIUS_MM = 15.0
 MARKER_MM = 14.0

@@ -54,8 +54,9 @@ def _circle(sheet: Sheet) -> Iterator[Shape]:
 
 
 def _markers(sheet: Sheet) -> Iterator[Shape]:
+    known = aruco()
     for number, (x, y) in sheet.markers().items():
-        yield from marker_shapes(aruco(), number, x - MARKER_MM / 2, y + MARKER_MM / 2, MARKER_MM, MARKER_CELLS)
+        yield from marker_shapes(known, number, x - MARKER_MM / 2, y + MARKER_MM / 2, MARKER_MM, MARKER_CELLS)
 
 
 def _targets(sheet: Sheet) -> Iterator[Shape]:

@@ -12,13 +12,13 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json
+from kilter_client.cli.correct import ANSWERED
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import FileError, UsageError
 from kilter_files.programs.found import JointTarget, Program
 from kilter_files.programs.reading import read_program
 
-ANSWERED = ("OK", "DAMPED", "LIMITED")
 SHOWN = 20
 
 
@@ -74,7 +74,7 @@ def filtered(
     _refuse(found, [(line, what) for line, what in found.left] if strict else [], "is not rewritten")
     directions = _signs(signs, len(found.targets[0].joints_deg))
     joints, status = _corrected(found, robot, version, directions, coupled)
-    wrong = [(t, s) for t, s in zip(found.targets, status, strict=True) if s not in (("OK",) if strict else ANSWERED)]
+    wrong = [(t, s) for t, s in zip(found.targets, status, strict=True) if s not in ({"OK"} if strict else ANSWERED)]
     _refuse(found, [(target.line, f"{target.name}: {word}") for target, word in wrong], "is not corrected")
     text = found.rewritten(joints)
     if output is not None:
