@@ -65,6 +65,18 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
         assert run(["jobs", "cancel", job]) == 0
 
 
+def test_as_soon_as_the_job_is_known(
+    robot: str, kilter: Kilter, write_campaign: Write, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = kilter.campaigns.add(robot, "monday")["id"]
+    kilter.campaigns.upload(campaign, write_campaign(60))
+    job = kilter.jobs.submit("gap", robot, [campaign])["id"]
+    monkeypatch.setattr("kilter_client.cli.jobs.note", pressed)  # while the line "job 'latest' is ..." is written
+    assert run(["jobs", "watch", "latest", "--robot", robot]) == 130
+    assert f"job {job} continues at the server" in capsys.readouterr().err
+    kilter.jobs.cancel(job)
+
+
 def test_with_json_it_is_one_document(robot: str, kilter: Kilter, write_campaign: Write) -> None:
     campaign = kilter.campaigns.add(robot, "monday")["id"]
     kilter.campaigns.upload(campaign, write_campaign(60))

@@ -11,9 +11,9 @@ from kilter_client import Kilter
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.groups import Group
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.output import emit
+from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
-from kilter_client.cli.references import OfRobot, resolved
+from kilter_client.cli.references import OfRobot, looked_up, resolved
 from kilter_client.cli.results import show_job
 from kilter_client.cli.tables import show_rows
 
@@ -65,9 +65,12 @@ def show(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
 def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Follow a job to its end and show its result."""
     with Kilter() as kilter:
-        job = resolved(kilter, "job", job, robot, as_json)
-        with on_interrupt(partial(job_goes_on, job)), job_bar(job, as_json) as progress:
-            document = kilter.jobs.wait(job, progress)
+        job, sentence = looked_up(kilter, "job", job, robot)
+        with on_interrupt(partial(job_goes_on, job)):
+            if sentence:
+                note(sentence, as_json)
+            with job_bar(job, as_json) as progress:
+                document = kilter.jobs.wait(job, progress)
     emit(document, as_json, show_job)
 
 

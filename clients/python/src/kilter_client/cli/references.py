@@ -24,8 +24,18 @@ def resolved(kilter: Kilter, kind: Kind, reference: str, robot: str | None, as_j
 
     ``option`` is where it was typed; a refusal begins with it.
     """
+    found, sentence = looked_up(kilter, kind, reference, robot, option)
+    if sentence:
+        note(sentence, as_json)
+    return found
+
+
+def looked_up(
+    kilter: Kilter, kind: Kind, reference: str, robot: str | None, option: str = ""
+) -> tuple[str, str | None]:
+    """Return the id that a reference stands for, and the sentence that says so; None for a full id."""
     if is_full(kind, reference):
-        return reference
+        return reference, None
     try:
         found = kilter.resolve(kind, reference, robot)
     except ApiError as error:
@@ -33,8 +43,7 @@ def resolved(kilter: Kilter, kind: Kind, reference: str, robot: str | None, as_j
         raise
     told = f" ({found.name!r})" if found.name and found.by != "name" else ""
     whose = "" if robot else f" of robot {found.robot!r}"
-    note(f"{kind} {reference!r} is {found.id}{told}{whose}", as_json)
-    return found.id
+    return found.id, f"{kind} {reference!r} is {found.id}{told}{whose}"
 
 
 def resolved_all(
