@@ -209,7 +209,7 @@ mix-ups-ways: $(KERNELS) ## send mix-ups through upload, dry run, identify and g
 	$(BIN)/python -m tests.mix_ups.ways --genuine $(or $(GENUINE),50) --seed $(or $(SEED),0)
 
 silent-rows: $(KERNELS) ## count the wrong rows that pass in silence among 600 simulated recordings
-	$(BIN)/python -m pytest -m slow -q tests/clients/files/test_silent_rows.py
+	$(BIN)/python -m pytest -m slow -q tests/clients/files/match/test_silent_rows.py
 
 image: ## build the container image (needs a container engine)
 	docker build --tag $(IMAGE) .

@@ -26,9 +26,9 @@ import numpy as np
 READ = """
 import json, sys, time
 from pathlib import Path
-from kilter_files.recordings import open_recording
-from kilter_files.dwells import RestOptions, find_dwells
-from kilter_files.matching import marker_columns
+from kilter_files.formats.recordings.opening import open_recording
+from kilter_files.match.dwells import RestOptions, find_dwells
+from kilter_files.match.matching import marker_columns
 from kilter_client.parts import parts
 start, busy = time.perf_counter(), time.process_time()
 recording = open_recording(Path(sys.argv[1]))

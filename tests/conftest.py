@@ -32,7 +32,7 @@ LONG = (
     "service/test_workers.py",
     "contract/test_demo.py",
     "mix_ups/test_mix_ups.py",
-    "clients/sheet/test_points_order.py",
+    "clients/files/rig/sheet/test_points_order.py",
 )
 
 

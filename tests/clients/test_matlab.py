@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from kilter_client import Kilter
-from kilter_files.table import CSV_TYPE, Prepared
+from kilter_files.tables.table import CSV_TYPE, Prepared
 from kilter_service.exporters.registry import export
 from tests.blind.generator import Case, Hidden, Options, generate
 from tests.clients.test_gap_command import campaign

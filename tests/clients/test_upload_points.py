@@ -10,10 +10,10 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 
 from kilter_client import FileError, Kilter
-from kilter_files.joint_log import read_joint_log
-from kilter_files.points import prepare_points
+from kilter_files.formats.joints.joint_log import read_joint_log
+from kilter_files.match.points import prepare_points
 from tests.clients.answered import document
-from tests.clients.files.test_joint_logs import RAPID, write_bag
+from tests.clients.files.formats.test_joint_logs import RAPID, write_bag
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.column_map import read_map
-from kilter_files.map_columns import TIMESTAMP
-from kilter_files.section import Section
-from kilter_files.source import FORMATS
-from kilter_files.units import SIZES
+from kilter_files.formats.tables.source import FORMATS
+from kilter_files.ground.units import SIZES
+from kilter_files.maps.column_map import read_map
+from kilter_files.maps.columns import TIMESTAMP
+from kilter_files.maps.section import Section
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs/reference/column-maps.md").read_text(encoding="utf-8")

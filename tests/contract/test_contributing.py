@@ -205,7 +205,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.table import Table
+from kilter_files.tables.table import Table
 
 
 def read_toy(path: Path) -> Table:

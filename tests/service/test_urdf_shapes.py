@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from kilter_files.errors import FileError
+from kilter_files.ground.errors import FileError
 from kilter_files.robots.link_meshes import link_meshes
 from tests.service.test_urdf import numbers, random_urdf
 

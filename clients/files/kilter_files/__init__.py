@@ -6,22 +6,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from shlex import quote
 
-from kilter_files.errors import FileError
-from kilter_files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
+from kilter_files.ground.errors import FileError
+from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 __all__ = ["DEVICES", "Prepared", "prepare"]
 
 
 def _ipa_lasertracker(path: Path) -> Table:
     """A campaign of Fraunhofer IPA's laser tracker data set."""
-    from kilter_files.ipa_lasertracker import read_ipa_lasertracker
+    from kilter_files.formats.points.ipa_lasertracker import read_ipa_lasertracker
 
     return read_ipa_lasertracker(path)
 
 
 def _ballbar(path: Path) -> Table:
     """The log of a double ball bar."""
-    from kilter_files.ballbar import ballbar_table
+    from kilter_files.formats.logs.ballbar import ballbar_table
 
     return ballbar_table(path)
 
@@ -63,18 +63,18 @@ def prepare(
     """
     path = Path(path)
     if column_map is not None:
-        from kilter_files.column_map import read_map
-        from kilter_files.mapped import read_mapped
+        from kilter_files.maps.column_map import read_map
+        from kilter_files.maps.mapped import read_mapped
 
         return Prepared.from_table(
             read_mapped(path, read_map(Path(column_map)), None if joined is None else Path(joined))
         )
     if joined is not None:
         raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
-    from kilter_files.source import endings
+    from kilter_files.formats.tables.source import endings
 
     if endings().get(path.suffix.lower()) == "xlsx":
-        from kilter_files.mapped import read_contract
+        from kilter_files.maps.mapped import read_contract
 
         return Prepared.from_table(read_contract(path))
     if device is not None and device in DEVICES and not _is_joined(path):
@@ -84,7 +84,7 @@ def prepare(
 
 def _is_joined(path: Path) -> bool:
     """Tell whether a device's log was joined with the joint log already: all of its columns are the contract's."""
-    from kilter_files.units import unit_of
+    from kilter_files.ground.units import unit_of
 
     if path.suffix.lower() != ".csv":
         return False

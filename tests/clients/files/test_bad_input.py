@@ -18,12 +18,12 @@ from scipy.io import savemat
 
 from kilter_client import FileError, Kilter, KilterError, prepare
 from kilter_client.cli import run
-from kilter_files.points import prepare_points
+from kilter_files.match.points import prepare_points
+from tests.clients.files.formats.test_recordings import c3d_bytes
+from tests.clients.files.match.test_rigid_body import long_table
+from tests.clients.files.rig.test_rig import write_tdms
 from tests.clients.files.simulated import arm, stops, wander, write_csv, write_log, write_n3d
 from tests.clients.files.test_fuzz import EDITS, TRACKER, edited
-from tests.clients.files.test_recordings import c3d_bytes
-from tests.clients.files.test_rig import write_tdms
-from tests.clients.files.test_rigid_body import long_table
 from tests.clients.files.test_sending import three_joints
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (6, 3))
@@ -203,7 +203,7 @@ def seed_of(folder: Path, kind: str) -> bytes:
 
 @pytest.mark.parametrize("kind", ["mat", "parquet", "tdms", "csv", "long", "points"])
 def test_damaged_files_of_every_other_importer(tmp_path: Path, kind: str) -> None:
-    from kilter_files.recordings import open_recording
+    from kilter_files.formats.recordings.opening import open_recording
 
     seed = seed_of(tmp_path, kind)
     path, column_map = tmp_path / f"damaged.{'csv' if kind in ('long', 'points') else kind}", tmp_path / "map.toml"

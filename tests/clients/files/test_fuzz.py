@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kilter_client import FileError
-from kilter_files.inspection import inspect
+from kilter_files.look.inspection import inspect
+from tests.clients.files.formats.test_recordings import c3d_bytes
+from tests.clients.files.rig.test_rig import write_tdms
 from tests.clients.files.simulated import write_csv, write_n3d
-from tests.clients.files.test_recordings import c3d_bytes
-from tests.clients.files.test_rig import write_tdms
 
 POINTS = np.random.default_rng(3).uniform(-500, 500, (12, 2, 3))
 TRACKER = b"Name;X [m];Y [m];Z [m];U95;rx;ry;rz\n" + b"P1;0,1;0,2;0,3;0,01;1;2;3\n" * 5

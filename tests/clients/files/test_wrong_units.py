@@ -11,8 +11,8 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from tests.clients.files.formats.test_bad_recordings import c3d_bytes
 from tests.clients.files.simulated import stops
-from tests.clients.files.test_bad_recordings import c3d_bytes
 from tests.core.campaigns import MARKERS
 from tests.core.truth import ur10
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from kilter_files.errors import UsageError
-from kilter_files.names import did_you_mean
+from kilter_files.ground.errors import UsageError
+from kilter_files.ground.names import did_you_mean
 
 Item = dict[str, Any]
 

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from kilter_files.errors import FileError
+from kilter_files.ground.errors import FileError
 from kilter_files.robots.text import read_text
 
 JOINTS = 5  # the sixth motor is the gripper

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.errors import FileError, MissingPackageError
-from kilter_files.faults import fault
+from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.faults import fault
 
 MOST_TRIANGLES = 100_000  # of a link, as the server takes them
 M_TO_MM = 1e3

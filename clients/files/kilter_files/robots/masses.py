@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_files.errors import FileError
+from kilter_files.ground.errors import FileError
 from kilter_files.robots.sheet import Sheet
 
 LENGTHS = {"mm": 1.0, "m": 1e3}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 
-from kilter_files.errors import UsageError
+from kilter_files.ground.errors import UsageError
 
 PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 SPELT = {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "æ": "ae", "ø": "oe", "å": "aa", "ł": "l"}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.errors import FileError, UsageError
+from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.robots.text import read_text
 
 URDF = (".urdf", ".xml")

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from kilter_files.errors import FileError, UsageError
-from kilter_files.names import did_you_mean
+from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.names import did_you_mean
 from kilter_files.robots import masses
 from kilter_files.robots.sheet import Sheet
 from kilter_files.robots.text import read_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.errors import FileError
+from kilter_files.ground.errors import FileError
 
 
 def read_text(path: Path) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kilter_files.errors import FileError, MissingPackageError, UsageError
+from kilter_files.ground.errors import FileError, MissingPackageError, UsageError
 from kilter_files.robots.text import read_text
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

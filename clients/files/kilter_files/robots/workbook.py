@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from kilter_files.errors import FileError, MissingPackageError
+from kilter_files.ground.errors import FileError, MissingPackageError
 from kilter_files.robots.sheet import Sheet
 
 MAX_BYTES = 20_000_000  # unpacked: a table of a robot is a few kilobytes

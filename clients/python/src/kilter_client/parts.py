@@ -14,8 +14,8 @@ import numpy as np
 
 from kilter_client.errors import ApiError, KilterError, ObservationError, ServerUnreachableError
 from kilter_client.naming import same
-from kilter_files.matching import Columns
-from kilter_files.table import PARQUET_TYPE, Prepared
+from kilter_files.match.matching import Columns
+from kilter_files.tables.table import PARQUET_TYPE, Prepared
 
 if TYPE_CHECKING:
     from kilter_client import Kilter

@@ -38,7 +38,7 @@ def main() -> None:
 
 def _refusal(error: Exception, name: str) -> str:
     """Say what is wrong with the file; what no reader foresaw is said so."""
-    from kilter_files.errors import KilterError, MissingPackageError
+    from kilter_files.ground.errors import KilterError, MissingPackageError
 
     if isinstance(error, MissingPackageError):
         package = error.context.get("package", "a package")
@@ -82,7 +82,7 @@ ALONE: Mapping[str, str] = {
 
 def _looked(path: Path) -> Document:
     """What inspection says, as far as it can be had: a table that it does not know may still take a map."""
-    from kilter_files.errors import FileError
+    from kilter_files.ground.errors import FileError
 
     suffix = path.suffix.lower()
     if suffix == ".json":
@@ -92,7 +92,7 @@ def _looked(path: Path) -> Document:
     if suffix in (".mod", ".src", ".ls", ".script"):
         return {"kind": "robot program", "ready": False}
     try:
-        from kilter_files.inspection import inspect
+        from kilter_files.look.inspection import inspect
 
         found = inspect(path)
     except FileError as error:
@@ -110,8 +110,8 @@ def _problems(found: Document) -> list[str]:
 
 
 def _is_contract_workbook(path: Path) -> bool:
-    from kilter_files.errors import FileError
-    from kilter_files.mapped import read_contract
+    from kilter_files.ground.errors import FileError
+    from kilter_files.maps.mapped import read_contract
 
     try:
         read_contract(path)
@@ -135,8 +135,8 @@ def _mapped(path: Path, chosen: Path) -> Document:
 
 def _drafted(path: Path, chosen: Path) -> Document:
     """A drafted map, and what it makes of the file where nothing in it is open."""
-    from kilter_files.draft import draft
-    from kilter_files.errors import KilterError
+    from kilter_files.ground.errors import KilterError
+    from kilter_files.look.draft import draft
 
     found = draft(path)
     chosen.write_text(found.text, encoding="utf-8")
@@ -152,7 +152,7 @@ def _drafted(path: Path, chosen: Path) -> Document:
 def _kept(prepared: Any, reader: str) -> Document:
     """Write the rows beside the file."""
     if prepared.rows is not None and prepared.rows > MOST_ROWS:
-        from kilter_files.errors import FileError
+        from kilter_files.ground.errors import FileError
 
         raise FileError(f"The file has {prepared.rows} rows, at most {MOST_ROWS} are read: split it.")
     Path("rows").write_bytes(prepared.content)
@@ -165,9 +165,9 @@ def _kept(prepared: Any, reader: str) -> Document:
 
 def _described(path: Path) -> Document:
     """The columns of the file itself, so that a map can be chosen: names, units, first cells, ranges and gaps."""
-    from kilter_files.draft_guess import Columns
-    from kilter_files.source import FORMATS
-    from kilter_files.table_shape import shape_of
+    from kilter_files.formats.tables.source import FORMATS
+    from kilter_files.look.draft_guess import Columns
+    from kilter_files.look.table_shape import shape_of
 
     columns = Columns(shape_of(path))
     rows = len(columns.shape.source.lines)

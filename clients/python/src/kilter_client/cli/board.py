@@ -43,8 +43,8 @@ def board(
     as_json: Json = False,
 ) -> None:
     """Write a board to print for a camera, in true mm with rulers, and its description as JSON."""
-    from kilter_files.board.drawing import save_board
-    from kilter_files.board.layout import USUAL, Board, check_board
+    from kilter_files.rig.board.drawing import save_board
+    from kilter_files.rig.board.layout import USUAL, Board, check_board
 
     side = 0.75 * square_mm if marker_mm is None else marker_mm
     made = check_board(Board(kind, columns, rows, square_mm, side, dictionary or USUAL[kind], first_id))

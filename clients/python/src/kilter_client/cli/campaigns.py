@@ -26,8 +26,8 @@ from kilter_client.errors import ApiError, ConflictError, KilterError, Observati
 from kilter_client.given import moment_of
 from kilter_client.naming import same
 from kilter_files import DEVICES, Prepared, prepare
-from kilter_files.table import CSV_TYPE
-from kilter_files.tracker_header import PRESETS
+from kilter_files.formats.points.tracker_header import PRESETS
+from kilter_files.tables.table import CSV_TYPE
 
 A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 SHOWN = 8  # lines of refused rows that are named in the sentence
@@ -207,10 +207,10 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     check_numpy()
-    from kilter_files.inspection import is_contract
-    from kilter_files.joint_bag import is_bag
-    from kilter_files.joint_log import LogHints, read_joint_log
-    from kilter_files.points import prepare_points
+    from kilter_files.formats.joints.bag import is_bag
+    from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+    from kilter_files.look.inspection import is_contract
+    from kilter_files.match.points import prepare_points
 
     if points == _Points(None, None, None) and is_contract(file):
         return prepare(file)
@@ -228,7 +228,7 @@ def _looked_at(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
     if prepared.content_type == CSV_TYPE and not A_MARKER.search(header):
         return prepared  # numpy would be loaded for nothing
     try:
-        from kilter_files.uploaded_markers import refuse_knocked_rows
+        from kilter_files.match.uploaded_markers import refuse_knocked_rows
     except ImportError:
         return prepared
     found = refuse_knocked_rows(file, prepared, unchecked)

@@ -11,9 +11,9 @@ from kilter_client import Kilter
 from kilter_client.errors import UsageError
 
 if TYPE_CHECKING:
-    from kilter_files.arm import Arm
-    from kilter_files.clock_checks import Checks
-    from kilter_files.recording import Recording
+    from kilter_files.match.arm import Arm
+    from kilter_files.match.clock_checks import Checks
+    from kilter_files.tables.recording import Recording
 
 Model = Annotated[str | None, typer.Option(help="Robot whose model checks the pairing; default is --robot's.")]
 Piecewise = Annotated[bool, typer.Option("--piecewise", help="Match the parts between jumps of the clocks.")]
@@ -27,7 +27,7 @@ def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float 
         UsageError: times the wrong way round, or ``--piecewise`` without a robot.
 
     """
-    from kilter_files.clock_checks import Checks
+    from kilter_files.match.clock_checks import Checks
 
     if since is not None and until is not None and not since < until:
         raise UsageError(f"--since {since:g} --until {until:g}: the first must be earlier than the second.")
@@ -39,7 +39,7 @@ def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float 
 
 def model_of(robot: str) -> Arm:
     """Return the model of a robot of the server."""
-    from kilter_files.arm import arm_of
+    from kilter_files.match.arm import arm_of
 
     with Kilter() as kilter:
         return arm_of(kilter.robots.check(kilter.robots.get(robot)["document"]))
@@ -47,13 +47,13 @@ def model_of(robot: str) -> Arm:
 
 def cut_by(recording: Recording, without: Sequence[str] | None) -> Recording:
     """Return a recording without some markers."""
-    from kilter_files.cut_recording import without as left_out
+    from kilter_files.tables.cut_recording import without as left_out
 
     return left_out(recording, without) if without else recording
 
 
 def in_time(recording: Recording, checks: Checks) -> Recording:
     """Return the part of a recording that counts."""
-    from kilter_files.cut_recording import between
+    from kilter_files.tables.cut_recording import between
 
     return between(recording, checks.since_s, checks.until_s)

@@ -23,7 +23,7 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_files import prepare
-from kilter_files.table import CSV_TYPE, JSON_TYPE
+from kilter_files.tables.table import CSV_TYPE, JSON_TYPE
 
 if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected

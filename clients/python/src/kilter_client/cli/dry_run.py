@@ -19,8 +19,8 @@ LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
     """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse."""
-    from kilter_files.refusals import refusals
-    from kilter_files.summary import columns_of, summary
+    from kilter_files.look.refusals import refusals
+    from kilter_files.look.summary import columns_of, summary
 
     joints, unchecked = _joints(robot)
     found = summary(prepared, conditions)

@@ -16,8 +16,8 @@ from kilter_client.cli.correct import ANSWERED
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import FileError, UsageError
-from kilter_files.programs.found import JointTarget, Program
-from kilter_files.programs.reading import read_program
+from kilter_files.formats.programs.found import JointTarget, Program
+from kilter_files.formats.programs.reading import read_program
 
 SHOWN = 20
 

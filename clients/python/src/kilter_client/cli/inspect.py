@@ -70,10 +70,10 @@ def inspect(
         emit(_drafted(file, draft), as_json, _show_draft)
         return
     check_numpy()
-    from kilter_files.inspection import Hints
-    from kilter_files.inspection import inspect as look
-    from kilter_files.joint_log import LogHints
-    from kilter_files.tracker_header import PRESETS
+    from kilter_files.formats.joints.joint_log import LogHints
+    from kilter_files.formats.points.tracker_header import PRESETS
+    from kilter_files.look.inspection import Hints
+    from kilter_files.look.inspection import inspect as look
 
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
@@ -88,7 +88,7 @@ def inspect(
 
 def _drafted(file: Path, target: Path) -> dict[str, Any]:
     """Write the draft, never over a file that is there."""
-    from kilter_files.draft import draft
+    from kilter_files.look.draft import draft
 
     if target.exists():
         raise UsageError(f"--draft {target}: is there already. Name another file, or delete it.")

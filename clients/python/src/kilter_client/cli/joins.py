@@ -40,9 +40,9 @@ def ballbar_join(
 ) -> None:
     """Join a ball bar's log with the joint log by the angle of each run: lengths with their joints, for kilter upload."""
     check_numpy()
-    from kilter_files.ballbar import read_ballbar
-    from kilter_files.ballbar_join import join_ballbar
-    from kilter_files.joint_log import read_joint_log
+    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files.formats.logs.ballbar import read_ballbar
+    from kilter_files.rig.ballbar_join import join_ballbar
 
     bar = read_ballbar(file, radius_mm)
     table, report = join_ballbar(bar, read_joint_log(joints, joints_map), zero_deg)
@@ -84,9 +84,9 @@ def tilt_join(
 ) -> None:
     """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
     check_numpy()
-    from kilter_files.dwells import RestOptions
-    from kilter_files.joint_log import read_joint_log
-    from kilter_files.tilt_join import TiltOptions, join_tilts
+    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files.match.dwells import RestOptions
+    from kilter_files.rig.tilt_join import TiltOptions, join_tilts
 
     names = [name.removesuffix(":m") for name in joints_of(robot)]
     if joint not in names:

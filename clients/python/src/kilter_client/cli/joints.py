@@ -67,7 +67,7 @@ def joint_parameters(
         resolution_deg=resolution_deg,
     )
     if readings is not None:
-        from kilter_files.readings import read_readings
+        from kilter_files.rig.readings import read_readings
 
         chosen["readings"] = read_readings(readings)
 

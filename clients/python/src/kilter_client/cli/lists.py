@@ -65,7 +65,7 @@ def columns(as_json: Json = False) -> None:
 
     The list is that of this release of the command; no server is asked.
     """
-    from kilter_files.units import unit_of
+    from kilter_files.ground.units import unit_of
 
     rows = []
     for column in COLUMNS:
@@ -79,10 +79,10 @@ def columns(as_json: Json = False) -> None:
 
 def _formats() -> Iterator[dict[str, str]]:
     from kilter_files import DEVICES
-    from kilter_files.recording_kinds import JOINT_LOGS, RECORDINGS
+    from kilter_files.formats.points.tracker_header import PRESETS as POINTS
+    from kilter_files.formats.recordings.kinds import JOINT_LOGS, RECORDINGS
+    from kilter_files.formats.tables.source import FORMATS
     from kilter_files.robots.read import KATANA, TABLES, UR, URDF
-    from kilter_files.source import FORMATS
-    from kilter_files.tracker_header import PRESETS as POINTS
 
     for name, form in FORMATS.items():
         yield _format("upload --map", name, form.endings, form.title)

@@ -18,11 +18,11 @@ from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
 
 if TYPE_CHECKING:
-    from kilter_files.clock_checks import Checks
-    from kilter_files.joint_log import JointLog
-    from kilter_files.recording import Recording
-    from kilter_files.rigid_body import Body
-    from kilter_files.table import Table
+    from kilter_files.formats.joints.joint_log import JointLog
+    from kilter_files.match.clock_checks import Checks
+    from kilter_files.match.rigid_body import Body
+    from kilter_files.tables.recording import Recording
+    from kilter_files.tables.table import Table
 
 By = Literal["order", "time", "frames"]
 How = Annotated[By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")]
@@ -84,11 +84,11 @@ def match(
     check_numpy()
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
-    from kilter_files.dwells import RestOptions
-    from kilter_files.joint_bag import is_bag
-    from kilter_files.joint_log import LogHints, read_joint_log
-    from kilter_files.recordings import open_recording
-    from kilter_files.rigid_body import find_body, tool_as_markers
+    from kilter_files.formats.joints.bag import is_bag
+    from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+    from kilter_files.formats.recordings.opening import open_recording
+    from kilter_files.match.dwells import RestOptions
+    from kilter_files.match.rigid_body import find_body, tool_as_markers
 
     hints = LogHints(
         topic, arguments.split_names([joint_order or ""]), joints_of(robot or model) if is_bag(joints) else ()
@@ -127,8 +127,8 @@ def _dwells(
     found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
     wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    from kilter_files.matching import match_dwells
-    from kilter_files.table import Prepared, Table
+    from kilter_files.match.matching import match_dwells
+    from kilter_files.tables.table import Prepared, Table
 
     matched = match_dwells(found, log, by, options[0], body, options[1])
     _tell(matched.report, as_json)
@@ -147,8 +147,8 @@ def _frames(
     as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_client.parts import parts
-    from kilter_files.frames_by_time import match_frames
-    from kilter_files.matching import clock_report, frame_rows
+    from kilter_files.match.frames_by_time import match_frames
+    from kilter_files.match.matching import clock_report, frame_rows
 
     pieces, warnings = match_frames(found, log, checks)
     report = {"clock": clock_report(pieces, found.duration_s), "warnings": [*found.warnings, *log.warnings, *warnings]}

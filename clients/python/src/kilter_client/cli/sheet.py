@@ -15,7 +15,7 @@ from kilter_client.cli.versions import write
 from kilter_client.errors import MissingPackageError, UsageError
 
 if TYPE_CHECKING:
-    from kilter_files.rig import Circle
+    from kilter_files.rig.drawn_circle import Circle
 
 PACKAGES = "numpy scipy opencv-python-headless pillow pypdfium2 reportlab"
 RadiusMm = Annotated[
@@ -49,8 +49,8 @@ def sheet(
     as_json: Json = False,
 ) -> None:
     """Write the sheet to print for the pencil: circle, quarter points, markers, scale bars, in true mm."""
-    from kilter_files.sheet.drawing import save_sheet
-    from kilter_files.sheet.layout import sheet_for
+    from kilter_files.rig.sheet.drawing import save_sheet
+    from kilter_files.rig.sheet.layout import sheet_for
 
     made = sheet_for(radius_mm, page)
     size = save_sheet(made, output)
@@ -84,13 +84,13 @@ def sheet_read(
         raise UsageError(f"--plot {plot}: end it in .png or .svg.")
     reading = read(file, radius_mm, page, bars_mm, allow_gaps)
     if output is not None:
-        from kilter_files.sheet.report import to_csv
+        from kilter_files.rig.sheet.report import to_csv
 
         write(output, to_csv(reading))
         note(f"{output}: {len(reading.angle_deg)} angles", as_json)
     if plot is not None:
         from kilter_client.plots import draw
-        from kilter_files.sheet.report import figure
+        from kilter_files.rig.sheet.report import figure
 
         draw(figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
         note(f"{plot}: drawn", as_json)
@@ -137,9 +137,9 @@ def sheet_join(
     if take_command is not None and not 0 < take_command < 100:
         raise UsageError(f"--take-command {take_command:g}: give mm above 0, for example 1.")
     check_numpy()
-    from kilter_files.height import read_calibration, read_heights
-    from kilter_files.joint_log import read_joint_log
-    from kilter_files.rig import Frame, JoinOptions, join, read_points, register
+    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files.rig.drawn_circle import Frame, JoinOptions, join, read_points, register
+    from kilter_files.rig.height import read_calibration, read_heights
 
     volts = None if calibration is None else read_calibration(calibration)
     heights = None if height is None else read_heights(height, channel, volts, height_time)
@@ -160,11 +160,11 @@ def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None,
     """Errors of the circle in a scan, or in a ball bar's log."""
     import numpy as np
 
-    from kilter_files.faults import head_of
-    from kilter_files.rig import Circle
+    from kilter_files.ground.faults import head_of
+    from kilter_files.rig.drawn_circle import Circle
 
     if head_of(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and head_of(file, 2) != b"\xff\xd8":
-        from kilter_files.ballbar import BAR_SIGMA_MM, read_ballbar
+        from kilter_files.formats.logs.ballbar import BAR_SIGMA_MM, read_ballbar
 
         bar = read_ballbar(file, radius_mm)
         out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
@@ -185,7 +185,7 @@ def read(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, al
 
     """
     try:
-        from kilter_files.sheet.reading import Options, read_sheet
+        from kilter_files.rig.sheet.reading import Options, read_sheet
     except ImportError as error:
         raise MissingPackageError(
             f"Reading a pencil sheet needs {error.name}. Install it with: pip install {PACKAGES}",

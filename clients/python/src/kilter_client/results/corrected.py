@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.results.rows import Rows, saved
 from kilter_client.results.tables import html_table
-from kilter_files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
+from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
 
 if TYPE_CHECKING:
     import numpy as np

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar, get_args, get_origin, 
 from kilter_client.errors import UsageError
 from kilter_client.results.tables import Tabular
 from kilter_client.steps import Steps
-from kilter_files.names import did_you_mean
+from kilter_files.ground.names import did_you_mean
 
 T = TypeVar("T", bound="Record")
 R = TypeVar("R")

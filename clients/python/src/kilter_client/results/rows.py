@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
 from kilter_client.results.tables import Tabular, array_of, numpy_for
-from kilter_files.names import did_you_mean
+from kilter_files.ground.names import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np

@@ -154,7 +154,7 @@ def joint_parameters(
     """
     chosen: dict[str, Any] = dict(options)
     if readings_file is not None:
-        from kilter_files.readings import read_readings
+        from kilter_files.rig.readings import read_readings
 
         chosen["readings"] = read_readings(Path(fspath(readings_file)))
     asked = _asked("joint_parameters", robot, campaigns, chosen, validation, name)

@@ -1,0 +1,1 @@
+"""Joint logs: contract columns, ROS 2 bags, and the targets of programs."""

@@ -1,0 +1,230 @@
+"""ROS 2 bags (SQLite and MCAP): the joints of a topic of sensor_msgs/JointState, by time."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kilter_files.formats.joints.mcap_check import MCAP, SQLITE, check_mcap, check_sqlite
+from kilter_files.ground.faults import fault, head_of, missing_package
+from kilter_files.tables.recording import Floats
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+METADATA = "metadata.yaml"
+COMPRESSED = re.compile(r"^\s*compression_mode:\s*['\"]?([A-Za-z]+)", re.M)
+FILES = re.compile(r"^\s*relative_file_paths:\s*\n((?:\s*-\s*.+\n)+)", re.M)
+MOST_METADATA = 4 << 20
+AGAIN = "Record it again, or look at it with `ros2 bag info`."
+
+
+@dataclass(frozen=True)
+class BagTopic:
+    """A topic of a bag: its name, the type of its messages, and how many there are."""
+
+    name: str
+    kind: str
+    messages: int
+
+
+@dataclass(frozen=True)
+class BagJoints:
+    """Joint positions (n, names) as the messages give them (rad, prismatic m), time from the first, and messages' numbers."""
+
+    topic: str
+    names: tuple[str, ...]
+    t_s: Floats
+    positions: Floats
+    messages: tuple[int, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def is_bag(path: Path) -> bool:
+    """Tell whether a path is a bag: its folder, its metadata.yaml, or one of its files by the first bytes."""
+    if path.is_dir():
+        return (path / METADATA).is_file()
+    return path.name == METADATA or head_of(path, 16).startswith((MCAP, SQLITE))
+
+
+def topics(path: Path) -> list[BagTopic]:
+    """List the topics of a bag.
+
+    Raises:
+        FileError: no bag, a damaged or a packed one.
+        MissingPackageError: rosbags is not installed.
+
+    """
+    with _opened(path) as reader:
+        return [BagTopic(c.topic, c.msgtype, c.msgcount) for c in reader.connections]
+
+
+def read_bag(path: Path, topic: str | None = None, wanted: Sequence[str] = (), likely: Sequence[str] = ()) -> BagJoints:
+    """Read joint positions of the messages that hold ``wanted``; without it of ``likely``, if the first message has them.
+
+    Raises:
+        FileError: no such topic, several to choose from, messages of different joints, time that goes back.
+
+    """
+    with _opened(path) as reader, _guarded(path):
+        chosen = _topic(path, reader, topic)
+        kept = _Kept(path, tuple(wanted), tuple(likely))
+        for number, state, written in _states(reader, chosen):
+            kept.take(number, state, written)
+    if not kept.numbers:
+        what = f"no message of {chosen} holds {', '.join(wanted) or 'a joint'}"
+        raise fault(path, what, "Choose another topic (--topic) or other joints (--joint-order).")
+    twice = kept.leave_out_repeats()
+    warnings = [f"{kept.left} messages left out: they do not hold {', '.join(kept.names)}"] if kept.left else []
+    warnings += [f"{twice} messages left out: they repeat the one before"] if twice else []
+    notes = (f"joints from {chosen}, {len(kept.numbers)} messages; speeds and efforts are left out",)
+    return BagJoints(chosen, kept.names, kept.t_s, kept.positions, tuple(kept.numbers), notes, tuple(warnings))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    place = _place(path)
+    for file in sorted(place.iterdir()) if place.is_dir() else [place]:
+        head = b"" if file.is_dir() else head_of(file, 16)
+        if head.startswith(MCAP):
+            check_mcap(file)
+        elif head.startswith(SQLITE):
+            check_sqlite(file)
+    try:
+        from rosbags.rosbag2 import Reader
+    except ImportError as error:
+        raise missing_package(path, "ROS 2 bags", "rosbags") from error
+    with _guarded(path):
+        reader = Reader(place)
+        reader.open()
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _place(path: Path) -> Path:
+    """The folder of a bag that has a description, else the single file."""
+    folder = path if path.is_dir() else path.parent
+    description = folder / METADATA
+    if not description.is_file():
+        if path.is_dir():
+            raise fault(
+                path, "is a folder without metadata.yaml: no bag", "Name the bag's folder, or its .mcap or .db3."
+            )
+        return path
+    text = head_of(description, MOST_METADATA).decode("utf-8", "replace")
+    packed = COMPRESSED.search(text)
+    if packed and packed[1].lower() != "none":
+        by = "its files: unpack them (`zstd -d`) and name one" if packed[1].lower() == "file" else "its messages"
+        raise fault(path, f"is packed by {by}", "Or write it again with `ros2 bag convert`, without compression.")
+    listed = FILES.search(text)
+    named = path.is_dir() or path.name == METADATA or (listed is not None and path.name in listed[1])
+    return folder if named else path
+
+
+@contextmanager
+def _guarded(path: Path) -> Iterator[None]:
+    """Whatever the library stumbles over in a damaged bag is that bag's fault."""
+    from kilter_files.ground.errors import KilterError
+
+    try:
+        yield
+    except KilterError:
+        raise
+    except MemoryError as error:
+        raise fault(path, "claims more data than fits into memory", AGAIN) from error
+    except Exception as error:  # rosbags lets struct.error, KeyError, AssertionError, apsw's errors and more through
+        raise fault(path, f"is damaged: {type(error).__name__} {str(error)[:120]}", AGAIN) from error
+
+
+def _topic(path: Path, reader: Any, topic: str | None) -> str:
+    found = sorted({c.topic for c in reader.connections if c.msgtype == JOINT_STATE and c.msgcount})
+    if topic is not None and topic not in found:
+        remedy = f"Those with joint states are {', '.join(found)}." if found else "It holds no joint states at all."
+        raise fault(path, f"has no topic {topic!r} of {JOINT_STATE}", remedy)
+    if topic is None and len(found) != 1:
+        what = f"joint states come from {', '.join(found)}" if found else f"holds no messages of {JOINT_STATE}"
+        raise fault(path, what, "Choose one (--topic)." if found else "Record /joint_states too.")
+    return topic or found[0]
+
+
+def _states(reader: Any, topic: str) -> Iterator[tuple[int, Any, int]]:
+    """Return number, message and time of writing [ns] of a topic's messages."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    chosen = [c for c in reader.connections if c.topic == topic and c.msgtype == JOINT_STATE]
+    for number, (_, written, raw) in enumerate(reader.messages(chosen), 1):
+        yield number, store.deserialize_cdr(raw, JOINT_STATE), written
+
+
+class _Kept:
+    """The messages that are taken: rows of positions with their times."""
+
+    def __init__(self, path: Path, wanted: tuple[str, ...], likely: tuple[str, ...]) -> None:
+        self.path, self.names, self.likely = path, wanted, likely
+        self.chosen = bool(wanted)
+        self.stamped: bool | None = None
+        self.times, self.values = array("q"), array("d")
+        self.numbers: list[int] = []
+        self.left = 0
+
+    def take(self, number: int, state: Any, written: int) -> None:
+        """Take a message, or count it as left out."""
+        place = {name: i for i, name in enumerate(state.name)}
+        if not self.names and place:
+            self.chosen = bool(self.likely) and set(self.likely) <= set(place)
+            self.names = self.likely if self.chosen else tuple(place)
+        if place and not self.chosen and set(place) != set(self.names):
+            raise _mixed(self.path, number, self.names, state.name)
+        if not place or not all(name in place for name in self.names):
+            self.left += 1
+            return
+        row = [float(state.position[place[name]]) for name in self.names]
+        if not np.isfinite(row).all():
+            what = f"the position of {self.names[int(np.argmin(np.isfinite(row)))]!r} is not a number"
+            raise fault(self.path, what, "Cut the bag there, or record again.", message=number)
+        stamp = int(state.header.stamp.sec) * 10**9 + int(state.header.stamp.nanosec)
+        if self.stamped is None:
+            self.stamped = stamp > 0
+        self.times.append(stamp if self.stamped else written)
+        self.values.extend(row)
+        self.numbers.append(number)
+
+    @property
+    def t_s(self) -> Floats:
+        """Seconds from the first message."""
+        ns = np.array(self.times, dtype=np.int64)
+        return np.asarray((ns - ns[0]) * 1e-9)
+
+    @property
+    def positions(self) -> Floats:
+        """Positions (n, joints)."""
+        return np.array(self.values).reshape(-1, len(self.names))
+
+    def leave_out_repeats(self) -> int:
+        """Leave out messages that say the same again, and count them; refuse a clock that goes back."""
+        step, positions = np.diff(np.array(self.times, dtype=np.int64)), self.positions
+        again = np.concatenate([[False], (step == 0) & (positions[1:] == positions[:-1]).all(axis=1)])
+        self.values = array("d", positions[~again].ravel().tolist())
+        self.times = array("q", np.array(self.times, dtype=np.int64)[~again].tolist())
+        self.numbers = [number for number, same in zip(self.numbers, again, strict=True) if not same]
+        back = np.flatnonzero(np.diff(np.array(self.times, dtype=np.int64)) <= 0)
+        if len(back):
+            what = "its clock goes back or stops: two recordings, or two publishers"
+            raise fault(
+                self.path, what, "Split the bag there (`ros2 bag convert`).", message=self.numbers[int(back[0]) + 1]
+            )
+        return int(again.sum())
+
+
+def _mixed(path: Path, number: int, names: Sequence[str], other: Sequence[str]) -> Exception:
+    what = f"its messages hold different joints ({', '.join(names)}; here {', '.join(other)})"
+    return fault(path, what, "Name the arm's joints from the base to the tool (--joint-order a,b,c).", message=number)

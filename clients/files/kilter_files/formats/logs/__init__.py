@@ -1,0 +1,1 @@
+"""Logs of single instruments: ball bars and inclinometers."""

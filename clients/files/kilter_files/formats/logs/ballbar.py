@@ -1,0 +1,266 @@
+"""Double ball bar logs: angle and radius, or its deviation from a nominal radius; one run or several in one text file."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_files.formats.logs.inclinometer import TIME
+from kilter_files.formats.points.tracker_header import plain
+from kilter_files.ground.cell_numbers import parse_number
+from kilter_files.ground.errors import FileError
+from kilter_files.ground.faults import fault
+from kilter_files.ground.text_blocks import cut_remark, lines_of
+from kilter_files.ground.text_layout import UNITS, TextLayout, sniff
+from kilter_files.ground.units import converter
+from kilter_files.tables.recording import Floats
+from kilter_files.tables.table import Table
+
+ANGLE = re.compile(r"^(?:angle|winkel|theta|angularposition|ang)[a-z]*$")
+RADIUS = re.compile(r"^(?:radius|ballbarlength|barlength|length|r)$")
+DEVIATION = re.compile(r"^(?:deviation|radialdeviation|dev|error|radialerror|deltar|dr|abweichung)$")
+NOMINAL = re.compile(
+    r"(?:nominal|test|calibrated|programmed)?\s*(?:ballbar|bar)?\s*(?:radius|length)"
+    r"\s*(?:[\[(]\s*(?P<before>[^\])]*)[\])])?\s*[:=;,\t ]\s*(?P<value>\d+(?:[.,]\d+)?)\s*(?P<after>[a-zµ]*)",
+    re.IGNORECASE,
+)
+RUN = re.compile(r"\b(run|lauf|ccw|cw|clockwise|anticlockwise|counterclockwise)\b", re.IGNORECASE)
+JOINT = re.compile(r"^q([1-9]\d?)$")
+MOST_ROWS = 2_000_000
+LONGEST_LINE = 4096
+LONGEST_MM = 10_000.0
+MOST_OFF = 0.1  # of the nominal radius
+ROWS_NEEDED = 8
+FEWEST_OF_A_CIRCLE = 3
+BAR_SIGMA_MM = 0.001
+REMEDY = "Name columns angle_deg and radius_mm, or angle_deg and deviation_um with a line 'Nominal radius (mm): 100'."
+
+
+@dataclass(frozen=True)
+class BallBar:
+    """``angle_deg``, ``radius_mm``, ``run`` (from 1) and ``line`` (n); ``joints`` by contract name where logged."""
+
+    path: Path
+    nominal_mm: float
+    angle_deg: Floats
+    radius_mm: Floats
+    run: NDArray[np.int64]
+    line: NDArray[np.int64]
+    joints: dict[str, Floats]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def is_ballbar(layout: TextLayout) -> bool:
+    """Tell whether a text's columns are an angle and a radius, or its deviation and no time."""
+    names = [plain(name) for name in layout.names]
+    radius, deviation = (any(map(pattern.match, names)) for pattern in (RADIUS, DEVIATION))
+    return any(map(ANGLE.match, names)) and (radius or (deviation and not any(name in TIME for name in names)))
+
+
+def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
+    """Read a ball bar log.
+
+    Raises:
+        FileError: no angle and radius, a deviation without nominal radius, a unit that is missing, a cell that is not
+            a number, a radius far from the nominal one.
+
+    """
+    layout = sniff(path)
+    angle = _column(layout, ANGLE)
+    radius, deviation = _column(layout, RADIUS), _column(layout, DEVIATION)
+    length = radius if radius is not None else deviation
+    if angle is None or length is None:
+        raise fault(path, f"no angle and radius among {', '.join(layout.names[:12])}", REMEDY, line=layout.first_line)
+    joints = {i: name for i, name in enumerate(layout.names) if JOINT.match(name.lower())}
+    values, run, line, cut = _rows(path, layout, [angle, length, *joints])
+    degrees = _converted(path, layout, angle, values[:, 0], "deg", "deg")
+    if layout.units[angle] is None and np.ptp(degrees) < 6.5 and len(degrees) > 20:
+        what = f"rotates by only {np.ptp(degrees):.3g} in all: are these radians"
+        raise fault(path, what, "State the unit: angle_rad or angle_deg.", column=layout.names[angle])
+    lengths = _converted(path, layout, length, values[:, 1], "mm", None)
+    said = nominal_mm or _nominal(path, layout)
+    nominal = said or (float(np.median(lengths)) if radius is not None else None)
+    if nominal is None:
+        raise fault(path, "deviations without the nominal radius", REMEDY, column=layout.names[length])
+    radii = lengths if radius is not None else lengths + nominal
+    _refuse(path, radii, nominal, line, layout.names[length])
+    columns = {}
+    for k, (i, name) in enumerate(joints.items()):
+        unit = layout.units[i]
+        if unit not in ("deg", "rad", "mm", "m"):
+            raise fault(path, "a joint without unit", "Call it q1_deg or q1_rad.", column=name)
+        columns[f"{name.lower()}_{unit}"] = values[:, 2 + k]
+    origin = "" if said else ", the median: none is stated"
+    notes = (f"nominal radius {nominal:g} mm{origin}", f"{len(radii)} readings in {int(run.max())} runs")
+    return BallBar(path, nominal, degrees, radii, run, line, columns, notes, () if cut is None else (cut,))
+
+
+def _column(layout: TextLayout, pattern: re.Pattern[str]) -> int | None:
+    return next((i for i, name in enumerate(layout.names) if pattern.match(plain(name))), None)
+
+
+def _rows(
+    path: Path, layout: TextLayout, columns: list[int]
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], str | None]:
+    """Numbers (n, columns) with their run and line; a title, or the header again, begins the next run.
+
+    A last line that breaks off is left out, with a remark.
+    """
+    rows: list[list[float]] = []
+    runs: list[int] = []
+    lines: list[int] = []
+    run, titled = 1, False
+    broken: tuple[FileError, str | None] | None = None
+    for number, text in lines_of(path, layout):
+        if broken is not None:
+            raise broken[0]
+        if len(text) > LONGEST_LINE:
+            raise fault(path, f"a line of {len(text)} characters", "Export it as text again.", line=number)
+        cells = layout.split(text)
+        found = [parse_number(cells[i], layout.decimal) if i < len(cells) else None for i in columns]
+        if len(cells) == layout.width and all(value is not None and math.isfinite(value) for value in found):
+            run += titled and bool(rows)
+            titled = False
+            rows.append([float(value) for value in found if value is not None])
+            runs.append(run)
+            lines.append(number)
+        elif _is_title(cells, layout):
+            titled = True
+        else:
+            what = f"{text.strip()[:60]!r} is not a row of {layout.width} numbers"
+            error = fault(path, what, "Correct the row; other notes belong above the table.", line=number)
+            broken = error, cut_remark(number, len(cells), layout.width)
+            if broken[1] is None:
+                raise error
+        if len(rows) > MOST_ROWS:
+            raise fault(path, f"has more than {MOST_ROWS} rows", "Split the file.", line=number)
+    if len(rows) < ROWS_NEEDED:
+        raise fault(path, f"has {len(rows)} readings", f"At least {ROWS_NEEDED} are needed to see a circle.")
+    turned = _turned(np.array([row[0] for row in rows]), np.array(runs))
+    return np.array(rows), turned, np.array(lines), None if broken is None else broken[1]
+
+
+def _is_title(cells: list[str], layout: TextLayout) -> bool:
+    """A line between runs: it names one, or it is the header or the row of units again, or ends with a colon."""
+    words = [cell for cell in cells if cell]
+    text = " ".join(words)
+    known = {plain(name) for name in layout.names}
+    again = bool(words) and all(
+        plain(re.sub(r"[\[(].*?[\])]|_[a-zµ]+$", "", word)) in known or word.strip("[]()").lower() in UNITS
+        for word in words
+    )
+    return again or bool(RUN.search(text)) or (bool(text) and (":" in text or "=" in text) and len(text) < 200)
+
+
+def _turned(angle: Floats, run: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Begin a run also where the bar reverses for good."""
+    step = np.diff(angle)
+    way = np.sign(np.where(np.abs(step) > 180, 0.0, step))
+    out = run.copy()
+    for r in np.unique(run):
+        inside = np.flatnonzero(run[:-1] == r)
+        ways = way[inside]
+        if len(ways) >= 4 * ROWS_NEEDED and min(np.mean(ways > 0), np.mean(ways < 0)) > 0.2:
+            # The one place where most steps before go one way and most after the other.
+            sums = np.cumsum(ways)
+            cut = int(np.argmax(np.abs(2 * sums - sums[-1])))
+            out[inside[cut] + 1 :] += 1
+    return out
+
+
+def _converted(path: Path, layout: TextLayout, column: int, values: Floats, unit: str, default: str | None) -> Floats:
+    stated = layout.units[column] or default
+    convert = converter(stated, unit) if stated else None
+    if convert is None:
+        what = f"is in {stated or 'no stated unit'}"
+        raise fault(path, what, f"State a unit that can be {unit}, in the column's name.", column=layout.names[column])
+    return values * convert(1.0)
+
+
+def _nominal(path: Path, layout: TextLayout) -> float | None:
+    for cells in layout.above:
+        match = NOMINAL.search(" ".join(cells))
+        if match is None:
+            continue
+        unit = UNITS.get((match["before"] or match["after"] or "mm").lower().strip())
+        convert = converter(unit, "mm") if unit else None
+        value = float(match["value"].replace(",", "."))
+        if convert is not None and 0 < convert(value) < LONGEST_MM:
+            return convert(value)
+        raise fault(
+            path, f"its nominal radius {match.group(0)[:60]!r} cannot be", "Correct it.", line=layout.first_line
+        )
+    return None
+
+
+def _refuse(path: Path, radii: Floats, nominal: float, line: NDArray[np.int64], column: str) -> None:
+    if not 0 < nominal < LONGEST_MM:
+        raise fault(path, f"a nominal radius of {nominal:g} mm", "No ball bar has that: check the unit.")
+    wild = np.abs(radii - nominal) > MOST_OFF * nominal
+    if wild.any():
+        row = int(np.argmax(wild))
+        what = f"a radius of {radii[row]:.6g} mm is more than a tenth off the nominal {nominal:g} mm"
+        raise fault(
+            path, what, "Check the unit of the column and the nominal radius.", line=int(line[row]), column=column
+        )
+
+
+def analysed(found: BallBar) -> list[dict[str, Any]]:
+    """Return each run's direction, centre, radius and circularity: the spread left when a circle is fitted.
+
+    A run that broke off before its third reading has no circle and is left out.
+    """
+    out = []
+    for run in np.unique(found.run):
+        here = found.run == run
+        if np.count_nonzero(here) < FEWEST_OF_A_CIRCLE:
+            continue
+        turn, radius = np.radians(found.angle_deg[here]), found.radius_mm[here]
+        A = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)
+        level, x, y = np.linalg.lstsq(A, radius, rcond=None)[0]
+        rest = radius - A @ np.array([level, x, y])
+        step = np.diff(found.angle_deg[here])
+        out.append(
+            {
+                "run": int(run),
+                "readings": int(here.sum()),
+                "direction": "ccw" if float(np.median(step)) > 0 else "cw",
+                "from_deg": round(float(found.angle_deg[here][0]), 4),
+                "to_deg": round(float(found.angle_deg[here][-1]), 4),
+                "mean_radius_mm": round(float(level), 5),
+                "centre_mm": [round(float(x), 5), round(float(y), 5)],
+                "circularity_mm": round(float(np.ptp(rest)), 5),
+            }
+        )
+    return out
+
+
+def ballbar_table(path: Path) -> Table:
+    """Read a ball bar log with joints as lengths of a bar (``bar_id``, ``bar_mm``): each run about a centre mount of its own.
+
+    Raises:
+        FileError: no joints in the file, or whatever ``read_ballbar`` refuses.
+
+    """
+    found = read_ballbar(path)
+    if not found.joints:
+        raise FileError(
+            f"{path}: has angle and radius but no joints, so no pose of the robot. Add q1_deg ... to the file, or join "
+            "it with the joint log (kilter sheet-join).",
+            file=str(path),
+        )
+    columns = {name: [float(v) for v in values] for name, values in found.joints.items()}
+    columns["bar_id"] = [float(run) for run in found.run]
+    columns["bar_mm"] = [round(float(v), 6) for v in found.radius_mm]
+    table = Table(columns, [int(line) for line in found.line], list(found.notes), list(found.warnings))
+    table.notes.append(
+        "bar_id counts the runs: give runs about one centre mount the same number to determine the scale of the arm better"
+    )
+    return table

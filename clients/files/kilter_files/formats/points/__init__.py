@@ -1,0 +1,1 @@
+"""Points and poses of trackers and measuring machines."""

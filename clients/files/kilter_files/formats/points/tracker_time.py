@@ -1,0 +1,40 @@
+"""The time column of a tracker's export where it holds time stamps instead of seconds."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from kilter_files.ground.cell_numbers import parse_number
+from kilter_files.ground.faults import fault
+from kilter_files.ground.text_blocks import lines_of
+from kilter_files.ground.text_layout import TextLayout
+from kilter_files.ground.time_stamps import seconds_of, stamp_of
+from kilter_files.tables.recording import Floats
+
+
+def stamped_times(path: Path, layout: TextLayout, means: Mapping[str, int], rows: int) -> Floats | None:
+    """Return the seconds of a column of time stamps, NaN where a cell is empty; None where the column holds numbers.
+
+    Raises:
+        FileError: a cell that is not a time stamp among others that are.
+
+    """
+    column = means.get("t")
+    if column is None:
+        return None
+    cells = [(line, layout.split(text)) for line, text in itertools.islice(lines_of(path, layout), rows)]
+    texts = [(line, row[column] if column < len(row) else "") for line, row in cells]
+    first = next((text for _, text in texts if text), "")
+    if parse_number(first, layout.decimal) is not None or stamp_of(first) is None:
+        return None
+    found = [(line, text, stamp_of(text)) for line, text in texts if text]
+    for line, text, stamp in found:
+        if stamp is None:
+            remedy = "Write it as 12:00:01.5 or 2026-11-22 12:00:01.5, or take the column out."
+            raise fault(path, f"{text[:40]!r} is not a time stamp", remedy, line=line, column=layout.names[column])
+    seconds = iter(seconds_of([stamp for _, _, stamp in found if stamp is not None]))
+    return np.array([next(seconds) if text else np.nan for _, text in texts])

@@ -1,0 +1,38 @@
+"""CSV: the columns q1_deg, q2_deg, ... (or _rad) of a table with commas; every other cell stays."""
+
+from __future__ import annotations
+
+import re
+
+from kilter_files.formats.programs.found import Program
+from kilter_files.formats.programs.target_list import NUMBER
+
+JOINT = re.compile(r"q(\d+)_(deg|rad)")
+
+
+def find(program: Program) -> None:
+    """Find the joints of every row.
+
+    Raises:
+        FileError: columns of joints are missing or in two units, or a cell is not a number.
+
+    """
+    lines = program.text.splitlines(keepends=True)
+    names = [name.strip() for name in lines[0].split(",")]
+    joints = {int(match[1]): (k, match[2]) for k, name in enumerate(names) if (match := JOINT.fullmatch(name))}
+    if sorted(joints) != [*range(1, len(joints) + 1)] or len({unit for _, unit in joints.values()}) != 1:
+        raise program.refuse(0, "lacks joints, or has them in two units", "Name its columns q1_deg, q2_deg, ...")
+    at = len(lines[0])
+    for number, line in enumerate(lines[1:], 1):
+        if line.strip():
+            cells = [*re.finditer(r"[^,\r\n]*(?:,|$|(?=[\r\n]))", line)]
+            spans = [(joints[k][0], f"q{k}") for k in sorted(joints)]
+            found = []
+            for column, name in spans:
+                bare = re.search(NUMBER, cells[column][0]) if column < len(cells) else None
+                if bare is None or bare[0] != cells[column][0].strip(" \t,"):
+                    raise program.refuse(at, f"{name} is empty or not a number", "Correct the row.")
+                start = at + cells[column].start() + bare.start()
+                found.append((bare[0], (start, start + len(bare[0]))))
+            program.add(f"row {number}", found, radians=joints[1][1] == "rad")
+        at += len(line)

@@ -1,0 +1,1 @@
+"""Recordings of markers: C3D, NDI floating point, and text."""

@@ -1,0 +1,139 @@
+"""MATLAB .mat files (up to version 7) as columns: ``q[:,0]`` counts from 0, ``q(:,1)`` as MATLAB does."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kilter_files.formats.tables.mat_check import check_mat
+from kilter_files.ground.errors import FileError, MissingPackageError
+
+EXPRESSION = re.compile(
+    r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
+)
+MOST_COLUMNS = 200
+
+
+@dataclass
+class MatSource:
+    """A read .mat file. Rows have no lines: they are numbered from 1."""
+
+    path: Path
+    variables: Mapping[str, Any]
+    missing: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.names = sorted(self.variables)
+
+    @property
+    def lines(self) -> list[int]:
+        """No numbering before a column is known: the mapping counts the rows of the first one."""
+        return []
+
+    @property
+    def choices(self) -> list[str]:
+        """Every column of every variable, written both ways: ``q[:,0]`` and ``q(:,1)``."""
+        import numpy
+
+        out: list[str] = []
+        for name, value in _named(self.variables):
+            array = numpy.asarray(value)
+            if array.dtype.kind in "iufb" and array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
+                out += [f"{name}[:,{k}]" for k in range(array.shape[1])]
+                out += [f"{name}(:,{k + 1})" for k in range(array.shape[1])]
+            elif array.dtype.kind in "iufb" and array.ndim == 1:
+                out.append(name)
+        return out
+
+    def has(self, name: str | int) -> bool:
+        """Tell whether the expression picks a column."""
+        try:
+            self.numbers(name)
+        except FileError:
+            return False
+        return True
+
+    def texts(self, name: str | int) -> list[str]:
+        """Return a column as text, for row filters."""
+        return [f"{value:g}" for value in self.numbers(name)]
+
+    def numbers(self, name: str | int) -> list[float]:
+        """Return the column of an expression such as ``mA[:,2]`` or ``log.q(:,3)``.
+
+        Raises:
+            FileError: not such an expression, no such variable, or an index outside its shape.
+
+        """
+        match = EXPRESSION.fullmatch(str(name).strip())
+        if not match:
+            raise self._error(name, 'is not a column of a .mat file: write "q[:,0]" (from 0), "q(:,1)" (from 1) or "t"')
+        array = self._array(name, match["name"])
+        column = array if match["kind"] is None else self._slice(name, array, match)
+        if column.ndim != 1:
+            raise self._error(name, f'has shape {array.shape}: name one column, for example "{match["name"]}[:,0]"')
+        missing = set(self.missing)
+        return [math.nan if value in missing else value for value in column.astype(float).tolist()]
+
+    def _array(self, expression: str | int, name: str) -> Any:
+        import numpy
+
+        value: Any = self.variables
+        for part in name.split("."):
+            if not isinstance(value, Mapping) or part not in value:
+                raise self._error(expression, f"needs a variable {name!r}; the file has {', '.join(self.names)}")
+            value = value[part]
+        array = numpy.asarray(value)
+        if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
+            raise self._error(expression, f"is not a real array (type {array.dtype}, shape {array.shape})")
+        return array
+
+    def _slice(self, expression: str | int, array: Any, match: re.Match[str]) -> Any:
+        first = 0 if match["kind"] == "[" else 1
+        if array.ndim == 1:
+            array = array.reshape(-1, 1)
+        if (match["row"] == ":") == (match["col"] == ":"):
+            raise self._error(expression, 'must keep one direction whole: "q[:,0]" or "q[0,:]"')
+        axis = 1 if match["row"] == ":" else 0
+        index = int(match["col"] if axis else match["row"]) - first
+        if not 0 <= index < array.shape[axis]:
+            raise self._error(expression, f"is outside the array, whose shape is {array.shape}")
+        return array[:, index] if axis else array[index]
+
+    def _error(self, expression: str | int, why: str) -> FileError:
+        return FileError(f"{self.path}: {expression!r} {why}.", file=str(self.path), column=expression)
+
+
+def _named(variables: Mapping[str, Any], stem: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in variables.items():
+        if isinstance(value, Mapping):
+            yield from _named(value, f"{stem}{name}.")
+        else:
+            yield f"{stem}{name}", value
+
+
+def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
+    """Read a .mat file with scipy.
+
+    Raises:
+        MissingPackageError: scipy is not installed.
+        FileError: no .mat file, or one of version 7.3.
+
+    """
+    try:
+        from scipy.io import loadmat
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{path}: .mat files need scipy. Install it with: pip install scipy", package="scipy"
+        ) from error
+    check_mat(path)
+    try:
+        content = loadmat(path, simplify_cells=True)
+    except NotImplementedError as error:
+        raise FileError(f"{path}: a .mat file of version 7.3. Save it in MATLAB with '-v7'.", file=str(path)) from error
+    except Exception as error:  # of a damaged file scipy lets zlib.error, KeyError, IndexError and more through
+        raise FileError(f"{path}: is not a .mat file that scipy can read ({error}).", file=str(path)) from error
+    return MatSource(path, {name: value for name, value in content.items() if not name.startswith("__")}, missing)

@@ -1,0 +1,231 @@
+"""A first column map for an unknown file: what names and ranges tell, and marks where they do not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from kilter_files.ground.clusters import clusters
+from kilter_files.ground.units import SIZES, converter
+from kilter_files.look.draft_guess import Columns, Entry, joints, one, points, time
+from kilter_files.look.draft_turns import Turned, turned
+from kilter_files.look.table_shape import TableShape, shape_of
+from kilter_files.maps.columns import UNKNOWN
+
+SAME_DEG = 0.01
+MOST_STATES = 6
+JOIN = """
+# Joints in another file? Then delete the line q* above and take the # away here:
+# [join]
+# path = "joints.csv"            # beside this file
+# by = "row"                     # or "id" or "time", with here = "a column of this file" and there = "one of the other"
+# [join.columns]
+# "q*" = { from = "A*", unit = "deg" }
+"""
+POSES = f"""
+# Poses measured several times? Then their repeats are found by equal joints:
+# [pose_id]
+# same_joints_within_deg = {SAME_DEG}"""
+
+
+@dataclass
+class Draft:
+    """A drafted map: its text, the places that have to be filled in, what was guessed, and columns nobody uses."""
+
+    text: str
+    open: list[str] = field(default_factory=list)
+    guessed: list[str] = field(default_factory=list)
+    used: list[str] = field(default_factory=list)
+    unused: list[str] = field(default_factory=list)
+
+    def to_document(self) -> dict[str, Any]:
+        """Return what is to be said about the draft."""
+        return {"open": self.open, "guessed": self.guessed, "used": self.used, "unused": self.unused}
+
+
+def draft(path: Path) -> Draft:
+    """Draft a column map for a file.
+
+    Raises:
+        FileError: no table of numbers is found in it.
+
+    """
+    shape = shape_of(path)
+    columns = Columns(shape)
+    turn = turned(columns)
+    axes, others = joints(columns.without(turn.names if turn else ()))
+    taken = {name for entry in axes for name in entry.used} | set(turn.names if turn else ())
+    place, elsewhere = points(columns, taken)
+    entries = [*axes] or [_unknown_joints(columns)]
+    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not determine which column this is") for a in "xyz"]
+    taken |= {name for entry in place for name in entry.used}
+    for entry in _rest(columns, taken):
+        entries.append(entry)
+        taken |= set(entry.used)
+    lines = [_file(shape), "[columns]", *(_line(columns, entry) for entry in entries)]
+    patterns = [pattern for pattern in others if not any(_matches(pattern, name) for name in taken)]
+    lines += [f"# other columns that might be the joints: {_listed(patterns)}"] if patterns else []
+    lines += [f"# other columns that might be the position: {_listed(elsewhere)}"] if elsewhere else []
+    unused = [name for name in columns.names if name not in taken]
+    lines += [f"# not used: {_listed(unused)}"] if unused else []
+    lines += [] if axes else [JOIN.rstrip(), POSES]
+    lines += ["", *_turned_lines(columns, turn)] if turn else []
+    lines += _poses(columns, entries, axes) + _rows(columns, entries, unused)
+    places = [f"columns.{entry.target}" for entry in entries if entry.open] + (
+        ["orientation"] if turn and turn.open else []
+    )
+    guessed = [f"{entry.target}: {entry.remark}" for entry in entries if entry.remark and not entry.open]
+    return Draft(_top(path, places) + "\n".join(lines) + "\n", places, guessed, sorted(taken), unused)
+
+
+def has_joints(path: Path) -> bool:
+    """Whether the draft of a file finds the arm's joints in it, beside the position.
+
+    Raises:
+        FileError: no table of numbers is found in it.
+
+    """
+    columns = Columns(shape_of(path))
+    turn = turned(columns)
+    axes, _ = joints(columns.without(turn.names if turn else ()))
+    place, _ = points(columns, {name for entry in axes for name in entry.used})
+    return bool(axes and place) and not any(entry.open for entry in (*axes, *place))
+
+
+def _matches(pattern: str, name: str) -> bool:
+    before, _, after = pattern.partition("*")
+    return name.startswith(before) and name.endswith(after)
+
+
+def _top(path: Path, places: Sequence[str]) -> str:
+    told = f"Fill in what is marked {UNKNOWN}: {', '.join(places)}." if places else "Nothing has to be filled in."
+    return (
+        f"# Drafted from {path.name}. {told} Check the rest: kilter upload ROBOT FILE --map THIS --dry-run\n"
+        "# shows the range of every column in mm and deg. All keys: docs/reference/column-maps.md\n\n"
+    )
+
+
+def _file(shape: TableShape) -> str:
+    layout, out = shape.layout, ["[file]", f"format = {_quoted(shape.form)}"]
+    if shape.form == "csv":
+        out += [f"delimiter = {_quoted(layout.delimiter)}", f"encoding = {_quoted(layout.encoding)}"]
+    if shape.form in ("csv", "xlsx"):
+        out.append(f"decimal = {_quoted(layout.decimal)}")
+    if layout.sheet is not None:
+        out.append(f"sheet = {_quoted(str(layout.sheet))}")
+    out += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
+    out += ["units_row = true"] if layout.units_row else []
+    out += [f"comment = {_quoted(layout.comment)}"] if layout.comment else []
+    out += ["header = false            # columns are given by their index, from 0"] if not layout.header else []
+    return "\n".join(out) + "\n"
+
+
+def _line(columns: Columns, entry: Entry) -> str:
+    key = _quoted(entry.target) if "*" in entry.target else entry.target
+    source = entry.source if entry.source == UNKNOWN or "*" in entry.target else columns.key(entry.source)
+    unit = f", unit = {_quoted(entry.unit)}" if entry.unit else ""
+    mark = f"   # {UNKNOWN} {entry.remark}" if entry.open else f"   # {entry.remark}" if entry.remark else ""
+    return f"{key} = {{ from = {_quoted(source)}{unit} }}{mark}"
+
+
+def _unknown_joints(columns: Columns) -> Entry:
+    numeric = [name for name in columns.names if columns.numbers(name)]
+    listed = _listed(numeric)
+    told = f'could not determine which columns are joints, write one line each or from = "A*"; numbers are in {listed}'
+    return Entry("q*", UNKNOWN, UNKNOWN, told)
+
+
+def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
+    """Time, temperature, payload and pose numbers."""
+    found = [time(columns, taken)]
+    for words, make in (
+        (r"temp\w*", _temperature),
+        ("payload|load|last|nutzlast|mass|masse", _payload),
+        ("poses?|pose id|punkt|point|messpunkt", _pose),
+    ):
+        found.append(one(columns, taken, words, partial(make, columns)))
+    return [entry for entry in found if entry is not None]
+
+
+def _temperature(columns: Columns, name: str) -> Entry | None:
+    unit = columns.unit(name)
+    return (
+        Entry("temperature_c", name, unit or "C", "" if unit else "the file states no unit", (name,))
+        if unit in (None, "C", "K")
+        else None
+    )
+
+
+def _payload(columns: Columns, name: str) -> Entry | None:
+    unit = columns.unit(name)
+    if unit is not None and unit not in SIZES["mass"]:
+        return None
+    return Entry("payload_kg", name, unit or UNKNOWN, "" if unit else "the file states no unit: kg or g", (name,))
+
+
+def _pose(columns: Columns, name: str) -> Entry | None:
+    whole = all(value.is_integer() for value in columns.numbers(name) or ())
+    return Entry("pose_id", name, None, "", (name,)) if whole else None
+
+
+def _turned_lines(columns: Columns, turn: Turned) -> list[str]:
+    listed = ", ".join(_quoted(columns.key(name)) for name in turn.names)
+    out = ["[orientation]", f"from = [{listed}]"]
+    if turn.quaternion:
+        return [*out, f"quaternion = {_quoted(turn.quaternion)}" + (f"   # {turn.remark}" if turn.remark else "")]
+    mark = f"   # {turn.remark}" if turn.remark else ""
+    return [*out, f"euler = {_quoted(turn.euler)}{mark}", f"unit = {_quoted(turn.unit)}"]
+
+
+def _poses(columns: Columns, entries: Sequence[Entry], axes: Sequence[Entry]) -> list[str]:
+    """Number the poses by equal joints where joints come back and no column numbers them."""
+    names = [name for entry in axes for name in entry.used]
+    values = [columns.numbers(name) or [] for name in names]
+    if any(entry.target == "pose_id" for entry in entries) or not names or len({len(v) for v in values}) != 1:
+        return []
+    convert = converter(axes[0].unit or "deg", "deg") or float
+    labels = list(zip(*(clusters([convert(v) for v in column], SAME_DEG) for column in values), strict=True))
+    if len(set(labels)) == len(labels):
+        return []
+    return [
+        "",
+        "[pose_id]",
+        f"same_joints_within_deg = {SAME_DEG}   # {len(set(labels))} poses among {len(labels)} rows",
+    ]
+
+
+def _rows(columns: Columns, entries: Sequence[Entry], unused: Sequence[str]) -> list[str]:
+    rows = len(columns.shape.source.lines)
+    used = [name for entry in entries if not entry.target.startswith("m") for name in entry.used]
+    empty = max(
+        (rows - len(columns.numbers(name) or ()) for name in used if columns.numbers(name) is not None), default=0
+    )
+    out = [f"drop_missing = true   # {empty} rows or more have an empty cell"] if rows and empty > 0 else []
+    for name in unused:
+        states = (
+            sorted({text for text in columns.texts(name) if text}, key=_good_first)
+            if columns.numbers(name) is None
+            else []
+        )
+        if 1 < len(states) <= MOST_STATES:
+            told = f"it holds {_listed(states)}"
+            out.append(
+                f"# keep = [{{ column = {_quoted(columns.key(name))}, equals = {_quoted(states[0])} }}]   # {told}"
+            )
+    return ["", "[rows]", *out] if out else []
+
+
+def _good_first(state: str) -> tuple[bool, str]:
+    return state.lower() not in ("ok", "good", "true", "valid", "gut", "i.o.", "yes", "ja"), state
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(" ".join(name.split()) for name in names[:20]) + (" ..." if len(names) > 20 else "")
+
+
+def _quoted(value: str | int) -> str:
+    return str(value) if isinstance(value, int) else json.dumps(value, ensure_ascii=False)

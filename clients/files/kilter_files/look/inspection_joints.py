@@ -1,0 +1,67 @@
+"""How a joint log is read: a bag's topics and joints, a program's targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kilter_files.formats.joints.bag import JOINT_STATE, read_bag, topics
+from kilter_files.formats.joints.joint_log import JointLog, LogHints, read_joint_log
+from kilter_files.formats.joints.joint_order import by_name
+from kilter_files.ground.units import unit_of
+
+Document = dict[str, Any]
+
+GAP = 5.0  # a step so many times the usual one is a gap
+
+
+def describe_bag(path: Path, hints: LogHints) -> Document:
+    """Describe a bag: its topics, and the joints of the one that is asked for or the only one."""
+    found = topics(path)
+    listed = [{"name": t.name, "type": t.kind, "messages": t.messages} for t in found]
+    states = [t.name for t in found if t.kind == JOINT_STATE and t.messages]
+    if hints.topic is None and len(states) != 1:
+        what = f"joint states come from {', '.join(states)}: choose with --topic" if states else "no joint states"
+        return {"kind": "bag", "topics": listed, "warnings": [what]}
+    joints = read_bag(path, hints.topic)
+    if not hints.order and by_name(joints.names) is None:
+        columns = [column(n, "rad or m", joints.positions[:, k]) for k, n in enumerate(joints.names)]
+        warnings = ["the names do not tell which joint is the first: give --joint-order", *joints.warnings]
+        timing = _timing(joints.t_s)
+        warnings += timing.pop("gaps", [])
+        return {"kind": "joint-log", "topics": listed, "columns": columns, "warnings": warnings} | timing
+    return describe_log(read_joint_log(path, hints=hints)) | {"topics": listed}
+
+
+def describe_log(log: JointLog) -> Document:
+    """Describe a joint log that was read."""
+    q, warnings = np.abs(log.q_even()), list(log.warnings)
+    if all(name.endswith("_deg") for name in log.joints) and len(log) > 20 and q.max() < 3.2:
+        warnings.append("no joint moves by more than 3.2 deg: are these radians?")
+    still = [name for name in log.joints if len(log) > 20 and np.ptp(log.columns[name]) == 0]
+    if still:
+        warnings.append(f"never move: {', '.join(still)}")
+    columns = [column(name, unit_of(name), values) for name, values in log.columns.items()]
+    notes = [*log.notes, "joins a recording with kilter match, points with kilter upload --joints"]
+    timing = {} if log.t_s is None else _timing(log.t_s)
+    warnings += timing.pop("gaps", [])
+    return {"kind": "joint-log", "rows": len(log), "columns": columns, "notes": notes, "warnings": warnings} | timing
+
+
+def _timing(t: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Document:
+    step = np.diff(t)
+    if not len(step):
+        return {}
+    usual = float(np.median(step))
+    wide = np.flatnonzero(step > GAP * usual)
+    gaps = [f"{len(wide)} gaps in time, the first at {t[wide[0]]:.3f} s"] if len(wide) else []
+    return {"rows": len(t), "rate_hz": 1 / usual, "duration_s": float(t[-1] - t[0]), "gaps": gaps}
+
+
+def column(name: str, unit: str | None, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Document:
+    """Describe a column of numbers: unit, range, and how many cells are empty."""
+    known = values[~np.isnan(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
+    return {"name": name, "unit": unit, "low": low, "high": high, "empty": len(values) - len(known)}

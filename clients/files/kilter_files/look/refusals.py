@@ -1,0 +1,53 @@
+"""What the server would refuse in a file, as far as this is known before anything is sent."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from kilter_files.look.summary import Columns, in_shown_unit
+
+LIMIT_TOLERANCE = {"deg": 0.3, "mm": 0.5}  # the server's, see docs/reference/columns.md
+JOINT = re.compile(r"q(\d+)_(?:deg|rad|mm|m)")
+MAY_BE_EMPTY = re.compile(r"m\d+[xyz]_(?:mm|m)|tip[xyz]_(?:mm|m)")
+SHOWN = 5
+
+
+def refusals(columns: Columns, joints: Sequence[Mapping[str, Any]] | None, lines: Sequence[int] = ()) -> list[str]:
+    """Name every rule that is broken, with rows; ``joints`` are those of the robot as the server knows it."""
+    found = [
+        f"{name} is empty or not a number {_in_rows([math.isnan(v) for v in values], lines)}"
+        for name, values in columns.items()
+        if not MAY_BE_EMPTY.fullmatch(name) and any(math.isnan(v) for v in values)
+    ]
+    if joints is None:
+        return found
+    numbers = {int(match[1]): name for name in columns if (match := JOINT.fullmatch(name))}
+    if sorted(numbers) != list(range(1, len(joints) + 1)):
+        found.append(f"the file has joints {', '.join(map(str, sorted(numbers))) or 'none'}, the robot {len(joints)}")
+    for number, joint in enumerate(joints, 1):
+        if number in numbers:
+            found += _outside(numbers[number], columns[numbers[number]], joint, lines)
+    return found
+
+
+def _outside(name: str, values: list[float], joint: Mapping[str, Any], lines: Sequence[int]) -> list[str]:
+    unit, shown = in_shown_unit(name, values)
+    low, high = joint.get(f"limits_{unit}") or (None, None)
+    low, high = -math.inf if low is None else low, math.inf if high is None else high
+    beyond = [max(low - v, v - high, 0.0) for v in shown]
+    wrong = [size > LIMIT_TOLERANCE[unit] for size in beyond]
+    if not any(wrong):
+        return []
+    where = f"limits {low:.6g} to {high:.6g} {unit} of {joint['name']}"
+    return [f"{name} is outside the {where} {_in_rows(wrong, lines)}, by up to {max(beyond):.3g} {unit}"]
+
+
+def _in_rows(wrong: Sequence[bool], lines: Sequence[int]) -> str:
+    rows = [k for k, is_wrong in enumerate(wrong) if is_wrong]
+    where = [lines[k] if k < len(lines) else k + 1 for k in rows[:SHOWN]]
+    word = "line" if lines else "row"
+    more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+    return f"in {len(rows)} rows ({word} {', '.join(map(str, where))}{more})"

@@ -1,0 +1,1 @@
+"""Column maps: which columns of a lab's file are which contract columns, and joins with a second file."""

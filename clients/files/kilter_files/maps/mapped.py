@@ -1,0 +1,255 @@
+"""A lab's file through its column map: contract columns, converted and counted."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from shlex import quote
+
+from kilter_files.formats.tables.source import Source, open_source
+from kilter_files.formats.tables.text import Layout, TextSource
+from kilter_files.ground.clusters import clusters
+from kilter_files.ground.errors import FileError
+from kilter_files.ground.orientation import from_euler, upright
+from kilter_files.ground.time_stamps import seconds_of
+from kilter_files.ground.units import converter, unit_of
+from kilter_files.maps.column_map import ColumnMap, Keep, Orientation
+from kilter_files.maps.columns import TIMESTAMP, Column, expanded
+from kilter_files.maps.join import partners, refuse_alone, stamps
+from kilter_files.tables.table import Table
+
+PLAIN_JOINT = re.compile(r"q\d+")
+JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
+MARKER = re.compile(r"m\d+[xyz]_(mm|m)")
+LINK = re.compile(r"link\d+_(deg|rad|mm|m)")
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+def read_mapped(path: Path, column_map: ColumnMap, joined: Path | None = None) -> Table:
+    """Read ``path`` as ``column_map`` says; ``joined`` is the second file, before the one that its [join] names.
+
+    Raises:
+        FileError: a column that is not there, a cell that is not a number, columns of different lengths, no row left.
+
+    """
+    source = open_source(path, column_map.form, column_map.layout)
+    columns = expanded(column_map.columns, source.choices, column_map.path, path)
+    measured = {c.target: _convert(c, source, path) for c in columns if c.source is not None}
+    if column_map.orientation:
+        measured |= _orientation(source, column_map.orientation)
+    table = _table(path, source, measured, column_map.join is not None)
+    table.notes += [_understood(column) for column in columns]
+    for column in columns:
+        if column.value is not None:
+            table.columns[column.target] = [column.value] * len(table)
+    _joined(path, source, table, column_map, joined)
+    _filter(source, table, column_map.keep)
+    _missing(path, source, table, column_map.drop_missing)
+    _dead(table)
+    if column_map.repeats_deg is not None:
+        _number_poses(table, column_map.repeats_deg)
+    return table
+
+
+def read_contract(path: Path) -> Table:
+    """Read a workbook whose columns are the contract's already.
+
+    Raises:
+        FileError: other columns; the remedy is a map.
+
+    """
+    source = open_source(path, None, Layout())
+    odd = [name for name in source.choices if name and unit_of(name) is None]
+    columns = _contract(source)
+    if odd or not columns:
+        said = ", ".join(map(repr, odd[:6])) or "none has a name"
+        raise FileError(
+            f"{path}: not all of its columns are the contract's: {said}. Write a column map "
+            f"(`kilter inspect {quote(str(path))} --draft columns.toml`) and give it with --map.",
+            file=str(path),
+        )
+    table = _table(path, source, {c.target: _convert(c, source, path) for c in columns})
+    table.notes.append("contract columns of the workbook's first sheet")
+    _missing(path, source, table, drop=False)
+    return table
+
+
+def _joined(path: Path, source: Source, table: Table, column_map: ColumnMap, other: Path | None) -> None:
+    """Add the columns of the second file, row for row."""
+    join = column_map.join
+    if join is None and other is not None:
+        raise FileError(
+            f"{column_map.path}: does not say how rows of {other} belong to those of {path}. Add a table [join], for example "
+            'by = "row".',
+            file=str(column_map.path),
+        )
+    if join is None:
+        return
+    place = other or _beside(path, column_map)
+    there = open_source(place, join.form, join.layout)
+    columns = expanded(
+        _contract(there) if join.columns is None else join.columns, there.choices, column_map.path, place
+    )
+    found = {c.target: _convert(c, there, place) for c in columns if c.source is not None}
+    twice = sorted(set(found) & set(table.columns))
+    if twice or not found:
+        what = f"{twice[0]} comes from both files" if twice else f"{place} gives no contract column: add [join.columns]"
+        raise FileError(f"{column_map.path}, join: {what}.", file=str(column_map.path), key="join.columns")
+    theirs = _table(place, there, found)
+    rows = partners(join, source, there, (path, place), (len(table), len(theirs)))
+    if not column_map.drop_missing:
+        refuse_alone(join, rows, table.lines, (path, place))
+    table.columns |= {
+        name: [math.nan if row is None else values[row] for row in rows] for name, values in found.items()
+    }
+    table.notes += [f"{_understood(column)}, of {place.name} by {join.by}" for column in columns]
+    idle = len(theirs) - len({row for row in rows if row is not None})
+    table.warnings += [f"{idle} rows of {place.name} have no partner and are left out"] if idle else []
+
+
+def _contract(there: Source) -> tuple[Column, ...]:
+    """Columns whose names are the contract's; a program's targets are in degrees."""
+    named = [(name, unit_of(name)) for name in there.choices]
+    plain = tuple(Column(name, name, unit) for name, unit in named if unit is not None)
+    return plain or tuple(Column(f"{name}_deg", name, "deg") for name in there.choices if PLAIN_JOINT.fullmatch(name))
+
+
+def _beside(path: Path, column_map: ColumnMap) -> Path:
+    """The second file: as it is named, beside the measured file or beside the map."""
+    assert column_map.join is not None
+    if column_map.join.path is None:
+        raise FileError(
+            f"{column_map.path}, join: names no second file. Give 'path', or name it with --joints.",
+            file=str(column_map.path),
+            key="join.path",
+        )
+    places = [folder / column_map.join.path for folder in (path.parent, column_map.path.parent)]
+    found = next((place for place in places if place.exists()), None)
+    if found is None:
+        raise FileError(
+            f"{column_map.path}, join.path: there is no file {places[0]}. Correct 'path', or name the file with --joints.",
+            file=str(column_map.path),
+            key="join.path",
+        )
+    return found
+
+
+def _convert(column: Column, source: Source, path: Path) -> list[float]:
+    assert column.source is not None
+    if column.unit == TIMESTAMP:
+        seconds = seconds_of(stamps(source, column.source, path))
+        return [t - seconds[0] for t in seconds]
+    convert = converter(column.unit, unit_of(column.target) or "")
+    assert convert is not None  # the map was checked when it was read
+    values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
+    return values if column.still_below is None else _directions(values, column.still_below)
+
+
+def _directions(speeds: list[float], still_below: float) -> list[float]:
+    """Signs of speeds; a joint that stands keeps the direction it came from, 0 before it first moved."""
+    out, last = [], 0.0
+    for speed in speeds:
+        if abs(speed) > still_below:
+            last = math.copysign(1.0, speed)
+        out.append(math.nan if math.isnan(speed) else last)
+    return out
+
+
+def _understood(column: Column) -> str:
+    if column.value is not None:
+        return f"{column.target} = {column.value:g} in every row"
+    turned = f" x {column.scale:g}" if column.scale != 1 else ""
+    shifted = f" {column.offset:+g}" if column.offset else ""
+    return f"{column.target} from {column.source!r}{turned}{shifted}" + (f" [{column.unit}]" if column.unit else "")
+
+
+def _table(path: Path, source: Source, measured: dict[str, list[float]], joined: bool = False) -> Table:
+    lengths = {name: len(values) for name, values in measured.items()}
+    if len(set(lengths.values())) > 1:
+        different = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise FileError(f"{path}: the columns have different numbers of rows ({different}).", file=str(path))
+    rows = next(iter(lengths.values()), len(source.lines) if joined else 0)
+    if not rows:
+        raise FileError(f"{path}: no rows, or a map of constants only. Map at least the joints.", file=str(path))
+    return Table(measured, source.lines or list(range(1, rows + 1)))
+
+
+def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
+    parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
+    if len(orientation.sources) == 4:
+        order = [orientation.order.index(axis) for axis in "wxyz"]
+        turned = [upright((p[order[0]], p[order[1]], p[order[2]], p[order[3]])) for p in parts]
+    else:
+        convert = converter(orientation.unit, "rad")
+        assert convert is not None  # the map was checked when it was read
+        turned = [from_euler((convert(a), convert(b), convert(c)), orientation.order) for a, b, c in parts]
+    return {name: [quaternion[i] for quaternion in turned] for i, name in enumerate(QUATERNION)}
+
+
+def _filter(source: Source, table: Table, keep: tuple[Keep, ...]) -> None:
+    for condition in keep:
+        if condition.equals:
+            good = [text in condition.equals for text in source.texts(condition.column)]
+        else:
+            low = -math.inf if condition.minimum is None else condition.minimum
+            high = math.inf if condition.maximum is None else condition.maximum
+            good = [low <= value <= high for value in source.numbers(condition.column)]
+        left_out = [line for line, is_good in zip(_all_lines(source, good), good, strict=True) if not is_good]
+        gone = set(left_out)
+        before = len(table)
+        table.keep([i for i, line in enumerate(table.lines) if line not in gone])
+        if before != len(table):
+            table.warnings.append(f"{before - len(table)} rows left out by the condition on {condition.column!r}")
+
+
+def _all_lines(source: Source, good: list[bool]) -> list[int]:
+    return source.lines or list(range(1, len(good) + 1))
+
+
+def _missing(path: Path, source: Source, table: Table, drop: bool) -> None:
+    """Markers may be missing; any other empty cell is dropped with its row, or refused."""
+    needed = {name: values for name, values in table.columns.items() if not MARKER.fullmatch(name)}
+    empty = {i: name for name, values in needed.items() for i, value in enumerate(values) if math.isnan(value)}
+    if empty and not drop:
+        row, name = min(empty.items())
+        raise FileError(
+            f"{path}, {_at(source, table.lines[row])}: {name} is missing. Fill the cell, or set drop_missing = true under "
+            f"[rows] to leave such rows out ({len(empty)} of {len(table)}).{getattr(source, 'empty_hint', '')}",
+            file=str(path),
+            line=table.lines[row],
+            column=name,
+        )
+    if empty:
+        table.warnings.append(f"{len(empty)} rows left out because a value is missing")
+        table.keep([i for i in range(len(table)) if i not in empty])
+    if not len(table):
+        raise FileError(f"{path}: no row is left. Loosen the conditions under [rows].", file=str(path))
+
+
+def _at(source: Source, line: int) -> str:
+    return source.at(line) if isinstance(source, TextSource) else f"line {line}"
+
+
+def _dead(table: Table) -> None:
+    """Say which link-side encoders never change though others do: they are not connected."""
+    still = {name: len(set(values)) == 1 for name, values in table.columns.items() if LINK.fullmatch(name)}
+    dead = [name for name, is_still in still.items() if is_still]
+    if dead and len(dead) < len(still):
+        one = len(dead) == 1
+        table.warnings.append(
+            f"{', '.join(dead)} {'is' if one else 'are'} the same in every row: {'a dead channel' if one else 'dead channels'}"
+        )
+
+
+def _number_poses(table: Table, tolerance_deg: float) -> None:
+    """Rows whose joints agree within the tolerance (1 mm counts as 1 deg) share a pose_id, numbered as they come."""
+    labels = []
+    for name, values in table.columns.items():
+        if JOINT.fullmatch(name):
+            convert = converter(unit_of(name) or "", "deg") or converter(unit_of(name) or "", "mm")
+            assert convert is not None  # joints are angles or lengths
+            labels.append(clusters([convert(value) for value in values], tolerance_deg))
+    numbers: dict[tuple[int, ...], int] = {}
+    table.columns["pose_id"] = [float(numbers.setdefault(key, len(numbers) + 1)) for key in zip(*labels, strict=True)]
+    table.notes.append(f"pose_id: {len(numbers)} poses among {len(table)} rows, by equal joints")

@@ -1,0 +1,195 @@
+"""How badly each lag between the clocks explains each moment of a recording: by the robot's model, or by speeds alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.match.arm import Arm
+from kilter_files.match.dwells import Thinned
+from kilter_files.match.registration import Registration, register
+from kilter_files.match.speeds import even, joint_speed, likeness, marker_speed
+from kilter_files.tables.recording import Floats
+
+GRID_S = 0.02
+FRAME_STEPS = 3  # of the grid, between two frames: then one lag rounds alike for all
+MOST_FRAMES = 12_000
+MOST_MARKERS = 3
+REACH_S = 12.0  # longer jumps leave rows that no lag explains
+TRIED = 25
+WINDOW_FRAMES = 120
+LEAST_FRAMES = 20
+CLEARLY = 0.012  # of the spread: no wrong lag leaves so little
+WINDOW_S = (20.0, 90.0)
+SHORTER = (1, 2, 4)  # shorter stretches are tried where a jump lies in every longer one
+
+
+class Frames(NamedTuple):
+    """The recording, thinned again: even times (n), points (n, markers, 3); the log's even grid; poses of the tool on it."""
+
+    t_s: Floats
+    points: Floats
+    grid_s: Floats
+    turns: Floats
+    places: Floats
+
+    def at(self, lag_s: float | Floats, index: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.int64]:
+        """Return the grid's numbers of frames at a lag."""
+        return np.asarray(np.round((self.t_s[index] + lag_s - self.grid_s[0]) / GRID_S).astype(np.int64))
+
+    def snapped(self, lag_s: float) -> float:
+        """Return the nearest lag at which the frames fall on the grid."""
+        away = self.grid_s[0] - self.t_s[0]
+        return float(np.round((lag_s - away) / GRID_S) * GRID_S + away)
+
+    def speeds(self) -> Floats:
+        """Return the fastest marker's speed at each frame, mm/s; 0 where none is known."""
+        step = np.linalg.norm(np.gradient(self.points, self.t_s, axis=0), axis=2)
+        return np.asarray(np.max(np.nan_to_num(step), axis=1))
+
+
+@dataclass(frozen=True)
+class Window:
+    """Frames that one registration explains at one lag, and what it leaves of the markers' spread."""
+
+    found: Registration
+    lag_s: float
+    share: float
+    index: NDArray[np.int64]
+
+
+def frames_of(thinned: Thinned, log: JointLog, arm: Arm | None) -> Frames:
+    """Take the best-seen markers at about 20 Hz, and where the arm's tool is on the log's grid."""
+    assert log.t_s is not None
+    seen = (~np.isnan(thinned.points_mm[..., 0])).sum(axis=0)
+    best = np.sort(np.argsort(-seen, kind="stable")[:MOST_MARKERS])
+    span = float(thinned.t_s[-1] - thinned.t_s[0])
+    t = np.arange(thinned.t_s[0], thinned.t_s[-1], GRID_S * max(FRAME_STEPS, math.ceil(span / MOST_FRAMES / GRID_S)))
+    grid = np.arange(log.t_s[0], log.t_s[-1], GRID_S)
+    turns, places = np.zeros((0, 3, 3)), np.zeros((0, 3))
+    if arm is not None:
+        turns, places = arm.poses(np.stack([np.interp(grid, log.t_s, q) for q in arm.reading(log).T], axis=1))
+    return Frames(t, _between(thinned, t, best), grid, turns, places)
+
+
+def _between(thinned: Thinned, t: Floats, markers: NDArray[np.int64]) -> Floats:
+    """The markers at times ``t``, in a straight line between frames; NaN where either was not seen."""
+    k = np.clip(np.searchsorted(thinned.t_s, t, side="right") - 1, 0, len(thinned.t_s) - 2)
+    share = np.clip((t - thinned.t_s[k]) / (thinned.t_s[k + 1] - thinned.t_s[k]), 0.0, 1.0)[:, None, None]
+    points = thinned.points_mm[:, markers]
+    return np.asarray((1 - share) * points[k] + share * points[k + 1])
+
+
+def spread(points: Floats) -> float:
+    """Return the root mean square distance of points from their mean, mm."""
+    flat = points.reshape(-1, 3)
+    flat = flat[~np.isnan(flat[:, 0])]
+    return float(np.sqrt(np.mean(np.sum((flat - flat.mean(axis=0)) ** 2, axis=1)))) if len(flat) else 0.0
+
+
+def best_windows(thinned: Thinned, log: JointLog, frames: Frames) -> Iterator[Window]:
+    """Return the stretches of the recording that the model explains best, at whatever lag; each of half the length."""
+    length = float(np.clip((frames.t_s[-1] - frames.t_s[0]) / 5, *WINDOW_S))
+    for part in SHORTER:
+        window = _best_window(thinned, log, frames, length / part)
+        if window is not None:
+            yield window
+
+
+def _best_window(thinned: Thinned, log: JointLog, frames: Frames, length: float) -> Window | None:
+    start, end = float(frames.t_s[0]), float(frames.t_s[-1])
+    best, least = None, 0.3 * spread(frames.points)
+    for begin in np.arange(start, max(end - length / 2, start + 0.1), length / 2):
+        own = (thinned.t_s >= begin) & (thinned.t_s < begin + length)
+        index = np.flatnonzero((frames.t_s >= begin) & (frames.t_s < begin + length))
+        index = index[:: max(1, -(-len(index) // WINDOW_FRAMES))]
+        if len(index) < LEAST_FRAMES or spread(frames.points[index]) < least:
+            continue
+        part = Thinned(thinned.t_s[own], thinned.points_mm[own], thinned.step_s)
+        tried = [_registered(frames, index, lag, 4) for lag in likeness(part, log).peaks(TRIED)]
+        best = min([w for w in (best, *tried) if w is not None], key=lambda w: w.share, default=None)
+        if best is not None and best.share < CLEARLY:
+            break
+    if best is None:
+        return None
+    near = [_registered(frames, best.index, best.lag_s + k * GRID_S, 8) for k in range(-10, 11)]
+    return min([best, *(w for w in near if w is not None)], key=lambda w: w.share)
+
+
+def _registered(frames: Frames, index: NDArray[np.int64], lag: float, steps: int) -> Window | None:
+    at = frames.at(lag, index)
+    good = (at >= 0) & (at < len(frames.grid_s)) & ~np.isnan(frames.points[index, :, 0]).all(axis=1)
+    if good.sum() < 0.8 * len(index):
+        return None
+    points, at = frames.points[index][good], at[good]
+    found = register(frames.turns[at], frames.places[at], points, steps)
+    left = points - found.predicted(frames.turns[at], frames.places[at])
+    size = np.sum(left[~np.isnan(left[..., 0])] ** 2, axis=-1)
+    return Window(found, lag, float(np.sqrt(np.mean(size))) / max(spread(points), 1e-9), index)
+
+
+def again(frames: Frames, lags_s: Floats, before: Registration, limit_mm: float) -> tuple[Registration, float]:
+    """Register anew with the frames that ``before`` explains to ``limit_mm`` at their lags; return what it leaves, mm."""
+    at = frames.at(lags_s)
+    inside = np.flatnonzero((at >= 0) & (at < len(frames.grid_s)))
+    off = _off(frames.points[inside], before.predicted(frames.turns[at[inside]], frames.places[at[inside]]))
+    with np.errstate(invalid="ignore"):
+        good = inside[np.sqrt(off) < limit_mm]
+    if len(good) < LEAST_FRAMES:
+        return before, limit_mm / 5
+    good = good[:: max(1, len(good) // 800)]
+    turns, places, points = frames.turns[at[good]], frames.places[at[good]], frames.points[good]
+    found = register(turns, places, points)
+    return found, float(np.sqrt(np.nanmedian(_off(points, found.predicted(turns, places)))))
+
+
+def _off(points: Floats, predicted: Floats) -> Floats:
+    """Mean square distance over the markers that are seen (n)."""
+    square = np.sum((points - predicted) ** 2, axis=-1)
+    seen = ~np.isnan(square)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            np.where(seen, square, 0.0).sum(axis=-1) / np.where(seen.any(axis=-1), seen.sum(axis=-1), np.nan)
+        )
+
+
+def squares_by_model(frames: Frames, found: Registration, lag_s: float) -> Floats:
+    """Return mean squares (n, lags) mm² of frames at lags about ``lag_s``; NaN where nothing is known.
+
+    |a - b|² is taken apart, so that each frame costs one product of a matrix and a vector.
+    """
+    centre = found.place
+    there = found.predicted(frames.turns, frames.places) - centre
+    table = np.hstack([there.reshape(len(there), -1), np.sum(there**2, axis=-1)])
+    seen = ~np.isnan(frames.points[..., 0])
+    here = np.where(seen[..., None], frames.points - centre, 0.0)
+    own = np.hstack([-2.0 * here.reshape(len(here), -1), seen])
+    size = np.sum(here**2, axis=(1, 2))
+    count = np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
+    return _over_lags(frames, lag_s, table, own, size) / count[:, None].astype(np.float32)
+
+
+def squares_by_speed(thinned: Thinned, log: JointLog, frames: Frames, lag_s: float) -> Floats:
+    """Return squares (n, lags) of the difference of the two speeds, each at size one."""
+    assert log.t_s is not None
+    ours = even(np.interp(frames.t_s, *marker_speed(thinned)))
+    theirs = even(np.interp(frames.grid_s, log.t_s, joint_speed(log)))
+    own = np.stack([-2.0 * ours, np.ones_like(ours)], axis=1)
+    return _over_lags(frames, lag_s, np.stack([theirs, theirs**2], axis=1), own, ours**2)
+
+
+def _over_lags(frames: Frames, lag_s: float, table: Floats, own: Floats, size: Floats) -> Floats:
+    """``table`` (grid, k) times ``own`` (n, k) plus ``size`` (n) for each frame and the grid's rows about its lag."""
+    reach, first = round(REACH_S / GRID_S), frames.at(lag_s)
+    out = np.full((len(first), 2 * reach + 1), np.nan, dtype=np.float32)
+    for i, at in enumerate(first):
+        low, high = max(0, at - reach), min(len(table), at + reach + 1)
+        if high > low:
+            out[i, low - at + reach : high - at + reach] = table[low:high] @ own[i] + size[i]
+    return np.maximum(out, 0.0, out=out)

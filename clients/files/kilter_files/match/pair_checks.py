@@ -1,0 +1,169 @@
+"""What is refused of rows before they are sent: knocked markers, a knocked body, joints that belong to other markers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.match.arm import Arm
+from kilter_files.match.body_steps import Step, find_step
+from kilter_files.match.clock_checks import Checks
+from kilter_files.match.dwells import Thinned
+from kilter_files.match.knocks import Knock, knocks_of_frames, knocks_of_rows
+from kilter_files.match.lag_evidence import spread
+from kilter_files.match.pairing import LEAST_ROWS, Pairing, check_pairs, fitting_rows
+from kilter_files.tables.recording import Floats, Recording
+
+NOT_CHECKED = "the pairing was not checked against the robot's model: name the robot with --robot or --model"
+MOST_LEFT_OUT = 0.1
+# What coordinates are multiplied by to be right, their unit, and the unit they were declared in.
+UNITS = ((1e3, "m", "mm"), (1e-3, "mm", "m"), (25.4, "inch", "mm"), (10.0, "cm", "mm"))
+SHOWN = 4
+SAMPLE = 150
+
+LogTime = Callable[[Floats], Floats]
+
+
+def refuse_knocks(recording: Recording, points: Floats, spans: Floats, checks: Checks) -> list[str]:
+    """Refuse dwells (n, m, 3) in which a marker was knocked; a warning where the person allows it.
+
+    Raises:
+        FileError: marker, time and size.
+
+    """
+    return _said(recording, knocks_of_rows(points, spans), checks)
+
+
+def refuse_knocks_of_frames(recording: Recording, thinned: Thinned, checks: Checks) -> list[str]:
+    """Refuse a recording in motion in which a marker was knocked; a warning where the person allows it.
+
+    Raises:
+        FileError: marker, time and size.
+
+    """
+    return _said(recording, knocks_of_frames(thinned), checks)
+
+
+def _said(recording: Recording, found: list[Knock], checks: Checks) -> list[str]:
+    if not found:
+        return []
+    what = "; ".join(knock.said(recording.markers) for knock in found[:SHOWN]) + (" ..." if len(found) > SHOWN else "")
+    names = sorted({recording.markers[k] for knock in found for k in knock.markers})
+    without = (
+        f"Leave it out (--without {names[0]})" if len(names) == 1 else "Leave out the one that moved (--without NAME)"
+    )
+    first, last = found[0], found[-1]
+    remedy = f"{without}, or match one part: --until {first.from_s:.2f} or --since {last.to_s:.2f}."
+    return [checks.refuse(recording.path, what, remedy)]
+
+
+def refuse_wrong_pairs(
+    path: Path, log: JointLog, rows: NDArray[np.int64], points: Floats, spans: Floats, checks: Checks, warnings: list[str]
+) -> NDArray[np.int64]:  # fmt: skip
+    """Check rows of the log (-1: none) against markers (n, m, 3) by the robot's model; leave out the few that do not fit.
+
+    Raises:
+        FileError: many pairs that the model does not explain, or a body that was knocked.
+
+    """
+    if checks.arm is None:
+        warnings.append(NOT_CHECKED)
+        return rows
+    kept = np.flatnonzero(rows >= 0)
+    q = checks.arm.reading(log)[rows[kept]]
+    pairing = check_pairs(checks.arm, q, points[kept])
+    if pairing is None:
+        warnings.append(f"fewer than {LEAST_ROWS} rows: the pairing was not checked against the robot's model")
+        return rows
+    if pairing.found is None or pairing.wrong.sum() > max(2, MOST_LEFT_OUT * len(kept)):
+        what, remedy = _explained(checks.arm, log, q, points[kept], spans[kept], pairing)
+        warnings.append(checks.refuse(path, what, remedy))
+        return rows
+    out = rows.copy()
+    for k in np.flatnonzero(pairing.wrong):
+        where = f"dwell {kept[k] + 1} at {spans[kept[k], 0]:.2f} s"
+        warnings.append(f"{where} left out: its markers are {pairing.off_mm[k]:.3g} mm from where the model has them")
+        out[kept[k]] = -1
+    good = ~pairing.wrong
+    step = find_step(checks.arm, q[good], points[kept][good], spans[kept][good], pairing.found)
+    if step is not None:
+        warnings.append(_refuse_step(path, step, checks))
+    return out
+
+
+def refuse_wrong_frames(path: Path, log: JointLog, thinned: Thinned, log_time: LogTime, checks: Checks) -> list[str]:
+    """Check a sample of a recording's moments as rows are checked; return warnings.
+
+    Raises:
+        FileError: moments that the model does not explain, or a body that was knocked.
+
+    """
+    if checks.arm is None:
+        return [NOT_CHECKED]
+    assert log.t_s is not None
+    t = log_time(thinned.t_s)
+    with np.errstate(invalid="ignore"):
+        usable = np.flatnonzero(
+            (t >= log.t_s[0]) & (t <= log.t_s[-1]) & ~np.isnan(thinned.points_mm[..., 0]).any(axis=1)
+        )
+    at = usable[:: max(1, len(usable) // SAMPLE)]
+    q = np.stack([np.interp(t[at], log.t_s, column) for column in checks.arm.reading(log).T], axis=1)
+    points, spans = thinned.points_mm[at], np.stack([thinned.t_s[at]] * 2, axis=1)
+    pairing = check_pairs(checks.arm, q, points)
+    if pairing is None:
+        return ["too few frames show all markers: the pairing was not checked against the robot's model"]
+    if pairing.found is None or pairing.wrong.sum() > MOST_LEFT_OUT * len(at):
+        return [checks.refuse(path, *_explained(checks.arm, log, q, points, spans, pairing))]
+    good = ~pairing.wrong
+    step = find_step(checks.arm, q[good], points[good], spans[good], pairing.found)
+    return [] if step is None else [_refuse_step(path, step, checks)]
+
+
+def _refuse_step(path: Path, step: Step, checks: Checks) -> str:
+    remedy = f"Match one part: --until {step.from_s:.2f} or --since {step.to_s:.2f}."
+    return checks.refuse(path, step.said(), remedy)
+
+
+def _fits(arm: Arm, q: Floats, points: Floats) -> bool:
+    """Whether the model explains four of five pairs."""
+    found = check_pairs(arm, q, points)
+    return found is not None and found.found is not None and bool(found.wrong.sum() < 0.2 * len(q))
+
+
+def _explained(arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats, pairing: Pairing) -> tuple[str, str]:
+    """Say what is wrong with pairs, and the remedy."""
+    if _fits(arm, q[::-1], points):
+        what = f"the poses of {log.path.name} come in the reverse order of the dwells, by the model of {arm.name}"
+        return what, "Reverse the rows of the log."
+    unit = next((u for u in UNITS if _fits(arm, q, points * u[0])), None)
+    if unit is not None:
+        what = f"the model of {arm.name} explains the pairs when coordinates are taken {unit[0]:g} times as large"
+        return f"{what}: they look like {unit[1]} declared as {unit[2]}", f"Correct the unit (--unit {unit[1]})."
+    if pairing.found is None:
+        what = (
+            f"the model of {arm.name} explains no stretch of the pairs with {log.path.name}: {pairing.share:.0%} of the "
+            f"markers' spread of {spread(points):.0f} mm is left at best"
+        )
+        remedy = (
+            "Are the poses in the order of the dwells, is it this robot, "
+            "and are its joints in the right order and direction?"
+        )
+        return what, remedy
+    wrong = np.flatnonzero(pairing.wrong)
+    first, last = wrong[0], wrong[-1]
+    fits = fitting_rows(arm, q, points, pairing)[wrong]
+    what = (
+        f"{len(wrong)} of {len(q)} pairs with {log.path.name} are wrong by the model of {arm.name}, dwell {first + 1} at "
+        f"{spans[first, 0]:.2f} s to dwell {last + 1} at {spans[last, 0]:.2f} s: their markers are "
+        f"{np.nanmedian(pairing.off_mm[wrong]):.3g} mm from where it has them"
+    )
+    shifts = (fits - wrong)[fits >= 0]
+    if len(shifts) > len(wrong) / 2:
+        usual = int(np.median(shifts))
+        if np.mean(shifts == usual) > 0.7:
+            what += f"; they fit the pose {abs(usual)} {'later' if usual > 0 else 'earlier'}"
+    return what, "Put the poses in the order of the dwells, or leave those out that were not measured."

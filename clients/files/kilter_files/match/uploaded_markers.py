@@ -1,0 +1,149 @@
+"""Markers in contract columns, checked before they are sent: whether one was knocked between the rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kilter_files.ground.faults import fault
+from kilter_files.match.dwells import Thinned
+from kilter_files.match.knocks import LEAST_MM, Knock, knocks_of_frames, knocks_of_rows
+from kilter_files.tables.recording import Floats
+from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
+
+MARKER = re.compile(r"m([1-9]\d?)([xyz])_(mm|m)")
+SINGLE_ROWS = 2000  # more are averaged in stretches
+SHOWN = 4
+MOST_EXCHANGED = 6  # markers, of which every order is tried
+
+
+def refuse_knocked_rows(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
+    """Refuse rows in which a marker was knocked; return the warning where the person allows it.
+
+    Raises:
+        FileError: marker, rows and size.
+
+    """
+    numbers = sorted({int(m[1]) for name in _names(prepared) if (m := MARKER.fullmatch(name))})
+    if len(numbers) < 2:
+        return []
+    points = _points(prepared, numbers)
+    found = [] if points is None else _knocks(points)
+    if not found:
+        return []
+    names = tuple(f"m{k}" for k in numbers)
+    exchanged = changed_places(points, found[0]) if points is not None else ()
+    if exchanged:
+        who = " and ".join(repr(names[k]) for k in exchanged)
+        what = f"markers {who} change places between rows {found[0].from_s:.0f} and {found[0].to_s:.0f}"
+    else:
+        what = "; ".join(knock.said(names, "rows") for knock in found[:SHOWN])
+    if unchecked:
+        return [what]
+    if exchanged:
+        raise fault(path, what, "Exchange their columns from there on. --unchecked sends the file anyway.")
+    columns = f"the columns of {names[found[0].markers[0]]}" if len(found[0].markers) == 1 else "its columns"
+    remedy = (
+        f"Send the rows before and after as campaigns of their own, or leave {columns} out and renumber the others."
+    )
+    raise fault(path, what, f"{remedy} --unchecked sends it anyway.")
+
+
+def _knocks(points: Floats) -> list[Knock]:
+    rows = np.arange(1.0, len(points) + 1)
+    if len(points) > SINGLE_ROWS:
+        return knocks_of_frames(Thinned(rows, points, 1.0))
+    return knocks_of_rows(points, np.stack([rows, rows], axis=1))
+
+
+def changed_places(points: Floats, knock: Knock) -> tuple[int, ...]:
+    """Markers (from 0) whose exchange after a change restores the former body; none where no exchange does."""
+    at = round(knock.from_s)
+    before, after = (_lengths(part) for part in (points[:at], points[at:]))
+    if len(before) > MOST_EXCHANGED or np.isnan(before).any() or np.isnan(after).any():
+        return ()
+    fitting = [
+        tuple(k for k, other in enumerate(order) if k != other)
+        for order in permutations(range(len(before)))
+        if np.abs(after[np.ix_(order, order)] - before).max() < LEAST_MM
+    ]
+    return min(filter(None, fitting), key=len, default=())  # an even triangle allows more exchanges than were made
+
+
+def _lengths(points: Floats) -> Floats:
+    """Median distances (m, m) between markers (n, m, 3); NaN where two were never seen together."""
+    apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    seen = ~np.isnan(apart).all(axis=0)
+    out = np.full(seen.shape, np.nan)
+    out[seen] = np.nanmedian(apart[:, seen], axis=0)
+    return out
+
+
+def _names(prepared: Prepared) -> list[str]:
+    if prepared.content_type == CSV_TYPE:
+        head = prepared.content.split(b"\n", 1)[0].decode("utf-8-sig", "replace")
+        return [name.strip() for name in next(csv.reader([head]), [])]
+    if prepared.content_type == JSON_TYPE:
+        return list(_json(prepared))
+    return list(_parquet(prepared, None))
+
+
+def _points(prepared: Prepared, numbers: Sequence[int]) -> Floats | None:
+    """The markers (n, m, 3) mm; None where the cells are not numbers, which the server says better."""
+    names = {(m[1], m[2]): name for name in _names(prepared) if (m := MARKER.fullmatch(name))}
+    wanted = [names.get((str(k), axis)) for k in numbers for axis in "xyz"]
+    if None in wanted:
+        return None
+    try:
+        columns = _columns(prepared, [str(name) for name in wanted])
+        table = np.stack([np.asarray(columns[str(n)], dtype=np.float64) for n in wanted], axis=1)
+    except (ValueError, TypeError, KeyError, IndexError):
+        return None
+    scale = np.array([1000.0 if str(name).endswith("_m") else 1.0 for name in wanted])
+    points = (table * scale).reshape(len(table), len(numbers), 3)
+    points[np.isnan(points).any(axis=2)] = np.nan
+    return np.asarray(points)
+
+
+def _columns(prepared: Prepared, wanted: list[str]) -> Mapping[str, Any]:
+    if prepared.content_type == JSON_TYPE:
+        return _json(prepared)
+    if prepared.content_type != CSV_TYPE:
+        return _parquet(prepared, wanted)
+    at = [_names(prepared).index(name) for name in wanted]
+    rows = csv.reader(io.StringIO(prepared.content.decode("utf-8-sig")))
+    next(rows)
+    table = [[float(row[k]) if row[k].strip() else np.nan for k in at] for row in rows if row]
+    return dict(zip(wanted, np.array(table, dtype=np.float64).reshape(-1, len(at)).T, strict=True))
+
+
+def _json(prepared: Prepared) -> dict[str, Any]:
+    try:
+        found = json.loads(prepared.content)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _parquet(prepared: Prepared, wanted: list[str] | None) -> Mapping[str, Any]:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        return {}
+    try:
+        file = parquet.ParquetFile(io.BytesIO(prepared.content))
+        if wanted is None:
+            return dict.fromkeys(file.schema_arrow.names)
+        table = file.read(columns=wanted)
+    except (pa.ArrowException, OSError):
+        return {}
+    return {name: table.column(name).to_numpy() for name in table.column_names}

@@ -1,0 +1,1 @@
+"""Measuring rigs: the drawn circle, ball bars and inclinometers with the joint log, the printed sheet and boards."""

@@ -1,0 +1,42 @@
+"""OpenCV, of a release whose corners are where they should be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kilter_files.ground.errors import MissingPackageError
+
+OLDEST = (4, 14)
+INSTALL = "pip install 'opencv-python-headless>=4.14.0.94'"
+
+
+def dictionary(name: str) -> tuple[Any, Any]:
+    """Return OpenCV and the dictionary of a name such as ``5x5_1000``.
+
+    Raises:
+        MissingPackageError: OpenCV is not installed, or too old.
+
+    """
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingPackageError(f"Boards need OpenCV. Install it with: {INSTALL}", package="opencv") from error
+    check_release(cv2.__version__)
+    spelled = name.removeprefix("apriltag_") if name.startswith("apriltag_") else name.upper()
+    prefix = "DICT_APRILTAG_" if name.startswith("apriltag_") else "DICT_"
+    return cv2, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, prefix + spelled))
+
+
+def check_release(version: str) -> None:
+    """Refuse the releases whose ChArUco corners are half a pixel off.
+
+    Raises:
+        MissingPackageError: the release is older than 4.14.
+
+    """
+    if tuple(int(part) for part in version.split(".")[:2]) < OLDEST:
+        raise MissingPackageError(
+            f"OpenCV {version} is too old: ChArUco corners of releases before 4.14 are shifted by half a pixel, "
+            f"which moves a camera by half a millimetre and shows in no residual. Install a newer one: {INSTALL}",
+            package="opencv",
+        )

@@ -1,0 +1,1 @@
+"""What was read: tables in contract columns, and recordings of markers."""

@@ -1,0 +1,124 @@
+"""Programs whose joint targets are rewritten: every byte accounted for, damaged ones refused with their line."""
+
+from __future__ import annotations
+
+import math
+import random
+from pathlib import Path
+
+import pytest
+
+from kilter_files.formats.programs.reading import read_program
+from kilter_files.ground.errors import FileError
+
+OTHER = {
+    ".dat": ["; A1 5, {A1 1,A2 2}", "DECL INT N=3", "  $VEL.CP=0.5 ", "DECL FDAT F1={TOOL_NO 1,BASE_NO 2}"],
+    ".mod": [
+        "! jointtarget x := [[1,2,3,4,5,6],[0,0,0,0,0,0]];",
+        "  VAR num n := 3;",
+        'TPWrite "MoveAbsJ [[1";',
+        "WaitTime 0.5;",
+    ],
+    ".script": ["# movej([0,0,0,0,0,0])", "  sleep(0.5)", "set_digital_out(1, True)", "v = [1, 2, 3]"],
+    ".ls": ["   9:  !P moves ;", "  10:  WAIT   .50(sec) ;", "  11:  DO[1]=ON ;"],
+}
+ENDS = {".dat": "ENDDAT", ".mod": "ENDMODULE", ".script": "end", ".ls": "/END"}
+HEADS = {".dat": "DEFDAT w", ".mod": "MODULE w", ".script": "def w():", ".ls": "/PROG W"}
+
+
+def target(ending: str, k: int, q: list[str]) -> str:
+    if ending == ".dat":
+        return f"DECL E6AXIS XP{k}={{" + ",".join(f"A{i} {v}" for i, v in enumerate(q, 1)) + ",E1 7.5}"
+    if ending == ".mod":
+        return f"  CONST jointtarget p{k} := [[{', '.join(q)}],[9E9,9E9,9E9,9E9,9E9,9E9]];"
+    if ending == ".script":
+        return f"  movej([{', '.join(q)}], a=1.4, v=0.5)"
+    return f"P[{k}]{{ GP1: UF : 0, UT : 1, " + ", ".join(f"J{i}= {v} deg" for i, v in enumerate(q, 1)) + "};"
+
+
+def generated(rng: random.Random, ending: str) -> tuple[str, list[list[str]], list[tuple[int, ...]]]:
+    lines, rows, where = [HEADS[ending]], [], []
+    newline = rng.choice(["\n", "\r\n"])
+    for k in range(1, rng.randint(3, 9)):
+        lines += rng.sample(OTHER[ending], rng.randint(0, 3))
+        reach = 3.0 if ending == ".script" else 170.0
+        rows.append([f"{rng.uniform(-reach, reach):.{rng.randint(1, 6)}f}" for _ in range(6)])
+        where.append((len(lines),))
+        lines.append(target(ending, k, rows[-1]))
+    return newline.join([*lines, ENDS[ending], ""]), rows, where
+
+
+@pytest.mark.parametrize("ending", [*OTHER])
+def test_only_the_numbers_of_targets_change(tmp_path: Path, ending: str) -> None:
+    rng = random.Random(ending)
+    path = tmp_path / f"w{ending}"
+    for _ in range(50):
+        text, rows, where = generated(rng, ending)
+        path.write_bytes(text.encode())
+        program = read_program(path)
+        assert not program.left
+        in_deg = math.degrees if ending == ".script" else float
+        assert [[*t.joints_deg] for t in program.targets] == [[in_deg(float(v)) for v in q] for q in rows]
+        assert program.rewritten([t.joints_deg for t in program.targets]) == text
+        moved = [[v + rng.uniform(0.01, 1) for v in t.joints_deg] for t in program.targets]
+        new = program.rewritten(moved)
+        before, after = text.split("\n"), new.split("\n")
+        assert len(before) == len(after)
+        changed = [k for k, (old, now) in enumerate(zip(before, after, strict=True)) if old != now]
+        assert changed == [k for (k,) in where]
+        path.write_bytes(new.encode())
+        again = read_program(path)
+        tolerance = 5.1e-4 if ending == ".ls" else 6e-7
+        for t, q in zip(again.targets, moved, strict=True):
+            assert max(abs(a - b) for a, b in zip(t.joints_deg, q, strict=True)) < tolerance
+        assert again.rewritten([t.joints_deg for t in program.targets]).count("\n") == text.count("\n")
+
+
+def test_a_table_keeps_its_other_columns(tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_bytes(b"name,q1_deg,t_s,q2_deg\r\na, 1.0 ,0,2\r\n\r\nb,3,1,4.25\r\n")
+    program = read_program(path)
+    assert [t.line for t in program.targets] == [2, 4]
+    wanted = "name,q1_deg,t_s,q2_deg\r\na, 1.500000 ,0,2\r\n\r\nb,3,1,4.500000\r\n"
+    assert program.rewritten([[1.5, 2.0], [3.0, 4.5]]) == wanted
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "lines"),
+    [
+        ("a.src", "PTP {A1 1,A2 2}\nLIN {X 1,Y 2,Z 3}\nPTP XP9\nPTP_REL {A1 5}\n", [2, 3, 4]),
+        ("a.mod", "MoveAbsJ [[1,2,3,4,5,6],[0,0,0,0,0,0]],v1,z1,t;\nMoveL Offs(p,0,0,1),v,z,t;\nMoveAbsJ q,v1,z1,t;", [2, 3]),
+        ("a.script", "movej([1,2,3,0,0,0])\nmovel(p[0,0,0,0,0,0])\nmovej(x)\nservoj([1,2,3,0,0,0])\n", [2, 3, 4]),
+        ("a.ls", "1:J P[1] 9% FINE;\n2:L PR[3] 9mm/sec FINE;\nP[1]{J1= 1 deg,J2= 2 deg};\nP[2]{X= 1 mm};\n", [2, 4]),
+    ],
+)  # fmt: skip
+def test_what_is_left_is_named_with_its_line(tmp_path: Path, name: str, text: str, lines: list[int]) -> None:
+    (tmp_path / name).write_text(text)
+    program = read_program(tmp_path / name)
+    assert [t.line for t in program.targets] == [3 if name == "a.ls" else 1]
+    assert sorted({line for line, _ in program.left}) == lines
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.txt", "x", "no known dialect"),
+        ("a.dat", "DEFDAT a\nDECL E6AXIS P={A1 1,A2 2}\n", "line 3: ends without ENDDAT"),
+        ("a.dat", "\nDECL E6AXIS P={A1 1,A2 2", "line 2: P is not A1"),
+        ("a.dat", "DECL E6AXIS P={A1 nan,A2 2}\n", "line 1: P is not A1"),
+        ("a.mod", "CONST jointtarget p := [[1,2,3,4,5],[0,0,0,0,0,0]];", "line 1: p is not made of six"),
+        ("a.mod", "MODULE a\n", "ends without ENDMODULE"),
+        ("a.script", "\nmovej([0, nan, 0, 0, 0, 0])\n", "line 2: movej goes to"),
+        ("a.ls", "P[1]{J1= nan deg};\n", "line 1: P[1] is not J1"),
+        ("a.ls", "/PROG A\n", "ends without /END"),
+        ("a.csv", "q1_deg,q2_deg\n1,nan\n", "line 2: q2 is empty or not a number"),
+        ("a.csv", "x,y\n1,2\n", "lacks joints"),
+        ("a.src", "PTP {A1 1,A2 2}\nPTP {A1 1,A2 2,A3 3}\n", "line 2: axis target has 3 joints, the first target 2"),
+        ("a.src", "\nLIN {X 1,Y 2,Z 3}\n", "holds no joint targets. Store its targets as joints. Line 2: a pose."),
+    ],
+)
+def test_bad_input_is_refused_with_its_place(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FileError) as caught:
+        read_program(tmp_path / name)
+    assert said in caught.value.detail
