@@ -1,7 +1,7 @@
-"""Draw the rooms of the core from its imports: ``python -m tools.draw_rooms [--check]``.
+"""Draw the rooms of the packages from their imports: ``python -m tools.draw_rooms [--check]``.
 
-Writes ``docs/images/core-rooms.svg`` and the table in ``docs/explanation/architecture.md``. A room stands one floor above
-the highest room that it imports; an arrow goes to what a room imports and does not reach through another room.
+Writes ``docs/images/core-rooms.svg`` and its kin, and the tables in ``docs/explanation/architecture.md``. A room stands one
+floor above the highest room that it imports; an arrow goes to what a room imports and does not reach through another room.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import grimp
@@ -18,25 +19,51 @@ import grimp
 from tools.draw_pictures import BLUE, IMAGES, INK, arrow, box, picture, text
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGE = "kilter_core"
-CORE = ROOT / "core" / PACKAGE
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
-PICTURE = IMAGES / "core-rooms.svg"
-BEGIN, END = "<!-- rooms: begin -->", "<!-- rooms: end -->"
 WIDTH, BOX_WIDTH, BOX_HEIGHT, FLOOR_HEIGHT, MARGIN = 1080, 176, 74, 128, 40
 LINE = 25  # characters of a line in a box
-TITLE = "Rooms of the core: each imports only rooms on floors below it"
 
 Imports = Mapping[str, frozenset[str]]
 
 
-def imports_of_rooms() -> Imports:
+@dataclass(frozen=True)
+class House:
+    """A package with rooms: its folder, what the picture calls it, and the name of the picture and of the marks."""
+
+    package: str
+    folder: Path
+    what: str
+    name: str
+
+    @property
+    def title(self) -> str:
+        """Heading of the picture."""
+        return f"Rooms of {self.what}: each imports only rooms on floors below it"
+
+    @property
+    def picture(self) -> Path:
+        """Where the picture is written."""
+        return IMAGES / f"{self.name}-rooms.svg"
+
+    @property
+    def marks(self) -> tuple[str, str]:
+        """Where the table begins and ends on the page."""
+        return f"<!-- rooms of {self.name}: begin -->", f"<!-- rooms of {self.name}: end -->"
+
+
+CORE = House("kilter_core", ROOT / "core" / "kilter_core", "the core", "core")
+FILES = House("kilter_files", ROOT / "clients" / "files" / "kilter_files", "the readers of files", "files")
+HOUSES = (CORE, FILES)
+
+
+def imports_of_rooms(house: House) -> Imports:
     """Which rooms each room imports."""
-    graph = grimp.build_graph(PACKAGE, cache_dir=None)
-    rooms = sorted(child.removeprefix(f"{PACKAGE}.") for child in graph.find_children(PACKAGE))
+    package = house.package
+    graph = grimp.build_graph(package, cache_dir=None)
+    rooms = sorted(child.removeprefix(f"{package}.") for child in graph.find_children(package))
     out: dict[str, set[str]] = {room: set() for room in rooms}
-    for module in graph.modules - {PACKAGE}:
-        for other in graph.find_modules_directly_imported_by(module) - {PACKAGE}:
+    for module in graph.modules - {package}:
+        for other in graph.find_modules_directly_imported_by(module) - {package}:
             out[module.split(".")[1]].add(other.split(".")[1])
     return {room: frozenset(others - {room}) for room, others in out.items()}
 
@@ -68,10 +95,10 @@ def direct(imports: Imports) -> dict[str, frozenset[str]]:
     return {room: frozenset(o for o in own if not any(o in below(p) for p in own)) for room, own in imports.items()}
 
 
-def purpose(room: str) -> str:
+def purpose(house: House, room: str) -> str:
     """First sentence of a room's docstring."""
-    path = CORE / room / "__init__.py"
-    source = path if path.exists() else CORE / f"{room}.py"
+    path = house.folder / room / "__init__.py"
+    source = path if path.exists() else house.folder / f"{room}.py"
     words = ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
     return " ".join(words.split("\n\n")[0].split()).rstrip(".")
 
@@ -94,38 +121,41 @@ def places(floors: Mapping[str, int], below: Mapping[str, frozenset[str]]) -> di
     return at
 
 
-def drawing(imports: Imports) -> str:
+def drawing(house: House, imports: Imports) -> str:
     """The picture as SVG."""
     floors, below = floors_of(imports), direct(imports)
     at = places(floors, below)
-    parts = [text(WIDTH / 2, 26, TITLE, size=15, weight=600)]
+    parts = [text(WIDTH / 2, 26, house.title, size=15, weight=600)]
     for room, others in sorted(below.items()):
         for other in sorted(others):
             x0, y0 = at[room][0] + BOX_WIDTH / 2, at[room][1] + BOX_HEIGHT
             x1, y1 = at[other][0] + BOX_WIDTH / 2, at[other][1] - 2
             parts.append(arrow(f"M{x0:.0f} {y0:.0f}C{x0:.0f} {y0 + 34:.0f} {x1:.0f} {y1 - 34:.0f} {x1:.0f} {y1:.0f}"))
     for room, (x, y) in sorted(at.items()):
-        words = textwrap.wrap(re.split("[:,.;]", purpose(room))[0], LINE)[:2]
+        words = textwrap.wrap(re.split("[:,.;]", purpose(house, room))[0], LINE)[:2]
         parts.append(box(round(x), round(y), BOX_WIDTH, BOX_HEIGHT, room, words, BLUE if floors[room] > 2 else INK))
-    return picture(WIDTH, 44 + max(floors.values()) * FLOOR_HEIGHT, TITLE, parts)
+    return picture(WIDTH, 44 + max(floors.values()) * FLOOR_HEIGHT, house.title, parts)
 
 
-def table(imports: Imports) -> str:
+def table(house: House, imports: Imports) -> str:
     """The rooms as a table, from the highest floor down."""
     floors = floors_of(imports)
     rows = ["| floor | room | what it is | imports |", "|---|---|---|---|"]
     for room in sorted(floors, key=lambda room: (-floors[room], room)):
         others = ", ".join(f"`{other}`" for other in sorted(imports[room], key=lambda o: (-floors[o], o)))
-        rows.append(f"| {floors[room]} | `{room}` | {purpose(room)} | {others} |")
+        rows.append(f"| {floors[room]} | `{room}` | {purpose(house, room)} | {others} |")
     return "\n".join(rows)
 
 
 def written() -> dict[Path, str]:
     """What stands in each file when it is up to date."""
-    imports = imports_of_rooms()
-    head, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    tail = rest.partition(END)[2]
-    return {PICTURE: drawing(imports), PAGE: f"{head}{BEGIN}\n{table(imports)}\n{END}{tail}"}
+    page, out = PAGE.read_text(encoding="utf-8"), {}
+    for house in HOUSES:
+        imports, (begin, end) = imports_of_rooms(house), house.marks
+        head, _, rest = page.partition(begin)
+        page = f"{head}{begin}\n{table(house, imports)}\n{end}{rest.partition(end)[2]}"
+        out[house.picture] = drawing(house, imports)
+    return {**out, PAGE: page}
 
 
 def main(arguments: list[str]) -> int:

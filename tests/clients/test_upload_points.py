@@ -11,7 +11,7 @@ from nptdms import ChannelObject, TdmsWriter
 
 from kilter_client import FileError, Kilter
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.match.points import prepare_points
+from kilter_files.rig.points import prepare_points
 from tests.clients.answered import document
 from tests.clients.files.formats.test_joint_logs import RAPID, write_bag
 

@@ -59,7 +59,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, folder: Path) -> dict[str, set[str]]:
 
     monkeypatch.setattr(Section, "raw", raw)
     (folder / "map.toml").write_text(EVERYTHING)
-    read_map(folder / "map.toml")
+    read_map(folder / "map.toml", FORMATS)
     return found
 
 
@@ -98,4 +98,4 @@ def test_every_format_and_unit_is_documented() -> None:
 
 
 def test_the_example_with_everything_is_a_map() -> None:
-    read_map(REPOSITORY / "clients/python/examples/columns.toml")
+    read_map(REPOSITORY / "clients/python/examples/columns.toml", FORMATS)

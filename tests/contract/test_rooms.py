@@ -1,18 +1,25 @@
-"""The house that the core is: few rooms on few floors, every import downwards, and a page that shows it as it is."""
+"""The houses that the packages are: few rooms on few floors, every import downwards, and a page that shows them."""
 
 from __future__ import annotations
 
 import pytest
 
-from tools.draw_rooms import direct, floors_of, imports_of_rooms, written
+from tools.draw_rooms import CORE, FILES, House, direct, floors_of, imports_of_rooms, written
 
-MOST_ROOMS, MOST_FLOORS = 16, 8
+MOST_FILES = 20  # in a folder of the readers of files
 
 
-def test_the_core_has_few_rooms_on_few_floors() -> None:
-    floors = floors_of(imports_of_rooms())
-    assert len(floors) <= MOST_ROOMS
-    assert max(floors.values()) <= MOST_FLOORS
+@pytest.mark.parametrize(("house", "rooms", "most_floors"), [(CORE, 16, 8), (FILES, 8, 4)], ids=["core", "files"])
+def test_a_house_has_few_rooms_on_few_floors(house: House, rooms: int, most_floors: int) -> None:
+    floors = floors_of(imports_of_rooms(house))  # rooms that import each other in a circle are refused
+    assert len(floors) <= rooms
+    assert max(floors.values()) <= most_floors
+
+
+def test_no_folder_of_the_readers_is_a_heap() -> None:
+    folders = {path.parent for path in FILES.folder.rglob("*.py")}
+    full = {str(folder.relative_to(FILES.folder)): len([*folder.glob("*.py")]) for folder in folders}
+    assert {name: count for name, count in full.items() if count > MOST_FILES} == {}
 
 
 def test_the_page_and_the_picture_show_the_imports_as_they_are() -> None:

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from shlex import quote
+from typing import TYPE_CHECKING
 
 from kilter_files.ground.errors import FileError
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
-__all__ = ["DEVICES", "Prepared", "prepare"]
+if TYPE_CHECKING:
+    from kilter_files.formats.joints.joint_log import LogHints
+    from kilter_files.tables.joint_log import JointLog
+
+__all__ = ["DEVICES", "Prepared", "prepare", "read_joints"]
 
 
 def _ipa_lasertracker(path: Path) -> Table:
@@ -63,23 +68,62 @@ def prepare(
     """
     path = Path(path)
     if column_map is not None:
-        from kilter_files.maps.column_map import read_map
-        from kilter_files.maps.mapped import read_mapped
-
-        return Prepared.from_table(
-            read_mapped(path, read_map(Path(column_map)), None if joined is None else Path(joined))
-        )
+        return Prepared.from_table(_mapped(path, Path(column_map), None if joined is None else Path(joined)))
     if joined is not None:
         raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
     from kilter_files.formats.tables.source import endings
 
     if endings().get(path.suffix.lower()) == "xlsx":
-        from kilter_files.maps.mapped import read_contract
-
         return Prepared.from_table(read_contract(path))
     if device is not None and device in DEVICES and not _is_joined(path):
         return Prepared.from_table(DEVICES[device](path))
     return as_it_is(path)
+
+
+def read_contract(path: Path) -> Table:
+    """Read a workbook of contract columns.
+
+    Raises:
+        FileError: other columns, or a damaged workbook.
+
+    """
+    from kilter_files.formats.tables.source import open_source
+    from kilter_files.maps.mapped import contract_table
+    from kilter_files.tables.source import Layout
+
+    return contract_table(open_source(path, None, Layout()))
+
+
+def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | None = None) -> JointLog:
+    """Read a joint log: as it is, or any table through its map.
+
+    Raises:
+        FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
+
+    """
+    from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+
+    if column_map is None:
+        return read_joint_log(path, hints or LogHints())
+    import numpy as np
+
+    from kilter_files.tables.joint_log import checked_log
+
+    table = _mapped(path, column_map, None)
+    return checked_log(path, {name: np.array(values) for name, values in table.columns.items()}, table.lines)
+
+
+def _mapped(path: Path, column_map: Path, joined: Path | None) -> Table:
+    """Read a file and, where the map has a [join], the second one, and return them in contract columns."""
+    from kilter_files.formats.tables.source import FORMATS, open_source
+    from kilter_files.maps.column_map import read_map
+    from kilter_files.maps.mapped import mapped, second_file
+
+    chosen = read_map(column_map, FORMATS)
+    source = open_source(path, chosen.form, chosen.layout)
+    place = second_file(path, chosen, joined)
+    there = None if place is None or chosen.join is None else open_source(place, chosen.join.form, chosen.join.layout)
+    return mapped(source, chosen, there)
 
 
 def _is_joined(path: Path) -> bool:

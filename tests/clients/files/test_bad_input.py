@@ -18,7 +18,7 @@ from scipy.io import savemat
 
 from kilter_client import FileError, Kilter, KilterError, prepare
 from kilter_client.cli import run
-from kilter_files.match.points import prepare_points
+from kilter_files.rig.points import prepare_points
 from tests.clients.files.formats.test_recordings import c3d_bytes
 from tests.clients.files.match.test_rigid_body import long_table
 from tests.clients.files.rig.test_rig import write_tdms

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, missing_package
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.time_stamps import stamp_of
-from kilter_files.tables.recording import Floats
 
 MISSING = ("", "nan", "NaN", "NAN", "NA", "n/a", "N/A", "null", "NULL", "-", "--", "MISSING", "Missing", "missing")
 BLANKS = tuple(" " * i for i in range(1, 17))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_files.tables.recording import Floats
+from kilter_files.ground.arrays import Floats
 
 
 def matrices_of(quaternions: Floats) -> Floats:

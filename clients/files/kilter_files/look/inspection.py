@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_files.formats.joints.bag import is_bag
-from kilter_files.formats.joints.joint_log import JOINT, LogHints, read_joint_log
+from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
 from kilter_files.formats.logs.ballbar import analysed, is_ballbar, read_ballbar
 from kilter_files.formats.logs.inclinometer import read_inclinometer, tilts_of
 from kilter_files.formats.points.tracker_text import read_tracker
@@ -23,6 +23,7 @@ from kilter_files.ground.units import unit_of
 from kilter_files.look.draft import has_joints
 from kilter_files.look.inspection_joints import column, describe_bag, describe_log
 from kilter_files.look.inspection_table import describe_table, lines_in_cells
+from kilter_files.tables.joint_log import JOINT
 from kilter_files.tables.recording import Recording
 from kilter_files.tables.survey import SHOWN, survey
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from kilter_files.formats.joints.bag import JOINT_STATE, read_bag, topics
-from kilter_files.formats.joints.joint_log import JointLog, LogHints, read_joint_log
+from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
 from kilter_files.formats.joints.joint_order import by_name
 from kilter_files.ground.units import unit_of
+from kilter_files.tables.joint_log import JointLog
 
 Document = dict[str, Any]
 

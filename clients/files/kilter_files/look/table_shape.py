@@ -9,14 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kilter_files.formats.tables.source import Source, endings, open_source
-from kilter_files.formats.tables.text import Layout, header_names
+from kilter_files.formats.tables.source import endings, open_source
 from kilter_files.ground.cell_lists import parse_list
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, head_of
 from kilter_files.ground.text_layout import COMMENTS, UNITS, encoding_of, name_and_unit
 from kilter_files.ground.time_stamps import stamp_of
+from kilter_files.tables.source import Layout, Source
+from kilter_files.tables.text_source import header_names
 
 SAMPLE_BYTES = 1 << 20
 SAMPLE_ROWS = 400

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from kilter_files.formats.tables.source import FORMATS
-from kilter_files.formats.tables.text import Layout
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.orientation import is_sequence
 from kilter_files.ground.units import units_like
 from kilter_files.maps.columns import UNKNOWN, Columns, read_columns
 from kilter_files.maps.join import Join, read_join
 from kilter_files.maps.section import Section
+from kilter_files.tables.source import Layout
 
 # TOML wants quotes around a key with a *; people write q* = { ... } without them
 BARE_PATTERN = re.compile(r"^([ \t]*)([A-Za-z]\w*\*\w*)([ \t]*=)", re.MULTILINE)
@@ -58,8 +58,8 @@ class ColumnMap:
     join: Join | None = None
 
 
-def read_map(path: Path) -> ColumnMap:
-    """Read a column map.
+def read_map(path: Path, formats: Collection[str]) -> ColumnMap:
+    """Read a column map; ``formats`` are the names that [file] may give.
 
     Raises:
         FileError: no TOML, an unknown key, a target that is not a contract column, units that do not fit.
@@ -72,23 +72,23 @@ def read_map(path: Path) -> ColumnMap:
         raise FileError(f"{path}: is not UTF-8 text, as TOML is. Save it as UTF-8.", file=str(path)) from error
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise FileError(f"{path}: is not a readable column map: {error}.", file=str(path)) from error
-    form, layout = _file(top.part("file"))
+    form, layout = _file(top.part("file"), formats)
     rows = top.part("rows")
     columns = read_columns(top)
     orientation, repeats = _orientation(top), _repeats(top, columns)
     drop, keep = _rows(rows) if rows else (False, ())
     joined = top.part("join")
-    join = None if joined is None else read_join(joined, *_file(joined.part("file")))
+    join = None if joined is None else read_join(joined, *_file(joined.part("file"), formats))
     top.finish()
     return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, join)
 
 
-def _file(section: Section | None) -> tuple[str | None, Layout]:
+def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None, Layout]:
     if section is None:
         return None, Layout()
     form = section.text("format")
-    if form is not None and form not in FORMATS:
-        raise section.error(f"must be one of {', '.join(FORMATS)}, not {form!r}", "format")
+    if form is not None and form not in formats:
+        raise section.error(f"must be one of {', '.join(formats)}, not {form!r}", "format")
     decimal, delimiter = section.text("decimal", ".") or "", section.text("delimiter")
     delimiter = (";" if decimal == "," else ",") if delimiter is None else delimiter
     if decimal not in (".", ",") or len(delimiter) != 1 or delimiter == decimal:
@@ -105,7 +105,7 @@ def _file(section: Section | None) -> tuple[str | None, Layout]:
         section.column("sheet"),
     )
     section.finish()
-    if layout.sheet is not None and form in ("csv", "mat", "parquet", "tdms", "program"):
+    if layout.sheet is not None and form not in (None, "xlsx"):
         raise section.error('a sheet belongs to a workbook (format = "xlsx")', "sheet")
     return form, layout
 

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kilter_files.formats.tables.source import Source
-from kilter_files.formats.tables.text import Layout
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.time_stamps import DAY_S, Stamp, seconds_of, stamp_of
 from kilter_files.ground.units import SIZES
 from kilter_files.maps.columns import TIMESTAMP, Columns, read_columns
 from kilter_files.maps.section import Section
+from kilter_files.tables.source import Layout, Source
 
 WAYS = ("row", "id", "time")
 SHOWN = 5
@@ -66,9 +65,7 @@ def read_join(section: Section, form: str | None, layout: Layout) -> Join:
                 columns)  # fmt: skip
 
 
-def partners(
-    join: Join, here: Source, there: Source, files: tuple[Path, Path], rows: tuple[int, int]
-) -> list[int | None]:
+def partners(join: Join, here: Source, there: Source, rows: tuple[int, int]) -> list[int | None]:
     """Return for each row of the first file its row in the second, from 0; None where there is none.
 
     Raises:
@@ -78,16 +75,16 @@ def partners(
     if join.by == "row":
         if rows[0] != rows[1]:
             raise FileError(
-                f"{files[0]} has {rows[0]} rows and {files[1]} {rows[1]}: joined by row they must be as many. Join them by "
+                f"{here.path} has {rows[0]} rows and {there.path} {rows[1]}: joined by row they must be as many. Join them by "
                 '"id" or "time", or delete the rows that have no partner.',
-                file=str(files[1]),
+                file=str(there.path),
             )
         return list(range(rows[0]))
     assert join.here is not None
     assert join.there is not None
     if join.by == "id":
-        return _by_id(here.texts(join.here), there.texts(join.there), files[1], there.lines, join.there)
-    ours, theirs = _both_times(join, here, there, files)
+        return _by_id(here.texts(join.here), there.texts(join.there), there.path, there.lines, join.there)
+    ours, theirs = _both_times(join, here, there)
     return _by_time(ours, theirs, join)
 
 
@@ -156,19 +153,19 @@ def _by_time(ours: list[float], theirs: list[float], join: Join) -> list[int | N
     return out
 
 
-def _both_times(join: Join, here: Source, there: Source, files: tuple[Path, Path]) -> tuple[list[float], list[float]]:
+def _both_times(join: Join, here: Source, there: Source) -> tuple[list[float], list[float]]:
     assert join.here is not None
     assert join.there is not None
     if join.unit != TIMESTAMP:
         size = SIZES["time"][join.unit]
         return [size * t for t in here.numbers(join.here)], [size * t for t in there.numbers(join.there)]
-    ours, theirs = stamps(here, join.here, files[0]), stamps(there, join.there, files[1])
+    ours, theirs = stamps(here, join.here), stamps(there, join.there)
     if len({stamp.dated for stamp in (*ours, *theirs)}) > 1:  # one has dates, the other clocks only
         ours, theirs = ([Stamp(stamp.seconds % DAY_S, False) for stamp in found] for found in (ours, theirs))
     return seconds_of(ours), seconds_of(theirs)
 
 
-def stamps(source: Source, column: str | int, path: Path) -> list[Stamp]:
+def stamps(source: Source, column: str | int) -> list[Stamp]:
     """Return a column of time stamps.
 
     Raises:
@@ -181,9 +178,9 @@ def stamps(source: Source, column: str | int, path: Path) -> list[Stamp]:
         if stamp is None:
             line = source.lines[row] if row < len(source.lines) else row + 1
             raise FileError(
-                f"{path}, line {line}, column {column!r}: {text[:40]!r} is not a time stamp such as 12:00:01.5, "
+                f"{source.path}, line {line}, column {column!r}: {text[:40]!r} is not a time stamp such as 12:00:01.5, "
                 "2026-11-22 12:00:01.5 or 22.11.2026 12:00:01. Write it so, or give the unit of numbers.",
-                file=str(path),
+                file=str(source.path),
                 line=line,
                 column=column,
             )

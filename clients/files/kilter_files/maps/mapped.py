@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 from shlex import quote
 
-from kilter_files.formats.tables.source import Source, open_source
-from kilter_files.formats.tables.text import Layout, TextSource
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.orientation import from_euler, upright
@@ -16,8 +14,10 @@ from kilter_files.ground.time_stamps import seconds_of
 from kilter_files.ground.units import converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation
 from kilter_files.maps.columns import TIMESTAMP, Column, expanded
-from kilter_files.maps.join import partners, refuse_alone, stamps
+from kilter_files.maps.join import Join, partners, refuse_alone, stamps
+from kilter_files.tables.source import Source
 from kilter_files.tables.table import Table
+from kilter_files.tables.text_source import TextSource
 
 PLAIN_JOINT = re.compile(r"q\d+")
 JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
@@ -26,105 +26,77 @@ LINK = re.compile(r"link\d+_(deg|rad|mm|m)")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
-def read_mapped(path: Path, column_map: ColumnMap, joined: Path | None = None) -> Table:
-    """Read ``path`` as ``column_map`` says; ``joined`` is the second file, before the one that its [join] names.
+def mapped(source: Source, column_map: ColumnMap, there: Source | None = None) -> Table:
+    """Return a file in contract columns as ``column_map`` says; ``there`` is the second file of its [join].
 
     Raises:
         FileError: a column that is not there, a cell that is not a number, columns of different lengths, no row left.
 
     """
-    source = open_source(path, column_map.form, column_map.layout)
-    columns = expanded(column_map.columns, source.choices, column_map.path, path)
-    measured = {c.target: _convert(c, source, path) for c in columns if c.source is not None}
+    columns = expanded(column_map.columns, source.choices, column_map.path, source.path)
+    measured = {c.target: _convert(c, source) for c in columns if c.source is not None}
     if column_map.orientation:
         measured |= _orientation(source, column_map.orientation)
-    table = _table(path, source, measured, column_map.join is not None)
+    table = _table(source, measured, there is not None)
     table.notes += [_understood(column) for column in columns]
     for column in columns:
         if column.value is not None:
             table.columns[column.target] = [column.value] * len(table)
-    _joined(path, source, table, column_map, joined)
+    if column_map.join is not None and there is not None:
+        _add_columns(source, table, column_map, column_map.join, there)
     _filter(source, table, column_map.keep)
-    _missing(path, source, table, column_map.drop_missing)
+    _missing(source, table, column_map.drop_missing)
     _dead(table)
     if column_map.repeats_deg is not None:
         _number_poses(table, column_map.repeats_deg)
     return table
 
 
-def read_contract(path: Path) -> Table:
-    """Read a workbook whose columns are the contract's already.
+def contract_table(source: Source) -> Table:
+    """Return a workbook whose columns are the contract's already.
 
     Raises:
         FileError: other columns; the remedy is a map.
 
     """
-    source = open_source(path, None, Layout())
     odd = [name for name in source.choices if name and unit_of(name) is None]
     columns = _contract(source)
     if odd or not columns:
         said = ", ".join(map(repr, odd[:6])) or "none has a name"
         raise FileError(
-            f"{path}: not all of its columns are the contract's: {said}. Write a column map "
-            f"(`kilter inspect {quote(str(path))} --draft columns.toml`) and give it with --map.",
-            file=str(path),
+            f"{source.path}: not all of its columns are the contract's: {said}. Write a column map "
+            f"(`kilter inspect {quote(str(source.path))} --draft columns.toml`) and give it with --map.",
+            file=str(source.path),
         )
-    table = _table(path, source, {c.target: _convert(c, source, path) for c in columns})
+    table = _table(source, {c.target: _convert(c, source) for c in columns})
     table.notes.append("contract columns of the workbook's first sheet")
-    _missing(path, source, table, drop=False)
+    _missing(source, table, drop=False)
     return table
 
 
-def _joined(path: Path, source: Source, table: Table, column_map: ColumnMap, other: Path | None) -> None:
-    """Add the columns of the second file, row for row."""
+def second_file(path: Path, column_map: ColumnMap, named: Path | None) -> Path | None:
+    """Return the second file of a map with a [join]: the one that is named, else the map's, beside the file or the map.
+
+    Raises:
+        FileError: a file is named for a map without [join], or there is none for a map with one.
+
+    """
     join = column_map.join
-    if join is None and other is not None:
+    if join is None and named is not None:
         raise FileError(
-            f"{column_map.path}: does not say how rows of {other} belong to those of {path}. Add a table [join], for example "
+            f"{column_map.path}: does not say how rows of {named} belong to those of {path}. Add a table [join], for example "
             'by = "row".',
             file=str(column_map.path),
         )
-    if join is None:
-        return
-    place = other or _beside(path, column_map)
-    there = open_source(place, join.form, join.layout)
-    columns = expanded(
-        _contract(there) if join.columns is None else join.columns, there.choices, column_map.path, place
-    )
-    found = {c.target: _convert(c, there, place) for c in columns if c.source is not None}
-    twice = sorted(set(found) & set(table.columns))
-    if twice or not found:
-        what = f"{twice[0]} comes from both files" if twice else f"{place} gives no contract column: add [join.columns]"
-        raise FileError(f"{column_map.path}, join: {what}.", file=str(column_map.path), key="join.columns")
-    theirs = _table(place, there, found)
-    rows = partners(join, source, there, (path, place), (len(table), len(theirs)))
-    if not column_map.drop_missing:
-        refuse_alone(join, rows, table.lines, (path, place))
-    table.columns |= {
-        name: [math.nan if row is None else values[row] for row in rows] for name, values in found.items()
-    }
-    table.notes += [f"{_understood(column)}, of {place.name} by {join.by}" for column in columns]
-    idle = len(theirs) - len({row for row in rows if row is not None})
-    table.warnings += [f"{idle} rows of {place.name} have no partner and are left out"] if idle else []
-
-
-def _contract(there: Source) -> tuple[Column, ...]:
-    """Columns whose names are the contract's; a program's targets are in degrees."""
-    named = [(name, unit_of(name)) for name in there.choices]
-    plain = tuple(Column(name, name, unit) for name, unit in named if unit is not None)
-    return plain or tuple(Column(f"{name}_deg", name, "deg") for name in there.choices if PLAIN_JOINT.fullmatch(name))
-
-
-def _beside(path: Path, column_map: ColumnMap) -> Path:
-    """The second file: as it is named, beside the measured file or beside the map."""
-    assert column_map.join is not None
-    if column_map.join.path is None:
+    if join is None or named is not None:
+        return named
+    if join.path is None:
         raise FileError(
             f"{column_map.path}, join: names no second file. Give 'path', or name it with --joints.",
             file=str(column_map.path),
             key="join.path",
         )
-    places = [folder / column_map.join.path for folder in (path.parent, column_map.path.parent)]
+    places = [folder / join.path for folder in (path.parent, column_map.path.parent)]
     found = next((place for place in places if place.exists()), None)
     if found is None:
         raise FileError(
@@ -135,10 +107,44 @@ def _beside(path: Path, column_map: ColumnMap) -> Path:
     return found
 
 
-def _convert(column: Column, source: Source, path: Path) -> list[float]:
+def _add_columns(source: Source, table: Table, column_map: ColumnMap, join: Join, there: Source) -> None:
+    """Add the columns of the second file, row for row."""
+    files = source.path, there.path
+    columns = expanded(
+        _contract(there) if join.columns is None else join.columns, there.choices, column_map.path, there.path
+    )
+    found = {c.target: _convert(c, there) for c in columns if c.source is not None}
+    twice = sorted(set(found) & set(table.columns))
+    if twice or not found:
+        what = (
+            f"{twice[0]} comes from both files"
+            if twice
+            else f"{there.path} gives no contract column: add [join.columns]"
+        )
+        raise FileError(f"{column_map.path}, join: {what}.", file=str(column_map.path), key="join.columns")
+    theirs = _table(there, found)
+    rows = partners(join, source, there, (len(table), len(theirs)))
+    if not column_map.drop_missing:
+        refuse_alone(join, rows, table.lines, files)
+    table.columns |= {
+        name: [math.nan if row is None else values[row] for row in rows] for name, values in found.items()
+    }
+    table.notes += [f"{_understood(column)}, of {there.path.name} by {join.by}" for column in columns]
+    idle = len(theirs) - len({row for row in rows if row is not None})
+    table.warnings += [f"{idle} rows of {there.path.name} have no partner and are left out"] if idle else []
+
+
+def _contract(there: Source) -> tuple[Column, ...]:
+    """Columns whose names are the contract's; a program's targets are in degrees."""
+    named = [(name, unit_of(name)) for name in there.choices]
+    plain = tuple(Column(name, name, unit) for name, unit in named if unit is not None)
+    return plain or tuple(Column(f"{name}_deg", name, "deg") for name in there.choices if PLAIN_JOINT.fullmatch(name))
+
+
+def _convert(column: Column, source: Source) -> list[float]:
     assert column.source is not None
     if column.unit == TIMESTAMP:
-        seconds = seconds_of(stamps(source, column.source, path))
+        seconds = seconds_of(stamps(source, column.source))
         return [t - seconds[0] for t in seconds]
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
@@ -164,14 +170,17 @@ def _understood(column: Column) -> str:
     return f"{column.target} from {column.source!r}{turned}{shifted}" + (f" [{column.unit}]" if column.unit else "")
 
 
-def _table(path: Path, source: Source, measured: dict[str, list[float]], joined: bool = False) -> Table:
+def _table(source: Source, measured: dict[str, list[float]], joined: bool = False) -> Table:
     lengths = {name: len(values) for name, values in measured.items()}
     if len(set(lengths.values())) > 1:
         different = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise FileError(f"{path}: the columns have different numbers of rows ({different}).", file=str(path))
+        raise FileError(
+            f"{source.path}: the columns have different numbers of rows ({different}).", file=str(source.path)
+        )
     rows = next(iter(lengths.values()), len(source.lines) if joined else 0)
     if not rows:
-        raise FileError(f"{path}: no rows, or a map of constants only. Map at least the joints.", file=str(path))
+        what = "no rows, or a map of constants only. Map at least the joints"
+        raise FileError(f"{source.path}: {what}.", file=str(source.path))
     return Table(measured, source.lines or list(range(1, rows + 1)))
 
 
@@ -207,16 +216,17 @@ def _all_lines(source: Source, good: list[bool]) -> list[int]:
     return source.lines or list(range(1, len(good) + 1))
 
 
-def _missing(path: Path, source: Source, table: Table, drop: bool) -> None:
+def _missing(source: Source, table: Table, drop: bool) -> None:
     """Markers may be missing; any other empty cell is dropped with its row, or refused."""
     needed = {name: values for name, values in table.columns.items() if not MARKER.fullmatch(name)}
     empty = {i: name for name, values in needed.items() for i, value in enumerate(values) if math.isnan(value)}
     if empty and not drop:
         row, name = min(empty.items())
+        place = f"{source.path}, {_at(source, table.lines[row])}"
         raise FileError(
-            f"{path}, {_at(source, table.lines[row])}: {name} is missing. Fill the cell, or set drop_missing = true under "
+            f"{place}: {name} is missing. Fill the cell, or set drop_missing = true under "
             f"[rows] to leave such rows out ({len(empty)} of {len(table)}).{getattr(source, 'empty_hint', '')}",
-            file=str(path),
+            file=str(source.path),
             line=table.lines[row],
             column=name,
         )
@@ -224,7 +234,7 @@ def _missing(path: Path, source: Source, table: Table, drop: bool) -> None:
         table.warnings.append(f"{len(empty)} rows left out because a value is missing")
         table.keep([i for i in range(len(table)) if i not in empty])
     if not len(table):
-        raise FileError(f"{path}: no row is left. Loosen the conditions under [rows].", file=str(path))
+        raise FileError(f"{source.path}: no row is left. Loosen the conditions under [rows].", file=str(source.path))
 
 
 def _at(source: Source, line: int) -> str:

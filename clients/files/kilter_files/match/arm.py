@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
 
 
 @dataclass(frozen=True)

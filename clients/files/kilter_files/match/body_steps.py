@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.registration import NOISE_MM, Registration, calibrated, columns_of
-from kilter_files.tables.recording import Floats
 
 LEAST_ROWS = 16
 LEAST_MM = 0.25

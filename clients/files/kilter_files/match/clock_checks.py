@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from kilter_files.formats.joints.joint_log import JointLog
 from kilter_files.ground.faults import fault
 from kilter_files.match.arm import Arm
 from kilter_files.match.clock_jumps import Jump, LagPath, lag_path
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.speeds import likeness
+from kilter_files.tables.joint_log import JointLog
 
 LEAST_CORRELATION = 0.3
 MOST_DRIFT = 5e-4  # quartz clocks agree within a few hundred parts in a million

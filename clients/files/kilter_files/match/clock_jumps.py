@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.dwells import Thinned, mean_seen
 from kilter_files.match.lag_evidence import (
@@ -26,7 +26,7 @@ from kilter_files.match.lag_evidence import (
 from kilter_files.match.lag_path import Stretch, cheapest, stretches
 from kilter_files.match.registration import Registration
 from kilter_files.match.speeds import likeness
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
 
 CHUNK_FRAMES = 4
 EXPLAINED = 0.06  # of the markers' spread that a model may leave where it explains them

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.match.arm import Arm
 from kilter_files.match.clock_checks import Checks, follow_clocks, refuse_drift
 from kilter_files.match.dwells import Thinned
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
 
 SEARCH_S = 0.3
 STEPS = 20

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.tables.recording import Floats, Recording
+from kilter_files.ground.arrays import Floats
+from kilter_files.tables.recording import Recording
 from kilter_files.tables.survey import noise
 
 THINNED_HZ = 100.0

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from kilter_files.formats.joints.joint_log import JointLog
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.clocks import Pieces, match_pieces
 from kilter_files.match.dwells import thin
 from kilter_files.match.matching import refuse_jumps
 from kilter_files.match.pair_checks import refuse_knocks_of_frames, refuse_wrong_frames
+from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.recording import Recording
 
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.dwells import Thinned, mean_seen
 from kilter_files.match.rigid_body import aligned, shape_of
-from kilter_files.tables.recording import Floats
 
 LEAST_MM = 0.12  # a distance that changes by less is heat, or the device's own distortion
 SHARED = 2.0  # a marker's shift is shared out among all by the fit of the shape

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.registration import Registration, register
 from kilter_files.match.speeds import even, joint_speed, likeness, marker_speed
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
 
 GRID_S = 0.02
 FRAME_STEPS = 3  # of the grid, between two frames: then one lag rounds alike for all

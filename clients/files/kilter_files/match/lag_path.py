@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.tables.recording import Floats
+from kilter_files.ground.arrays import Floats
 
 STEP_SHARE = 0.25  # of the price of a jump, for one step of the grid: clocks that drift apart take one now and then
 

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.match.clock_checks import UNTOLD, Checks
 from kilter_files.match.clocks import Clocks, Pieces, match_pieces
 from kilter_files.match.dwells import Dwell, RestOptions, find_dwells, thin
 from kilter_files.match.pair_checks import refuse_knocks, refuse_wrong_pairs
 from kilter_files.match.rigid_body import Body, Poses, poses, seen_enough
-from kilter_files.tables.recording import Floats, Recording
+from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.recording import Recording
 from kilter_files.tables.survey import jumps
 
 SAME_POSE_DEG = 0.01

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.body_steps import Step, find_step
 from kilter_files.match.clock_checks import Checks
@@ -16,7 +16,8 @@ from kilter_files.match.dwells import Thinned
 from kilter_files.match.knocks import Knock, knocks_of_frames, knocks_of_rows
 from kilter_files.match.lag_evidence import spread
 from kilter_files.match.pairing import LEAST_ROWS, Pairing, check_pairs, fitting_rows
-from kilter_files.tables.recording import Floats, Recording
+from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.recording import Recording
 
 NOT_CHECKED = "the pairing was not checked against the robot's model: name the robot with --robot or --model"
 MOST_LEFT_OUT = 0.1

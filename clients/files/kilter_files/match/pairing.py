@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.lag_evidence import spread
 from kilter_files.match.registration import Registration, calibrated, register
-from kilter_files.tables.recording import Floats
 
 EXPLAINED = 0.06  # of the markers' spread that a model may leave where it explains them
 WINDOW = (6, 16)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm, rotations
-from kilter_files.tables.recording import Floats
 
 NOISE_MM = 0.1
 # what the geometry of a robot may be off, as standard deviations: an axis (rad, mm), the wave of a joint (rad)

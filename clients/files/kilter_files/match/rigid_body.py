@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.ground.turns import matrices_of, quaternions_of
 from kilter_files.match.dwells import mean_seen, thin
-from kilter_files.tables.recording import Block, Floats, Recording
+from kilter_files.tables.recording import Block, Recording
 
 LEAST_WIDTH_MM = 1.0  # markers in a line, or in one place, fix no orientation
 LEVER_MM = 100.0
@@ -81,18 +81,22 @@ def shape_of(points: Floats) -> Floats | None:
     return np.asarray(shape)
 
 
-def find_body(recording: Recording, tcp: str) -> Body:
-    """Return the body of a recording; ``tcp`` is "mean", "x,y,z" in the body's frame, or a file with the tip digitised.
+def names_a_file(recording: Recording, tcp: str) -> bool:
+    """Whether the tool point is given by a recording with the tip digitised, and neither as "mean" nor as "x,y,z"."""
+    return recording.kind != VIRTUAL and tcp != "mean" and "," not in tcp
+
+
+def find_body(recording: Recording, tcp: str | Recording) -> Body:
+    """Return the body of a recording; ``tcp`` is "mean", "x,y,z" in its frame, or a recording with the tip digitised.
 
     Raises:
-        FileError: markers that fix no orientation, or a file that does not hold them and the tip.
+        FileError: markers that fix no orientation, or a recording that does not hold them and the tip.
 
     """
+    if isinstance(tcp, Recording):
+        return _digitised(recording, tcp)
     if recording.kind == VIRTUAL:
         return Body(LEVERS, _point(recording, tcp) if tcp != "mean" else np.zeros(3), "the tool's own frame")
-    digitised = _digitised(recording, Path(tcp)) if tcp != "mean" and "," not in tcp else None
-    if digitised is not None:
-        return digitised
     shape = shape_of(thin(recording).points_mm)
     if shape is None:
         what = "its markers fix no orientation: three that do not lie in a line must be seen at once"
@@ -110,11 +114,9 @@ def _point(recording: Recording, text: str) -> Floats:
     return point
 
 
-def _digitised(recording: Recording, path: Path) -> Body:
+def _digitised(recording: Recording, with_tip: Recording) -> Body:
     """The body and the tip of a recording at rest that holds the same markers and, as the last one, the tip."""
-    from kilter_files.formats.recordings.opening import open_recording
-
-    with_tip = open_recording(path)
+    path = with_tip.path
     points = thin(with_tip).points_mm
     names = with_tip.markers[:-1]
     if len(names) > len(recording.markers) and set(recording.markers) <= set(names):

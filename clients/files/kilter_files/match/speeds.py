@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_files.formats.joints.joint_log import JointLog
+from kilter_files.ground.arrays import Floats
 from kilter_files.match.dwells import Thinned
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
 
 GRID_HZ = 50.0
 APART_S = 0.3

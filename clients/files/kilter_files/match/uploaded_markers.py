@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.knocks import LEAST_MM, Knock, knocks_of_frames, knocks_of_rows
-from kilter_files.tables.recording import Floats
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
 MARKER = re.compile(r"m([1-9]\d?)([xyz])_(mm|m)")

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.formats.joints.joint_log import JointLog
 from kilter_files.formats.logs.ballbar import BallBar
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.rig.drawn_circle import commanded_mm, refuse_other_length
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.table import Table
 
 NEAR_MM = 1.5  # rows of the log farther from the circle are the way to it

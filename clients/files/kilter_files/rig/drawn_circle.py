@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.joints.joint_log import JointLog
 from kilter_files.formats.tables.source import open_source
-from kilter_files.formats.tables.text import Layout
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.rig.height import Heights
-from kilter_files.tables.recording import Floats
+from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.source import Layout
 from kilter_files.tables.table import Table
 
 REGISTERED_MM = 3.0

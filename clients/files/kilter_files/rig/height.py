@@ -11,13 +11,13 @@ from kilter_files.formats.logs.inclinometer import TIME
 from kilter_files.formats.points.tracker_header import plain
 from kilter_files.formats.recordings.opening import kind_of
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES, converter
-from kilter_files.tables.recording import Floats
 
 MOST_CALIBRATION_POINTS = 1000
 

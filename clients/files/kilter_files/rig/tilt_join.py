@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.joints.joint_log import JointLog
 from kilter_files.formats.logs.inclinometer import read_inclinometer, tilts_of
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES
 from kilter_files.match.dwells import RestOptions
 from kilter_files.match.matching import match_dwells
-from kilter_files.tables.recording import Block, Floats, Recording
+from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.recording import Block, Recording
 
 ARM_MM = 1000.0  # the tip of a pointer so long stands for an angle: 1 mm/s is 0.06 deg/s
 ROW = "log_row"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.tables.recording import Floats
+from kilter_files.ground.arrays import Floats
 
 # Optotrak writes -3.697e28 (bytes EE EE EE EE); nothing that is measured in mm comes near
 BEYOND_MM = 1e12

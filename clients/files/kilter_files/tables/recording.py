@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.ground.units import SIZES
-
-Floats = NDArray[np.float64]
 
 BLOCK_BYTES = 8 << 20
 

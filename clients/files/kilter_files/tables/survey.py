@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.units import SIZES
-from kilter_files.tables.recording import Block, Floats, Recording
+from kilter_files.tables.recording import Block, Recording
 
 JUMP_MM = 5.0
 SHIFT_SHARE = 0.05  # a jump is explained by moved columns when this little of it is left

@@ -110,8 +110,8 @@ def _problems(found: Document) -> list[str]:
 
 
 def _is_contract_workbook(path: Path) -> bool:
+    from kilter_files import read_contract
     from kilter_files.ground.errors import FileError
-    from kilter_files.maps.mapped import read_contract
 
     try:
         read_contract(path)

@@ -10,10 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError
-from kilter_files.formats.tables.text import Layout, read_text
+from kilter_files.formats.tables.text import read_text
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.orientation import from_euler
 from kilter_files.ground.units import converter, unit_of
+from kilter_files.tables.source import Layout
 
 
 def write(folder: Path, text: str, name: str = "file.csv") -> Path:

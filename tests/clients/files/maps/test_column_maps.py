@@ -17,7 +17,8 @@ from scipy.io import savemat
 from kilter_client import FileError, MissingPackageError, prepare
 from kilter_files.formats.tables import source
 from kilter_files.formats.tables.source import Format
-from kilter_files.formats.tables.text import Layout, TextSource
+from kilter_files.tables.source import Layout
+from kilter_files.tables.text_source import TextSource
 
 POINT = """
 x_mm = { from = "x", unit = "mm" }

@@ -76,9 +76,9 @@ def test_dwells_as_poses_of_the_mean_and_of_a_digitised_point(tmp_path: Path) ->
     held = Rotation.from_euler("xyz", [20, -40, 100], degrees=True).apply(hand) + np.array([500, 300, 900])
     noise = np.random.default_rng(6).normal(0, 0.02, (300, 5, 3))
     write_csv(tmp_path / "tip.csv", held + noise, 100.0)
-    fewer = find_body(without(recording, ["Marker_2"]), str(tmp_path / "tip.csv"))
+    fewer = find_body(without(recording, ["Marker_2"]), open_recording(tmp_path / "tip.csv"))
     assert fewer.markers.shape == (3, 3)
-    tip = find_body(recording, str(tmp_path / "tip.csv"))
+    tip = find_body(recording, open_recording(tmp_path / "tip.csv"))
     columns = match_dwells(recording, log, "order", body=tip).columns
     position = true_poses(TIP)[0]
     assert np.abs(np.stack([columns[f"{a}_mm"] for a in "xyz"], 1) - position).max() < 0.05
@@ -119,7 +119,7 @@ def test_bodies_that_cannot_be(tmp_path: Path, change: Any, tcp: str, words: str
     recording = open_recording(recorded(tmp_path / "a.n3d"))
     other = open_recording(write_n3d(tmp_path / "b.n3d", change(recording.whole().points_mm), 100.0))
     with pytest.raises(FileError, match=words):
-        find_body(other, str(tmp_path / "a.n3d") if tcp == "TIP" else tcp)
+        find_body(other, open_recording(tmp_path / "a.n3d") if tcp == "TIP" else tcp)
 
 
 def long_table(path: Path, matrix: bool, frames: int = 300, **edit: str) -> tuple[Path, np.ndarray, Rotation]:

@@ -12,10 +12,10 @@ import pytest
 from kilter_client import FileError, Kilter
 from kilter_client.cli import run
 from kilter_files import prepare
-from kilter_files.formats.joints.joint_log import JointLog
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import match_dwells
 from kilter_files.match.uploaded_markers import refuse_knocked_rows
+from kilter_files.tables.joint_log import JointLog
 from tests.clients.files.match.campaign_generator import (
     Jump,
     Knock,

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from kilter_files.formats.joints.mcap_check import MCAP, SQLITE, check_mcap, check_sqlite
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault, head_of, missing_package
-from kilter_files.tables.recording import Floats
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"

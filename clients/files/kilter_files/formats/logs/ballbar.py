@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from kilter_files.formats.logs.inclinometer import TIME
 from kilter_files.formats.points.tracker_header import plain
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.text_blocks import cut_remark, lines_of
 from kilter_files.ground.text_layout import UNITS, TextLayout, sniff
 from kilter_files.ground.units import converter
-from kilter_files.tables.recording import Floats
 from kilter_files.tables.table import Table
 
 ANGLE = re.compile(r"^(?:angle|winkel|theta|angularposition|ang)[a-z]*$")

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from kilter_files.formats.points.tracker_header import plain
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.units import SIZES, converter
-from kilter_files.tables.recording import Floats
 
 TILT = re.compile(r"^(?:incl|inclination|inclinometer|tilt|angle|slope|neigung|level)[a-z]*?([xy12]?)$")
 TIME = ("t", "time", "timestamp", "zeit", "elapsedtime")

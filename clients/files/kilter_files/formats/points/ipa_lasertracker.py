@@ -10,10 +10,12 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kilter_files.formats.tables.text import Layout, TextSource, read_text
+from kilter_files.formats.tables.text import read_text
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.orientation import from_euler
+from kilter_files.tables.source import Layout
 from kilter_files.tables.table import Table
+from kilter_files.tables.text_source import TextSource
 
 LAYOUT = Layout(delimiter=";", decimal=",")
 JOINTS = (

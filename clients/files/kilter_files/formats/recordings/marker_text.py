@@ -10,13 +10,14 @@ import numpy as np
 
 from kilter_files.formats.recordings.marker_header import FRAMES, RATE, MarkerColumns, told, understand, unit_above
 from kilter_files.formats.recordings.polaris_long import long_columns, read_long
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import CUT, fault
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import unit_quaternions, without_gaps
-from kilter_files.tables.recording import Block, Floats, Recording
+from kilter_files.tables.recording import Block, Recording
 
 SAMPLE_FRAMES = 2000
 GLUED = "If two recordings are concatenated, split the file there."

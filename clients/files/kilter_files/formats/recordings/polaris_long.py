@@ -12,6 +12,7 @@ import numpy as np
 
 from kilter_files.formats.points.tracker_header import plain
 from kilter_files.formats.recordings.marker_header import unit_above
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault
 from kilter_files.ground.text_blocks import MISSING, count_rows, lines_of
@@ -19,7 +20,7 @@ from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.turns import quaternions_of
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import unit_quaternions, without_gaps
-from kilter_files.tables.recording import Block, Floats, Recording
+from kilter_files.tables.recording import Block, Recording
 
 Whole = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from kilter_files.formats.programs.targets import read_targets
-from kilter_files.formats.tables.text import Layout, TextSource
+from kilter_files.tables.source import Layout
+from kilter_files.tables.text_source import TextSource
 
 
 def read_program(path: Path, layout: Layout) -> TextSource:

@@ -1,4 +1,4 @@
-"""What every readable file offers a column map, and the one list of formats and their readers.
+"""The one list of formats that a column map takes, and their readers.
 
 A new format is one more line in ``FORMATS`` and a module with its reader.
 """
@@ -8,28 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-from kilter_files.formats.tables.text import Layout
 from kilter_files.ground.errors import FileError
-
-
-class Source(Protocol):
-    """A file as columns by name."""
-
-    @property
-    def lines(self) -> list[int]:
-        """The line of each row; empty when rows have none."""
-
-    @property
-    def choices(self) -> list[str]:
-        """What ``from`` may name."""
-
-    def texts(self, name: str | int) -> list[str]:
-        """Return a column as text."""
-
-    def numbers(self, name: str | int) -> list[float]:
-        """Return a column as numbers, NaN where nothing was measured."""
+from kilter_files.tables.source import Layout, Source
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault, missing_package
 from kilter_files.ground.names import did_you_mean
-from kilter_files.tables.recording import Floats
 
 LEAD_IN = struct.Struct("<4sIIQQ")
 INCOMPLETE = 0xFFFF_FFFF_FFFF_FFFF

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kilter_files.formats.tables.text import Layout, TextSource, header_names
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, missing_package
 from kilter_files.ground.names import did_you_mean
+from kilter_files.tables.source import Layout
+from kilter_files.tables.text_source import TextSource, header_names
 
 MOST_BYTES = 400_000_000  # unpacked
 MOST_CELLS = 3_000_000

@@ -210,7 +210,7 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
     from kilter_files.formats.joints.bag import is_bag
     from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
     from kilter_files.look.inspection import is_contract
-    from kilter_files.match.points import prepare_points
+    from kilter_files.rig.points import prepare_points
 
     if points == _Points(None, None, None) and is_contract(file):
         return prepare(file)

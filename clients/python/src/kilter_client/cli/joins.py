@@ -40,12 +40,12 @@ def ballbar_join(
 ) -> None:
     """Join a ball bar's log with the joint log by the angle of each run: lengths with their joints, for kilter upload."""
     check_numpy()
-    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files import read_joints
     from kilter_files.formats.logs.ballbar import read_ballbar
     from kilter_files.rig.ballbar_join import join_ballbar
 
     bar = read_ballbar(file, radius_mm)
-    table, report = join_ballbar(bar, read_joint_log(joints, joints_map), zero_deg)
+    table, report = join_ballbar(bar, read_joints(joints, joints_map), zero_deg)
     write(output, table.to_csv())
     emit({"file": str(output), "notes": table.notes, "warnings": table.warnings} | report, as_json, _show)
 
@@ -84,7 +84,7 @@ def tilt_join(
 ) -> None:
     """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
     check_numpy()
-    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files import read_joints
     from kilter_files.match.dwells import RestOptions
     from kilter_files.rig.tilt_join import TiltOptions, join_tilts
 
@@ -92,7 +92,7 @@ def tilt_join(
     if joint not in names:
         raise UsageError(f"--joint {joint}: the robot has {', '.join(names)}.")
     options = TiltOptions(names.index(joint) + 1, axis, by, channel, unit, RestOptions(None, shortest, settle))
-    columns, report = join_tilts(file, before, read_joint_log(joints, joints_map), names, options)
+    columns, report = join_tilts(file, before, read_joints(joints, joints_map), names, options)
     centre = three("--payload-com-mm", payload_com_mm) or []
     place = [f"payload_com_{k}_mm" for k in "xyz"] if centre else []
     head = ["joint", "axis", *columns, "payload_kg", *place, "series"]

@@ -16,11 +16,12 @@ from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
+from kilter_files import read_joints
 
 if TYPE_CHECKING:
-    from kilter_files.formats.joints.joint_log import JointLog
     from kilter_files.match.clock_checks import Checks
     from kilter_files.match.rigid_body import Body
+    from kilter_files.tables.joint_log import JointLog
     from kilter_files.tables.recording import Recording
     from kilter_files.tables.table import Table
 
@@ -85,16 +86,16 @@ def match(
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
     from kilter_files.formats.joints.bag import is_bag
-    from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+    from kilter_files.formats.joints.joint_log import LogHints
     from kilter_files.formats.recordings.opening import open_recording
     from kilter_files.match.dwells import RestOptions
-    from kilter_files.match.rigid_body import find_body, tool_as_markers
+    from kilter_files.match.rigid_body import tool_as_markers
 
     hints = LogHints(
         topic, arguments.split_names([joint_order or ""]), joints_of(robot or model) if is_bag(joints) else ()
     )
     found = cut_by(open_recording(recording, rate, allow_cut, unit), without)
-    log = read_joint_log(joints, joints_map, hints)
+    log = read_joints(joints, joints_map, hints)
     for text in log.notes:
         note(f"  {text}", as_json)
     checks = checks_of(model or robot, piecewise, unchecked, since, until)
@@ -102,7 +103,7 @@ def match(
         found = tool_as_markers(found, tool)
     if by != "order":
         found = in_time(found, checks)
-    body = None if tcp is None else find_body(in_time(found, checks), tcp)
+    body = None if tcp is None else _body(in_time(found, checks), tcp)
     if body is not None:
         note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
     wanted = {"name": name or recording.name, "device": device, "role": role, "numbered": name is None}
@@ -112,6 +113,14 @@ def match(
         options = RestOptions(rest_speed, shortest, settle)
         document = _dwells(found, log, body, by, (options, checks), out, robot, wanted, as_json)
     emit(document, as_json, _show)
+
+
+def _body(recording: Recording, tcp: str) -> Body:
+    """Find the rigid body of the markers, with the tool point that is given or digitised in another recording."""
+    from kilter_files.formats.recordings.opening import open_recording
+    from kilter_files.match.rigid_body import find_body, names_a_file
+
+    return find_body(recording, open_recording(Path(tcp)) if names_a_file(recording, tcp) else tcp)
 
 
 def joints_of(robot: str | None) -> list[str]:

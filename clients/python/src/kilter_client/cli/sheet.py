@@ -137,7 +137,7 @@ def sheet_join(
     if take_command is not None and not 0 < take_command < 100:
         raise UsageError(f"--take-command {take_command:g}: give mm above 0, for example 1.")
     check_numpy()
-    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files import read_joints
     from kilter_files.rig.drawn_circle import Frame, JoinOptions, join, read_points, register
     from kilter_files.rig.height import read_calibration, read_heights
 
@@ -145,7 +145,7 @@ def sheet_join(
     heights = None if height is None else read_heights(height, channel, volts, height_time)
     circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
     frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm, faces_down)
-    log = read_joint_log(joints, joints_map)
+    log = read_joints(joints, joints_map)
     joined = join(circle, log, heights, frame, JoinOptions(starts_s=height_starts_s, taken_mm=take_command))
     joined.table.notes.append(
         f"upload it with --device {'ballbar' if circle.is_bar else 'pencil'}: identify then checks which quarter is the first, "

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.formats.joints.joint_log import JOINT, JointLog
 from kilter_files.formats.points.tracker_text import read_tracker
 from kilter_files.ground.faults import fault
 from kilter_files.match.matching import Columns, pose_numbers, settled
+from kilter_files.tables.joint_log import JOINT, JointLog
 from kilter_files.tables.table import Prepared
 
 
