@@ -25,6 +25,7 @@ from kilter_service.gate import Gate
 from kilter_service.health.routes import router as health
 from kilter_service.jobs.fleet.routes import router as fleet_jobs
 from kilter_service.jobs.routes import router as jobs
+from kilter_service.kept.routes import router as references
 from kilter_service.live.followers import viewers_of
 from kilter_service.meshes.routes import router as meshes
 from kilter_service.observability.requests import Observed
@@ -33,7 +34,6 @@ from kilter_service.page.drop.drafts import Drafts
 from kilter_service.page.routes import ROUTERS as PAGE
 from kilter_service.path_lookups import look_up
 from kilter_service.private_files import TEMPORARY, Scratch
-from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
 from kilter_service.signing.routes import router as streams

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from kilter_service import correction_outcome as outcome
 from kilter_service.campaigns.assemble import observations
 from kilter_service.campaigns.columns import Column
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction import load, outcome
+from kilter_service.correction import load
 from kilter_service.correction.formats import read_trajectory, write_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
 from kilter_service.correction.wire import cells, with_verdict

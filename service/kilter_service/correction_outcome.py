@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.contract.stream_frames import Flag, Status
-from kilter_service.correction.uncertainty import about, from_parameters
+from kilter_service.correction_uncertainty import about, from_parameters
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
