@@ -100,7 +100,7 @@ c-corrector: $(READY) ## translate the kernels of the correction into clients/c
 page-picture: $(KERNELS) ## draw docs/images/page.png from the page of a server with demo data (VIEW=/stream; needs Chromium)
 	$(BIN)/python -m tools.draw_page_picture $(if $(VIEW),--view $(VIEW))
 
-rooms: $(READY) ## draw the rooms of the core and their table from the imports
+rooms: $(READY) ## draw the rooms of the core and of the service, and their tables, from the imports
 	$(BIN)/python -m tools.draw_rooms
 
 licences: $(READY) ## list the licences of what is needed at run time

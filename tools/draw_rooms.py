@@ -1,7 +1,9 @@
-"""Draw the rooms of the core from its imports: ``python -m tools.draw_rooms [--check]``.
+"""Draw the rooms of the core and of the service from their imports: ``python -m tools.draw_rooms [--check]``.
 
-Writes ``docs/images/core-rooms.svg`` and the table in ``docs/explanation/architecture.md``. A room stands one floor above
-the highest room that it imports; an arrow goes to what a room imports and does not reach through another room.
+Writes pictures in ``docs/images`` and tables in ``docs/explanation/architecture.md``. A room stands one floor above the
+highest room that it imports; an arrow goes to what a room imports and does not reach through another room. In the core
+each folder is a room. In the service a room has several folders and modules: those between two floors of the import
+contract that ``pyproject.toml`` names with what each room is for.
 """
 
 from __future__ import annotations
@@ -10,35 +12,130 @@ import ast
 import re
 import sys
 import textwrap
+import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import grimp
 
 from tools.draw_pictures import BLUE, IMAGES, INK, arrow, box, picture, text
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGE = "kilter_core"
-CORE = ROOT / "core" / PACKAGE
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
-PICTURE = IMAGES / "core-rooms.svg"
-BEGIN, END = "<!-- rooms: begin -->", "<!-- rooms: end -->"
 WIDTH, BOX_WIDTH, BOX_HEIGHT, FLOOR_HEIGHT, MARGIN = 1080, 176, 74, 128, 40
 LINE = 25  # characters of a line in a box
-TITLE = "Rooms of the core: each imports only rooms on floors below it"
 
 Imports = Mapping[str, frozenset[str]]
 
 
-def imports_of_rooms() -> Imports:
-    """Which rooms each room imports."""
-    graph = grimp.build_graph(PACKAGE, cache_dir=None)
-    rooms = sorted(child.removeprefix(f"{PACKAGE}.") for child in graph.find_children(PACKAGE))
-    out: dict[str, set[str]] = {room: set() for room in rooms}
-    for module in graph.modules - {PACKAGE}:
-        for other in graph.find_modules_directly_imported_by(module) - {PACKAGE}:
+@dataclass(frozen=True)
+class House:
+    """A package whose rooms are drawn: where it is, what its picture and its table are called, its import contract."""
+
+    package: str
+    folder: Path
+    name: str
+    contract: str
+
+    @property
+    def picture(self) -> Path:
+        """The file of its picture."""
+        return IMAGES / f"{self.name}-rooms.svg"
+
+    @property
+    def title(self) -> str:
+        """What stands over its picture."""
+        return f"Rooms of the {self.name}: each imports only rooms on floors below it"
+
+    @property
+    def marks(self) -> tuple[str, str]:
+        """What stands around its table in the page."""
+        return f"<!-- rooms of the {self.name}: begin -->", f"<!-- rooms of the {self.name}: end -->"
+
+
+CORE = House("kilter_core", ROOT / "core" / "kilter_core", "core", "core-rooms")
+SERVICE = House("kilter_service", ROOT / "service" / "kilter_service", "service", "service-rooms")
+HOUSES = (CORE, SERVICE)
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a room is for, and the folders and modules it has, the highest first."""
+
+    purpose: str
+    holds: tuple[str, ...]
+
+
+@cache
+def settings() -> dict[str, Any]:
+    """The tools' part of ``pyproject.toml``."""
+    tools: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    return tools
+
+
+def imports_of_units(house: House) -> Imports:
+    """Which folders and modules each folder or module of a package imports, also inside functions and for types only."""
+    graph = grimp.build_graph(house.package, cache_dir=None)
+    units = sorted(child.removeprefix(f"{house.package}.") for child in graph.find_children(house.package))
+    out: dict[str, set[str]] = {unit: set() for unit in units}
+    for module in graph.modules - {house.package}:
+        for other in graph.find_modules_directly_imported_by(module) - {house.package}:
             out[module.split(".")[1]].add(other.split(".")[1])
-    return {room: frozenset(others - {room}) for room, others in out.items()}
+    return {unit: frozenset(others - {unit}) for unit, others in out.items()}
+
+
+def floors_of_contract(house: House) -> list[str]:
+    """The floors that the import contract of a package names, the highest first: units with ``|`` between them."""
+    (found,) = (one for one in settings()["importlinter"]["contracts"] if one["id"] == house.contract)
+    floors: list[str] = found["layers"]
+    return floors
+
+
+def rooms_of(house: House) -> dict[str, Room]:
+    """The rooms of a package, the highest first.
+
+    Raises:
+        ValueError: the floor that a room begins with is not in the contract, or not below the room before.
+
+    """
+    floors = floors_of_contract(house)
+    described = settings()["kilter"]["rooms"].get(house.package)
+    if described is None:
+        units = [unit for floor in floors for unit in floor.split(" | ")]
+        return {unit: Room(purpose(house, unit), (unit,)) for unit in units}
+    first = [floors.index(room["from"]) if room["from"] in floors else -1 for room in described.values()]
+    if first != sorted(set(first)) or first[0] != 0:
+        raise ValueError(f"The rooms of {house.package} do not begin with floors of its contract, the highest first.")
+    out = {}
+    for (name, room), begin, end in zip(described.items(), first, [*first[1:], len(floors)], strict=True):
+        holds = tuple(unit for floor in floors[begin:end] for unit in floor.split(" | "))
+        out[name] = Room(room["is"], holds)
+    return out
+
+
+def imports_of_rooms(house: House) -> Imports:
+    """Which rooms each room of a package imports."""
+    return between(imports_of_units(house), rooms_of(house))
+
+
+def between(imports: Imports, rooms: Mapping[str, Room]) -> Imports:
+    """Which rooms each room imports, from what each folder and module imports.
+
+    Raises:
+        ValueError: a folder or module is in no room.
+
+    """
+    room_of = {unit: name for name, room in rooms.items() for unit in room.holds}
+    if imports.keys() - room_of.keys():
+        missing = ", ".join(sorted(imports.keys() - room_of.keys()))
+        raise ValueError(f"The contract in pyproject.toml has no floor for {missing}: give each one.")
+    out: dict[str, set[str]] = {name: set() for name in sorted(rooms)}
+    for unit, others in imports.items():
+        out[room_of[unit]] |= {room_of[other] for other in others}
+    return {name: frozenset(others - {name}) for name, others in out.items()}
 
 
 def floors_of(imports: Imports) -> dict[str, int]:
@@ -68,10 +165,10 @@ def direct(imports: Imports) -> dict[str, frozenset[str]]:
     return {room: frozenset(o for o in own if not any(o in below(p) for p in own)) for room, own in imports.items()}
 
 
-def purpose(room: str) -> str:
-    """First sentence of a room's docstring."""
-    path = CORE / room / "__init__.py"
-    source = path if path.exists() else CORE / f"{room}.py"
+def purpose(house: House, unit: str) -> str:
+    """First sentence of a folder's or module's docstring."""
+    path = house.folder / unit / "__init__.py"
+    source = path if path.exists() else house.folder / f"{unit}.py"
     words = ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
     return " ".join(words.split("\n\n")[0].split()).rstrip(".")
 
@@ -94,38 +191,46 @@ def places(floors: Mapping[str, int], below: Mapping[str, frozenset[str]]) -> di
     return at
 
 
-def drawing(imports: Imports) -> str:
+def drawing(house: House, rooms: Mapping[str, Room], imports: Imports) -> str:
     """The picture as SVG."""
     floors, below = floors_of(imports), direct(imports)
     at = places(floors, below)
-    parts = [text(WIDTH / 2, 26, TITLE, size=15, weight=600)]
+    parts = [text(WIDTH / 2, 26, house.title, size=15, weight=600)]
     for room, others in sorted(below.items()):
         for other in sorted(others):
             x0, y0 = at[room][0] + BOX_WIDTH / 2, at[room][1] + BOX_HEIGHT
             x1, y1 = at[other][0] + BOX_WIDTH / 2, at[other][1] - 2
             parts.append(arrow(f"M{x0:.0f} {y0:.0f}C{x0:.0f} {y0 + 34:.0f} {x1:.0f} {y1 - 34:.0f} {x1:.0f} {y1:.0f}"))
     for room, (x, y) in sorted(at.items()):
-        words = textwrap.wrap(re.split("[:,.;]", purpose(room))[0], LINE)[:2]
+        words = textwrap.wrap(re.split("[:,.;]", rooms[room].purpose)[0], LINE)[:2]
         parts.append(box(round(x), round(y), BOX_WIDTH, BOX_HEIGHT, room, words, BLUE if floors[room] > 2 else INK))
-    return picture(WIDTH, 44 + max(floors.values()) * FLOOR_HEIGHT, TITLE, parts)
+    return picture(WIDTH, 44 + max(floors.values()) * FLOOR_HEIGHT, house.title, parts)
 
 
-def table(imports: Imports) -> str:
-    """The rooms as a table, from the highest floor down."""
+def table(rooms: Mapping[str, Room], imports: Imports) -> str:
+    """The rooms as a table, from the highest floor down; what a room holds, where that is more than the room itself."""
     floors = floors_of(imports)
-    rows = ["| floor | room | what it is | imports |", "|---|---|---|---|"]
-    for room in sorted(floors, key=lambda room: (-floors[room], room)):
-        others = ", ".join(f"`{other}`" for other in sorted(imports[room], key=lambda o: (-floors[o], o)))
-        rows.append(f"| {floors[room]} | `{room}` | {purpose(room)} | {others} |")
+    several = any(room.holds != (name,) for name, room in rooms.items())
+    heads = ["floor", "room", "what it is", *(["folders and modules"] if several else []), "imports"]
+    rows = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
+    for name in sorted(floors, key=lambda name: (-floors[name], name)):
+        others = ", ".join(f"`{other}`" for other in sorted(imports[name], key=lambda o: (-floors[o], o)))
+        holds = [", ".join(f"`{unit}`" for unit in rooms[name].holds)] if several else []
+        cells = [str(floors[name]), f"`{name}`", rooms[name].purpose, *holds, others]
+        rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
 def written() -> dict[Path, str]:
     """What stands in each file when it is up to date."""
-    imports = imports_of_rooms()
-    head, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    tail = rest.partition(END)[2]
-    return {PICTURE: drawing(imports), PAGE: f"{head}{BEGIN}\n{table(imports)}\n{END}{tail}"}
+    out, page = {}, PAGE.read_text(encoding="utf-8")
+    for house in HOUSES:
+        rooms, imports = rooms_of(house), imports_of_rooms(house)
+        begin, end = house.marks
+        head, _, rest = page.partition(begin)
+        page = f"{head}{begin}\n{table(rooms, imports)}\n{end}{rest.partition(end)[2]}"
+        out[house.picture] = drawing(house, rooms, imports)
+    return out | {PAGE: page}
 
 
 def main(arguments: list[str]) -> int:

@@ -1,21 +1,69 @@
-"""The house that the core is: few rooms on few floors, every import downwards, and a page that shows it as it is."""
+"""The houses that the core and the service are: few rooms on few floors, every import downwards, and a page that shows it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from tools.draw_rooms import direct, floors_of, imports_of_rooms, written
+from tools.draw_rooms import (
+    CORE,
+    HOUSES,
+    SERVICE,
+    House,
+    Room,
+    between,
+    direct,
+    floors_of,
+    imports_of_rooms,
+    imports_of_units,
+    rooms_of,
+    written,
+)
 
-MOST_ROOMS, MOST_FLOORS = 16, 8
+
+@pytest.mark.parametrize(
+    ("house", "most_rooms", "most_floors"), [(CORE, 16, 8), (SERVICE, 13, 9)], ids=["core", "service"]
+)
+def test_a_house_has_few_rooms_on_few_floors(house: House, most_rooms: int, most_floors: int) -> None:
+    floors = floors_of(imports_of_rooms(house))
+    assert len(floors) <= most_rooms
+    assert max(floors.values()) <= most_floors
 
 
-def test_the_core_has_few_rooms_on_few_floors() -> None:
-    floors = floors_of(imports_of_rooms())
-    assert len(floors) <= MOST_ROOMS
-    assert max(floors.values()) <= MOST_FLOORS
+@pytest.mark.parametrize("house", HOUSES, ids=lambda house: house.name)
+def test_no_folders_and_modules_import_each_other_in_a_circle(house: House) -> None:
+    floors = floors_of(imports_of_units(house))  # raises where they do
+    held = [unit for room in rooms_of(house).values() for unit in room.holds]
+    assert sorted(held) == sorted(floors)
 
 
-def test_the_page_and_the_picture_show_the_imports_as_they_are() -> None:
+def test_a_room_imports_none_that_stands_before_it() -> None:
+    names = list(rooms_of(SERVICE))
+    assert not [
+        (room, other)
+        for room, others in imports_of_rooms(SERVICE).items()
+        for other in others
+        if names.index(other) < names.index(room)
+    ]
+
+
+def test_rooms_begin_with_floors_of_their_contract() -> None:
+    with pytest.raises(ValueError, match="rooms of kilter_service do not begin with floors"):
+        rooms_of(replace(SERVICE, contract="core-rooms"))
+
+
+def test_imports_of_folders_become_imports_of_rooms_and_one_without_a_floor_is_named() -> None:
+    imports = {"c": frozenset({"a", "b"}), "b": frozenset({"a"}), "a": frozenset[str]()}
+    assert between(imports, {"up": Room("", ("c", "b")), "down": Room("", ("a",))}) == {
+        "down": frozenset(),
+        "up": frozenset({"down"}),
+    }
+    with pytest.raises(ValueError, match="no floor for a, b: give each one"):
+        between(imports, {"up": Room("", ("c",))})
+
+
+def test_the_page_and_the_pictures_show_the_imports_as_they_are() -> None:
     for path, words in written().items():
         assert path.read_text(encoding="utf-8") == words, f"{path.name} is stale: run `make rooms`"
 
