@@ -27,6 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 WIDTH, BOX_WIDTH, BOX_HEIGHT, FLOOR_HEIGHT, MARGIN = 1080, 176, 74, 128, 40
 LINE = 25  # characters of a line in a box
+CLEAR = 16  # between a box and an arrow that passes it
 
 Imports = Mapping[str, frozenset[str]]
 
@@ -191,16 +192,32 @@ def places(floors: Mapping[str, int], below: Mapping[str, frozenset[str]]) -> di
     return at
 
 
+def path(at: Mapping[str, tuple[float, float]], room: str, other: str) -> str:
+    """SVG path from a room down to another; past the floors between them it goes where no box is."""
+    x0, y0 = at[room][0] + BOX_WIDTH / 2, at[room][1] + BOX_HEIGHT
+    x1, y1 = at[other][0] + BOX_WIDTH / 2, at[other][1] - 2
+    passed = [(x, y) for x, y in at.values() if y0 < y < at[other][1]]
+    free = [
+        x
+        for x in range(MARGIN, WIDTH - MARGIN, 4)
+        if all(not -CLEAR < x - left < BOX_WIDTH + CLEAR for left, _ in passed)
+    ]
+    if not passed or not free:
+        return f"M{x0:.0f} {y0:.0f}C{x0:.0f} {y0 + 34:.0f} {x1:.0f} {y1 - 34:.0f} {x1:.0f} {y1:.0f}"
+    lane = min(free, key=lambda x: (abs(x - x0) + abs(x - x1), abs(x - x1)))
+    top, end = min(y for _, y in passed), max(y for _, y in passed) + BOX_HEIGHT
+    return (
+        f"M{x0:.0f} {y0:.0f}C{x0:.0f} {y0 + 34:.0f} {lane:.0f} {top - 34:.0f} {lane:.0f} {top:.0f}V{end:.0f}"
+        f"C{lane:.0f} {end + 34:.0f} {x1:.0f} {y1 - 34:.0f} {x1:.0f} {y1:.0f}"
+    )
+
+
 def drawing(house: House, rooms: Mapping[str, Room], imports: Imports) -> str:
     """The picture as SVG."""
     floors, below = floors_of(imports), direct(imports)
     at = places(floors, below)
     parts = [text(WIDTH / 2, 26, house.title, size=15, weight=600)]
-    for room, others in sorted(below.items()):
-        for other in sorted(others):
-            x0, y0 = at[room][0] + BOX_WIDTH / 2, at[room][1] + BOX_HEIGHT
-            x1, y1 = at[other][0] + BOX_WIDTH / 2, at[other][1] - 2
-            parts.append(arrow(f"M{x0:.0f} {y0:.0f}C{x0:.0f} {y0 + 34:.0f} {x1:.0f} {y1 - 34:.0f} {x1:.0f} {y1:.0f}"))
+    parts += [arrow(path(at, room, other)) for room, others in sorted(below.items()) for other in sorted(others)]
     for room, (x, y) in sorted(at.items()):
         words = textwrap.wrap(re.split("[:,.;]", rooms[room].purpose)[0], LINE)[:2]
         parts.append(box(round(x), round(y), BOX_WIDTH, BOX_HEIGHT, room, words, BLUE if floors[room] > 2 else INK))

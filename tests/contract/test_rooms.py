@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -17,6 +18,7 @@ from tools.draw_rooms import (
     floors_of,
     imports_of_rooms,
     imports_of_units,
+    path,
     rooms_of,
     written,
 )
@@ -64,8 +66,8 @@ def test_imports_of_folders_become_imports_of_rooms_and_one_without_a_floor_is_n
 
 
 def test_the_page_and_the_pictures_show_the_imports_as_they_are() -> None:
-    for path, words in written().items():
-        assert path.read_text(encoding="utf-8") == words, f"{path.name} is stale: run `make rooms`"
+    for file, words in written().items():
+        assert file.read_text(encoding="utf-8") == words, f"{file.name} is stale: run `make rooms`"
 
 
 def test_a_circle_of_rooms_is_named() -> None:
@@ -78,3 +80,13 @@ def test_only_imports_that_no_other_implies_are_drawn() -> None:
     imports = {"ground": frozenset[str](), "middle": frozenset({"ground"}), "top": frozenset({"middle", "ground"})}
     assert direct(imports)["top"] == {"middle"}
     assert floors_of(imports) == {"ground": 1, "middle": 2, "top": 3}
+
+
+def test_an_arrow_passes_the_rooms_between_without_touching_them() -> None:
+    at = {"top": (452.0, 44.0), "middle": (452.0, 172.0), "low": (452.0, 300.0)}
+    assert path(at, "middle", "low") == "M540 246C540 280 540 264 540 298"
+    past = path(at, "top", "low")
+    (lane,) = re.findall(r" (\d+) 172V246C", past)
+    assert int(lane) < 452 or int(lane) > 452 + 176
+    assert past.startswith("M540 118C")
+    assert past.endswith(" 540 298")
