@@ -13,7 +13,6 @@ from kilter_service import problems
 from kilter_service.audit.refusals import Refusals
 from kilter_service.audit.routes import router as audit
 from kilter_service.auth.described import described
-from kilter_service.auth.gate import Gate
 from kilter_service.auth.rates import Rates
 from kilter_service.auth.slow import Unhurried
 from kilter_service.auth.token import admin_token
@@ -22,9 +21,11 @@ from kilter_service.correction.routes import router as correction
 from kilter_service.db import Database, revision
 from kilter_service.docs_page import router as docs_page
 from kilter_service.frames.routes import router as frames
+from kilter_service.gate import Gate
 from kilter_service.health.routes import router as health
 from kilter_service.jobs.fleet.routes import router as fleet_jobs
 from kilter_service.jobs.routes import router as jobs
+from kilter_service.kept.routes import router as references
 from kilter_service.live.followers import viewers_of
 from kilter_service.meshes.routes import router as meshes
 from kilter_service.observability.requests import Observed
@@ -33,14 +34,14 @@ from kilter_service.page.drop.drafts import Drafts
 from kilter_service.page.routes import ROUTERS as PAGE
 from kilter_service.path_lookups import look_up
 from kilter_service.private_files import TEMPORARY, Scratch
-from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
 from kilter_service.signing.routes import router as streams
+from kilter_service.signing.service import end_sessions
 from kilter_service.slots import Slots
 from kilter_service.suspicious.routes import router as suspicious
 from kilter_service.today.routes import router as today
-from kilter_service.tokens.routes import router as tokens
+from kilter_service.token_routes import router as tokens
 from kilter_service.version import code_version
 from kilter_service.versions.routes import router as versions
 
@@ -67,6 +68,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.slots = Slots(settings)
     app.state.rates = Rates(settings.rate)
     app.state.look_up = look_up
+    app.state.end_sessions = end_sessions
     app.add_middleware(Unhurried)
     app.add_middleware(Gate, settings=settings)
     problems.install(app)

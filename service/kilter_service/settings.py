@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from kilter_service.ros2.topics import RobotTopics
+from kilter_service.ros2_topics import RobotTopics
 
 Queue = Literal["short", "long"]
 DATABASE_FILE = "kilter.sqlite"

@@ -337,8 +337,8 @@ from kilter_core.effects.base import Effect
 from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration
 from kilter_core.parameters import Parameter
-from kilter_service.campaigns.assemble import observations
-from kilter_service.campaigns.columns import read_columns
+from kilter_service.tables.assemble import observations
+from kilter_service.tables.columns import read_columns
 
 
 @dataclass(frozen=True)

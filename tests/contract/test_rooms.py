@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import pytest
 
-from tools.draw_rooms import CORE, FILES, House, direct, floors_of, imports_of_rooms, written
+from tools.draw_rooms import (
+    CORE,
+    FILES,
+    HOUSES,
+    SERVICE,
+    House,
+    Room,
+    between,
+    direct,
+    floors_of,
+    imports_of_rooms,
+    imports_of_units,
+    path,
+    rooms_of,
+    written,
+)
 
 MOST_FILES = 20  # in a folder of the readers of files
 
 
-@pytest.mark.parametrize(("house", "rooms", "most_floors"), [(CORE, 16, 8), (FILES, 8, 4)], ids=["core", "files"])
-def test_a_house_has_few_rooms_on_few_floors(house: House, rooms: int, most_floors: int) -> None:
-    floors = floors_of(imports_of_rooms(house))  # rooms that import each other in a circle are refused
-    assert len(floors) <= rooms
+@pytest.mark.parametrize(
+    ("house", "most_rooms", "most_floors"),
+    [(CORE, 16, 8), (SERVICE, 13, 9), (FILES, 8, 4)],
+    ids=["core", "service", "files"],
+)
+def test_a_house_has_few_rooms_on_few_floors(house: House, most_rooms: int, most_floors: int) -> None:
+    floors = floors_of(imports_of_rooms(house))
+    assert len(floors) <= most_rooms
     assert max(floors.values()) <= most_floors
 
 
@@ -22,9 +44,41 @@ def test_no_folder_of_the_readers_is_a_heap() -> None:
     assert {name: count for name, count in full.items() if count > MOST_FILES} == {}
 
 
-def test_the_page_and_the_picture_show_the_imports_as_they_are() -> None:
-    for path, words in written().items():
-        assert path.read_text(encoding="utf-8") == words, f"{path.name} is stale: run `make rooms`"
+@pytest.mark.parametrize("house", HOUSES, ids=lambda house: house.name)
+def test_no_folders_and_modules_import_each_other_in_a_circle(house: House) -> None:
+    floors = floors_of(imports_of_units(house))  # raises where they do
+    held = [unit for room in rooms_of(house).values() for unit in room.holds]
+    assert sorted(held) == sorted(floors)
+
+
+def test_a_room_imports_none_that_stands_before_it() -> None:
+    names = list(rooms_of(SERVICE))
+    assert not [
+        (room, other)
+        for room, others in imports_of_rooms(SERVICE).items()
+        for other in others
+        if names.index(other) < names.index(room)
+    ]
+
+
+def test_rooms_begin_with_floors_of_their_contract() -> None:
+    with pytest.raises(ValueError, match="rooms of kilter_service do not begin with floors"):
+        rooms_of(replace(SERVICE, contract="core-rooms"))
+
+
+def test_imports_of_folders_become_imports_of_rooms_and_one_without_a_floor_is_named() -> None:
+    imports = {"c": frozenset({"a", "b"}), "b": frozenset({"a"}), "a": frozenset[str]()}
+    assert between(imports, {"up": Room("", ("c", "b")), "down": Room("", ("a",))}) == {
+        "down": frozenset(),
+        "up": frozenset({"down"}),
+    }
+    with pytest.raises(ValueError, match="no floor for a, b: give each one"):
+        between(imports, {"up": Room("", ("c",))})
+
+
+def test_the_page_and_the_pictures_show_the_imports_as_they_are() -> None:
+    for file, words in written().items():
+        assert file.read_text(encoding="utf-8") == words, f"{file.name} is stale: run `make rooms`"
 
 
 def test_a_circle_of_rooms_is_named() -> None:
@@ -37,3 +91,13 @@ def test_only_imports_that_no_other_implies_are_drawn() -> None:
     imports = {"ground": frozenset[str](), "middle": frozenset({"ground"}), "top": frozenset({"middle", "ground"})}
     assert direct(imports)["top"] == {"middle"}
     assert floors_of(imports) == {"ground": 1, "middle": 2, "top": 3}
+
+
+def test_an_arrow_passes_the_rooms_between_without_touching_them() -> None:
+    at = {"top": (452.0, 44.0), "middle": (452.0, 172.0), "low": (452.0, 300.0)}
+    assert path(at, "middle", "low") == "M540 246C540 280 540 264 540 298"
+    past = path(at, "top", "low")
+    (lane,) = re.findall(r" (\d+) 172V246C", past)
+    assert int(lane) < 452 or int(lane) > 452 + 176
+    assert past.startswith("M540 118C")
+    assert past.endswith(" 540 298")

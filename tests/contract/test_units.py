@@ -20,7 +20,7 @@ AT_THE_EDGE = (
     "service/kilter_service/importers/*.py",
     "service/kilter_service/exporters/*.py",
     "service/kilter_service/contract/columns.py",
-    "service/kilter_service/campaigns/assemble.py",
+    "service/kilter_service/tables/assemble.py",
     "service/kilter_service/campaigns/joint_limits.py",
     "service/kilter_service/campaigns/rules.py",
     "service/kilter_service/versions/values.py",

@@ -110,7 +110,7 @@ def test_behind_a_proxy_everybody_needs_a_token_and_is_recorded_by_the_proxys_wo
 def test_past_the_proxy_nobody_is_answered(settings: Settings) -> None:
     import asyncio
 
-    from kilter_service.auth.gate import Gate
+    from kilter_service.gate import Gate
 
     reached, sent = [], []
 

@@ -262,11 +262,11 @@ class Recorder:
 def test_nothing_is_parsed_or_computed_on_the_event_loop(
     settings: Settings, database: Database, serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from kilter_service.campaigns import reading
     from kilter_service.campaigns import service as campaigns
     from kilter_service.correction import service as correction
     from kilter_service.robots import check, circles, convert
     from kilter_service.robots import service as robots
+    from kilter_service.tables import reading
 
     loops: set[int] = set()
     seen: dict[str, set[int]] = {}

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
-from kilter_service.campaigns.assemble import observations
-from kilter_service.campaigns.columns import Column, has
+from kilter_service.tables.assemble import observations
+from kilter_service.tables.columns import Column, has
 
 if TYPE_CHECKING:
     import pyarrow as pa

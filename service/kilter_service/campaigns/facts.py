@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.campaigns.assemble import observations
 from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.doubtful import Doubtful, doubtful
 from kilter_service.campaigns.looking import Rows
 from kilter_service.campaigns.repeats import Repeats, repeats
+from kilter_service.tables.assemble import observations
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint
     from kilter_core.observations import Observations
-    from kilter_service.campaigns.columns import Column
+    from kilter_service.tables.columns import Column
 
     Floats = NDArray[np.float64]
 

@@ -15,7 +15,6 @@ from kilter_service.references.records import TombstoneRecord
 from kilter_service.references.wire import tombstone
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import sha256_of
-from kilter_service.versions import store as versions
 
 
 def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
@@ -80,7 +79,7 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
 
 def _refuse_cited(session: Session, campaign: CampaignRecord) -> None:
     citing = [
-        *versions.citing_campaign(session, campaign.robot_id, campaign.id),
+        *references.citing_campaign(session, campaign.robot_id, campaign.id),
         *store.unfinished_jobs(session, campaign.id),
     ]
     if citing:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns import reading, service, store
+from kilter_service.campaigns import service, store
 from kilter_service.campaigns.belonging import MIXED_UP, Judged
-from kilter_service.campaigns.columns import Column, read_columns
 from kilter_service.db import Database
 from kilter_service.robots import store as robots
+from kilter_service.tables import reading
+from kilter_service.tables.columns import Column, read_columns
 from kilter_service.wire import joint_scale
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
-from kilter_service.campaigns import keeping, reading, service
+from kilter_service.campaigns import keeping, service
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
@@ -16,6 +16,7 @@ from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfList
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.tables import reading
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.belonging import Belonging
-from kilter_service.campaigns.columns import Column
 from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.contract.columns import BASE, CONTACTS, PLACE, TILTS
+from kilter_service.tables.columns import Column
 
 if TYPE_CHECKING:
     import pyarrow as pa

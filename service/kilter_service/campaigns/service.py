@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns import reading, store, wire
+from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
-from kilter_service.campaigns.columns import has, read_columns
 from kilter_service.campaigns.rules import RowRules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
@@ -24,6 +23,8 @@ from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import retired
 from kilter_service.robots import store as robots
+from kilter_service.tables import reading
+from kilter_service.tables.columns import has, read_columns
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

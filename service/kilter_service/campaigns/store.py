@@ -13,10 +13,7 @@ import numpy as np
 from sqlalchemy import and_, delete, or_, select
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns.assemble import observations as assemble
-from kilter_service.campaigns.assemble import with_default_load
 from kilter_service.campaigns.chunks import Chunk, read_chunk
-from kilter_service.campaigns.columns import read_columns
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
@@ -28,6 +25,9 @@ from kilter_service.paging import Page
 from kilter_service.references import retired
 from kilter_service.references import store as references
 from kilter_service.robots import store as robots
+from kilter_service.tables.assemble import observations as assemble
+from kilter_service.tables.assemble import with_default_load
+from kilter_service.tables.columns import read_columns
 
 if TYPE_CHECKING:
     import pyarrow as pa

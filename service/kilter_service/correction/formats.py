@@ -1,18 +1,16 @@
-"""Trajectories as CSV, Parquet or JSON, in and out."""
+"""Trajectories as CSV, Parquet or JSON."""
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns import reading
-from kilter_service.campaigns.columns import Column, read_columns
 from kilter_service.contract.columns import PAYLOAD_CENTRE
 from kilter_service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
+from kilter_service.tables import reading
+from kilter_service.tables.columns import Column, read_columns
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -52,19 +50,3 @@ def read_trajectory(
                 f"Row {row}, column {column.name!r} is empty: give every cell.", row=row, column=column.name
             )
     return table, columns
-
-
-def write_trajectory(table: pa.Table, media: str) -> bytes:
-    """Write a table in the format it came in; cells without a number are empty (CSV) or null."""
-    buffer = io.BytesIO()
-    if media == reading.PARQUET:
-        from pyarrow import parquet
-
-        parquet.write_table(table, buffer, compression="zstd")
-    elif media == reading.CSV:
-        from pyarrow import csv
-
-        csv.write_csv(table, buffer, csv.WriteOptions(quoting_style="needed"))
-    else:
-        buffer.write(json.dumps(table.to_pydict()).encode())
-    return buffer.getvalue()

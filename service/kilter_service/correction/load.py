@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kilter_core.errors import OptionError
-from kilter_service.campaigns.assemble import with_default_load
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.tables.assemble import with_default_load
 from kilter_service.wire import to_metres, to_mm
 
 if TYPE_CHECKING:

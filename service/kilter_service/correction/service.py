@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from kilter_service.campaigns.assemble import observations
-from kilter_service.campaigns.columns import Column
+from kilter_service import correction_outcome as outcome
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction import load, outcome
-from kilter_service.correction.formats import read_trajectory, write_trajectory
+from kilter_service.correction import load
+from kilter_service.correction.formats import read_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
 from kilter_service.correction.wire import cells, with_verdict
 from kilter_service.correction_limits import options_of
@@ -21,6 +20,9 @@ from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from kilter_service.robots import store as robots
+from kilter_service.tables.assemble import observations
+from kilter_service.tables.columns import Column
+from kilter_service.tables.writing import write_table
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
 from kilter_service.wire import to_mm
@@ -96,7 +98,7 @@ def correct(
     if wanted.form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
         return Answer(joint_trajectory(names, rows.t, found, notes), left_out, notes)
-    return Answer(write_trajectory(with_verdict(_with_joints(table, columns, found), found), media), left_out, notes)
+    return Answer(write_table(with_verdict(_with_joints(table, columns, found), found), media), left_out, notes)
 
 
 def _with_joints(table: pa.Table, columns: Sequence[Column], found: outcome.Outcome) -> pa.Table:

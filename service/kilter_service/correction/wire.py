@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.correction.outcome import flag_names
+from kilter_service.correction_outcome import flag_names
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_service.correction.outcome import Outcome
+    from kilter_service.correction_outcome import Outcome
 
 Floats = NDArray[np.float64]
 

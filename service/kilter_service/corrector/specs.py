@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from kilter_service.contract.stream_frames import MAX_AGE_NS
 from kilter_service.signing.masters import Masters
 
 STREAM, QUERY = "kilter_service.corrector.loop:stream_main", "kilter_service.corrector.queries:query_main"
@@ -26,7 +27,7 @@ class Rules:
     ``idle_ns`` keeps its own.
     """
 
-    max_age_ns: int = 50_000_000
+    max_age_ns: int = MAX_AGE_NS
     clock_drift: float = 200e-6
     set_back_ns: int = 5_000_000
     agree_ns: int = 5_000_000

@@ -4,20 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from kilter_service.contract.versions import Version
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
-    from kilter_service.robots.store import StoredRobot
+
+
+class Arm(Protocol):
+    """A robot as it is stored: the document it was posted as, and the chain that represents it."""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The robot as posted."""
+
+    @property
+    def chain(self) -> dict[str, Any] | None:
+        """The resolved chain (SI); None for a robot from before the chains that no longer resolves."""
+
+    def robot(self) -> Robot:
+        """Build core's robot from the chain."""
 
 
 @dataclass(frozen=True)
 class Exportable:
     """A version: its robot as stored, the version as the API shows it, and core's calibration document (SI)."""
 
-    arm: StoredRobot
+    arm: Arm
     version: Version
     document: dict[str, Any]
 

@@ -1,1 +1,1 @@
-"""Ids that a person can use: prefixes, names and `latest`; and what is left of what was purged."""
+"""Ids that a person can use: prefixes, names and `latest`; what cites a campaign; what is left of what was purged."""

@@ -1,4 +1,4 @@
-"""Campaigns, versions and jobs by prefix, name or `latest`; whose a name is; tombstones."""
+"""Campaigns, versions and jobs by prefix, name or `latest`; whose a name is; what cites a campaign; tombstones."""
 
 from __future__ import annotations
 
@@ -161,6 +161,12 @@ def restore(session: Session, whose: Whose, key: str | int) -> None:
         check_name(session, whose, row.robot_id, row.name, row.id)
     row.retired_at, row.retired_by = None, ""
     session.flush()
+
+
+def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
+    """Return the versions that were made from a campaign."""
+    rows = session.execute(select(VersionRow.id, VersionRow.campaigns).where(VersionRow.robot_id == robot_id))
+    return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
 
 
 def bury(session: Session, record: TombstoneRecord) -> None:

@@ -11,13 +11,13 @@ import numpy as np
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.procedures.circle_points import AxisFit, robot_from_circles
-from kilter_service.campaigns import reading
-from kilter_service.campaigns.assemble import observations
-from kilter_service.campaigns.columns import read_columns
 from kilter_service.contract.robot_reports import CircleAxis, FoundRobot
 from kilter_service.contract.robots import Target
 from kilter_service.contract.units import MAX_JOINTS
 from kilter_service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
+from kilter_service.tables import reading
+from kilter_service.tables.assemble import observations
+from kilter_service.tables.columns import read_columns
 from kilter_service.wire import to_deg, to_mm
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")

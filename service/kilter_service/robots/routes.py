@@ -9,7 +9,6 @@ from fastapi import APIRouter, Query, Request, Response
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
-from kilter_service.campaigns import reading
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
@@ -21,6 +20,7 @@ from kilter_service.robots import service
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.tables import reading
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _ATTACHMENT = struct.Struct("<qqB16s")
 NODE = "kilter"
 # Reliable, volatile, the last ten: what a ROS 2 publisher or subscription has unless it says otherwise.
@@ -35,13 +33,6 @@ JOINT_STATE = MessageType(
 JOINT_TRAJECTORY = MessageType(
     "trajectory_msgs/JointTrajectory", "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
 )
-
-
-def checked_topic(topic: str) -> str:
-    """Return ``topic`` when it is a full name of ROS 2, else raise ValueError naming the rule."""
-    if not _TOPIC.fullmatch(topic):
-        raise ValueError(f"{topic!r} is not a full topic name: write it as /arm_controller/joint_trajectory.")
-    return topic
 
 
 def rmw_key(domain: int, topic: str, message: MessageType) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from kilter_service.caller import CALLER
+from kilter_service.contract.stream_frames import MAX_AGE_NS
 from kilter_service.contract.streams import NewStreamSession, StreamSession
-from kilter_service.corrector.specs import Rules
 from kilter_service.db import Database, audited
 from kilter_service.db import Session as Opened
 from kilter_service.errors import ServiceError
@@ -55,7 +55,7 @@ def new_session(database: Database, settings: Settings, robot: str, wanted: NewS
         key=sealed.session_key(secret, session, settings.site, robot, wanted.stream).hex(),
         announcement_key=sealed.robot_key(secret, settings.site, robot).hex(),
         expires_at=expires_at,
-        max_age_ms=Rules().max_age_ns / 1e6,
+        max_age_ms=MAX_AGE_NS / 1e6,
         max_joints=MAX_JOINTS,
         max_points=MAX_POINTS,
     )

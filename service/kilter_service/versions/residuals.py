@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.correction.formats import write_trajectory
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.tables.writing import write_table
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 from kilter_service.versions.unseen import Archive
@@ -58,7 +58,7 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
             version=version,
         )
     tables = [pa.table(_columns(part, calibration, known, report)) for part in parts]
-    return write_trajectory(pa.concat_tables(tables), media)
+    return write_table(pa.concat_tables(tables), media)
 
 
 def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:

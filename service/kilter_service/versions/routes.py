@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from kilter_service.auth.access import Admin
-from kilter_service.campaigns.reading import CSV, JSON, PARQUET
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
@@ -24,6 +23,7 @@ from kilter_service.contract.versions import (
 from kilter_service.exporters.registry import FORMATS
 from kilter_service.page_query import PageOfList
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.tables.reading import CSV, JSON, PARQUET
 from kilter_service.versions import activation, differences, keeping, service
 from kilter_service.versions.expected import ExpectedState, tag_of_robot
 

@@ -12,6 +12,7 @@ from kilter_service.db import Database
 from kilter_service.exporters.exportable import Exportable
 from kilter_service.exporters.registry import Exported, export
 from kilter_service.paging import Page, in_time
+from kilter_service.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 
@@ -45,7 +46,7 @@ def made_with(database: Database, campaign_id: str) -> list[Version]:
     """Return the versions that were made with a campaign, newest first."""
     with database.reading() as session:
         campaign = campaigns.get(session, campaign_id)
-        found = [store.get(session, one) for one in store.citing_campaign(session, campaign.robot_id, campaign_id)]
+        found = [store.get(session, one) for one in references.citing_campaign(session, campaign.robot_id, campaign_id)]
     return [wire.version(one) for one in sorted(found, key=lambda one: one.created_at, reverse=True)]
 
 

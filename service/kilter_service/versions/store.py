@@ -161,12 +161,6 @@ def remove(session: Session, version_id: str) -> None:
     session.flush()
 
 
-def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
-    """Return the versions that were made from a campaign."""
-    rows = session.execute(select(VersionRow.id, VersionRow.campaigns).where(VersionRow.robot_id == robot_id))
-    return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
-
-
 def citing_version(session: Session, robot_id: int, version_id: str) -> list[str]:
     """Return the versions that continue a version, whether it was ever active, and the jobs not over that use it."""
     children = session.execute(select(VersionRow.id).where(VersionRow.parent_id == version_id)).scalars().all()

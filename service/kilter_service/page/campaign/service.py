@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_service.campaigns.columns import Column
     from kilter_service.campaigns.looking import Rows
+    from kilter_service.tables.columns import Column
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def _causes(rows: looking.Rows) -> list[Cause]:
     import numpy as np
 
     from kilter_core.observations.repeats import last_motion
-    from kilter_service.campaigns.assemble import observations
+    from kilter_service.tables.assemble import observations
 
     seen = observations(rows.table, rows.columns, rows.conditions)
     out = []

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.reading import PARQUET
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
 from kilter_service.db import Database
@@ -16,6 +15,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.paging import Page
+from kilter_service.tables.reading import PARQUET
 from kilter_service.versions import differences, service
 
 if TYPE_CHECKING:

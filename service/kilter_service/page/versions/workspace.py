@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kilter_service.correction.outcome import REACHED_M
+from kilter_service.correction_outcome import REACHED_M
 from kilter_service.db import Database
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
 from kilter_service.page.figures.scale import around

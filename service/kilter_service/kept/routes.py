@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from kilter_service.contract.references import Kind, ResolvedReference, TombstoneList
+from kilter_service.kept import service
 from kilter_service.page_query import PageOfList
-from kilter_service.references import service
 from kilter_service.routing import GuardedRoute
 from kilter_service.state import DatabaseOfApp
 

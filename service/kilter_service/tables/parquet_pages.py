@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns.thrift import Thrift
 from kilter_service.limits import MAX_FOOTER_BYTES, MAX_PAGES, MAX_PAGES_BYTES
+from kilter_service.tables.thrift import Thrift
 
 MAGIC = b"PAR1"
 HEADER_BYTES = 1 << 16  # of a page; statistics in it are short for numbers

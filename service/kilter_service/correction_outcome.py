@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.correction.uncertainty import about, from_parameters
-from kilter_service.corrector.wire import Flag, Status
+from kilter_service.contract.stream_frames import Flag, Status
+from kilter_service.correction_uncertainty import about, from_parameters
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:

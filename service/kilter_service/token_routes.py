@@ -8,7 +8,6 @@ from kilter_service.auth.access import Admin, caller_of
 from kilter_service.contract.tokens import Identity, MadeToken, NewToken, Token, TokenList
 from kilter_service.page_query import PageOfList
 from kilter_service.routing import GuardedRoute
-from kilter_service.signing.service import end_sessions
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.tokens import service
 
@@ -37,8 +36,8 @@ def listed(database: DatabaseOfApp, page: PageOfList) -> TokenList:
 
 
 @router.delete("/tokens/{token}")
-def revoke(token: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> Token:
+def revoke(token: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> Token:
     """End a token at once, and the sessions of streams that it asked for; a repeat changes nothing."""
     ended = service.revoke(database, token, actor)
-    end_sessions(database, settings, ended.id)
+    request.app.state.end_sessions(database, settings, ended.id)  # handed in: the stream is above
     return ended

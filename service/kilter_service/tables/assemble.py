@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import CONDITIONS, Observations
-from kilter_service.campaigns.columns import Column
 from kilter_service.contract.columns import BASE, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
+from kilter_service.tables.columns import Column
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns.columns import check_names
-from kilter_service.campaigns.parquet_pages import check_pages
 from kilter_service.limits import BATCH_CELLS, MAX_CELLS, MAX_COLUMNS
+from kilter_service.tables.columns import check_names
+from kilter_service.tables.parquet_pages import check_pages
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns.columns import check_names
-from kilter_service.campaigns.parquet_file import parquet_names, parquet_tables
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_CELL, MAX_CELLS, MAX_COLUMNS, MAX_HEADER_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES
+from kilter_service.tables.columns import check_names
+from kilter_service.tables.parquet_file import parquet_names, parquet_tables
 
 if TYPE_CHECKING:
     import pyarrow as pa

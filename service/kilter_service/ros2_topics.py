@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from kilter_service.ros2.names import checked_topic
+_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+
+
+def checked_topic(topic: str) -> str:
+    """Return ``topic`` when it is a full name of ROS 2, else raise ValueError naming the rule."""
+    if not _TOPIC.fullmatch(topic):
+        raise ValueError(f"{topic!r} is not a full topic name: write it as /arm_controller/joint_trajectory.")
+    return topic
+
 
 Topic = Annotated[str, AfterValidator(checked_topic)]
 
