@@ -214,7 +214,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "stream-keys": (stream_keys, command.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
     "upgrade": (upgrade, "kilterd upgrade --check"),
-    "backup": (backup, "kilterd backup /backups"),
+    "backup": (backup, "kilterd backup /backups --keep 14"),
     "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
     "verify": (verify, "kilterd verify"),
     "seal": (seal, "KILTER_SEAL_KEY=/etc/kilter/seal-key kilterd seal"),
@@ -223,7 +223,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "compile": (compile_kernels, "sudo /opt/kilter/bin/kilterd compile"),
 }
 PATHS = {
-    "backup": ("PATH", None, "file to write, or a folder, where it is named after the time"),
+    "backup": ("PATH", "?", "file to write, or a folder, where it is named after the time (default: KILTER_BACKUPS)"),
     "restore": ("FILE", None, "file that `kilterd backup` wrote"),
     "verify": ("FILE", "?", "a backup to check (default: the database of the server)"),
 }
@@ -252,6 +252,8 @@ def parser() -> argparse.ArgumentParser:
         if name in PATHS:
             shown, count, help_text = PATHS[name]
             added.add_argument("path", metavar=shown, nargs=count, help=help_text)
+        if name == "backup":
+            added.add_argument("--keep", metavar="N", type=_number, help="remove all but the newest N of the folder")
         if name == "purge-jobs":
             added.add_argument("--older-than", metavar="AGE", required=True, help="12h, 30d or 8w since a job ended")
             added.add_argument("--dry-run", action="store_true", help="only say how many it would be")
@@ -270,6 +272,13 @@ def parser() -> argparse.ArgumentParser:
         if name == "zenoh-config":
             zenoh_command.add_options(added)
     return root
+
+
+def _number(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} would keep none: give 1 or more")
+    return number
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

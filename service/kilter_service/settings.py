@@ -88,6 +88,7 @@ class Settings(BaseSettings):
     proxy: str = Field(default="", description="addresses or networks of the proxy in front, with commas between them")
     tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
     tls_key: Path | None = Field(default=None, description="PEM file of the certificate's private key")
+    backups: Path | None = Field(default=None, description="folder of `kilterd backup`, whose age is watched")
     keep_jobs_days: Annotated[int, Field(ge=0, description="days that ended jobs are kept; 0: for good")] = 0
     worker_name: str | None = Field(default=None, description="name of this worker; default is the host name")
     worker_processes: Annotated[
@@ -194,6 +195,7 @@ class Settings(BaseSettings):
             "PROXY": self.proxy,
             "TLS_CERTIFICATE": str(self.tls_certificate) if self.tls_certificate else None,
             "TLS_KEY": str(self.tls_key) if self.tls_key else None,
+            "BACKUPS": str(self.backups) if self.backups else None,
             "KEEP_JOBS_DAYS": str(self.keep_jobs_days),
             "WORKER_NAME": self.worker_name,
             "WORKER_PROCESSES": str(self.worker_processes),

@@ -15,11 +15,12 @@ import httpx
 import pytest
 import yaml
 
-from kilter_service.program import COMMANDS
+from kilter_service.program import COMMANDS, parser
 from kilter_service.settings import Settings
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
+TIMERS = sorted((DEPLOY / "systemd").glob("*.timer"))
 VARIABLES = {f"KILTER_{name.upper()}" for name in Settings.model_fields}
 
 
@@ -39,20 +40,36 @@ def test_compose_runs_every_part_on_one_database() -> None:
     assert not re.search(r"PASSWORD: \w", text), "no password is written down"
 
 
-@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
-def test_units_call_commands_and_start_again(unit: Path) -> None:
+def section_of(unit: Path, name: str = "Service") -> configparser.SectionProxy:
     parsed = configparser.ConfigParser(interpolation=None, strict=False)
     parsed.optionxform = str  # type: ignore[assignment, method-assign]
     parsed.read(unit, encoding="utf-8")
-    service = parsed["Service"]
+    return parsed[name]
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_units_call_commands_and_start_again(unit: Path) -> None:
+    service = section_of(unit)
     for key in ("ExecStart", "ExecStartPre"):
         if key in service and not (key == "ExecStartPre" and service[key].startswith("/bin/cp ")):
-            program, command = service[key].split()
-            assert (program, command in COMMANDS) == ("/opt/kilter/bin/kilterd", True)
-    assert service["Restart"] == "always"
-    assert service["StateDirectory"] in service["Environment"]
+            program, *arguments = service[key].split()
+            assert program == "/opt/kilter/bin/kilterd"
+            assert parser().parse_args(arguments).command in COMMANDS
+    assert service.get("Type") == "oneshot" or service["Restart"] == "always"
+    for folder in service["StateDirectory"].split():
+        assert f"=/var/lib/{folder}" in service["Environment"]
     named = set(re.findall(r"KILTER_\w+", service["Environment"]))
     assert named <= VARIABLES
+
+
+def test_units_that_share_a_folder_have_one_account() -> None:
+    # systemd gives a folder of state, and all that is in it, to the account of the unit that starts.
+    accounts: dict[str, set[str]] = {}
+    for unit in UNITS:
+        service = section_of(unit)
+        for folder in service["StateDirectory"].split():
+            accounts.setdefault(folder, set()).add(service.get("User", unit.stem.rstrip("@")))
+    assert {folder: len(names) for folder, names in accounts.items()} == dict.fromkeys(accounts, 1)
 
 
 @pytest.mark.parametrize("unit", ["kilter-corrector.service", "kilter.service"])
@@ -74,10 +91,7 @@ def as_systemd(folder: Path, text: str) -> list[str]:
 
 
 def test_the_unit_of_the_whole_server_runs_as_printed(tmp_path: Path) -> None:
-    unit = configparser.ConfigParser(interpolation=None)
-    unit.optionxform = str  # type: ignore[assignment, method-assign]
-    unit.read(DEPLOY / "systemd" / "kilter.service", encoding="utf-8")
-    service = unit["Service"]
+    service = section_of(DEPLOY / "systemd" / "kilter.service")
     name, _, source = service["LoadCredential"].partition(":")
     etc, credentials, state = (tmp_path / part for part in ("etc", "credentials", "var/kilter"))
     for folder in (etc, credentials, state):
@@ -109,12 +123,28 @@ def test_the_unit_of_the_whole_server_runs_as_printed(tmp_path: Path) -> None:
             assert server.wait(int(service["TimeoutStopSec"])) == 0
 
 
+def test_the_timer_s_backup_runs_as_printed(tmp_path: Path) -> None:
+    service = section_of(DEPLOY / "systemd" / "kilter-backup.service")
+    for folder in service["StateDirectory"].split():
+        (tmp_path / "var" / folder).mkdir(parents=True, mode=int(service["StateDirectoryMode"], 8))
+    environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path)}
+    environment |= dict(word.split("=", 1) for word in as_systemd(tmp_path, service["Environment"]))
+    migrate = [sys.executable, "-m", "kilter_service", "migrate"]
+    subprocess.run(migrate, env=environment, check=True, capture_output=True, timeout=60)
+    command = as_systemd(tmp_path, service["ExecStart"])
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "1 backups are kept" in done.stdout
+    assert [timer.stem for timer in TIMERS] == ["kilter-backup"]
+    assert section_of(TIMERS[0], "Timer")["Persistent"] == "yes"  # also where the machine was off at night
+
+
 def test_units_are_sound_to_systemd() -> None:
     program = shutil.which("systemd-analyze")
     if program is None:
         pytest.skip("systemd is not installed")
     done = subprocess.run(
-        [program, "verify", *map(str, UNITS)], capture_output=True, text=True, timeout=60, check=False
+        [program, "verify", *map(str, UNITS + TIMERS)], capture_output=True, text=True, timeout=60, check=False
     )
     said = [line for line in done.stderr.splitlines() if "/opt/kilter" not in line and "kilter" in line]
     assert not said

@@ -15,6 +15,7 @@ from fastapi import Request
 from kilter_service.auth.direct import address_of
 from kilter_service.caller import ANYBODY, CALLER, Caller
 from kilter_service.db import Database, audited
+from kilter_service.observability.failing import Failing
 
 log = logging.getLogger("kilter.api")
 
@@ -49,6 +50,7 @@ class Refusals:
         self._pause_s = first_s
         self._timer: threading.Timer | None = None
         self._closed = False
+        self._writing = Failing(log, "refused requests cannot be written to the audit")
 
     def count(self, group: Group) -> None:
         """Count one; it is written later."""
@@ -87,8 +89,9 @@ class Refusals:
             try:
                 with self._database.transaction() as session:
                     audited.note(session, "refused", None, {"code": group.code, "times": times})
-            except Exception:  # whatever the database says: they wait for the next time
-                log.warning("refused requests cannot be written to the audit", exc_info=True)
+                self._writing.worked()
+            except Exception as error:  # whatever the database says: they wait for the next time
+                self._writing.failed(error)
                 with self._lock:
                     for kept in found[at:]:
                         self._add(*kept)

@@ -7,26 +7,24 @@ database of the job engine is not in it: jobs that were not over are queued agai
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import os
 import shutil
 import sqlite3
 import tempfile
 from contextlib import closing, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 
 from kilter_service.backup import manifest, store
+from kilter_service.backup.file_hash import check_hash, has_hash, hash_file, write_hash
 from kilter_service.backup.findings import Findings
+from kilter_service.backup.scheduled import name_now
 from kilter_service.db import Database, revision
 from kilter_service.db.failures import in_words
 from kilter_service.errors import ServiceError
 from kilter_service.private_files import private_file, private_folder
 from kilter_service.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 
-SUFFIX = ".kilter-backup"
 PAGES_AT_ONCE = 2000  # of a copy: writers go on in between
-PIECE_BYTES = 1 << 20
 
 
 def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
@@ -36,7 +34,7 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
         ServiceError: the file exists, or the database is damaged or of another revision.
 
     """
-    path = where / f"kilter-{datetime.now(UTC):%Y%m%dT%H%M%SZ}{SUFFIX}" if where.is_dir() else where
+    path = where / name_now() if where.is_dir() else where
     if path.exists():
         raise ServiceError(f"{path} exists: give another name, backups are never written over.", code="backup_refused")
     part = path.with_name(f"{path.name}.part")
@@ -54,7 +52,7 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
         manifest.write(part)
         found.every_row = True
         _put(part, path)
-        _write_hash(path)
+        write_hash(path)
     finally:
         database.close()
         _remove(part)
@@ -72,7 +70,7 @@ def restore(settings: Settings, path: Path) -> Findings:
         raise ServiceError(
             f"There is no backup {path}: give the file that `kilterd backup` wrote.", code="backup_refused"
         )
-    _check_hash(path)
+    check_hash(path)
     private_folder(settings.data)
     with (settings.data / LOCK_FILE).open("w", encoding="ascii") as lock:
         _lock(lock.fileno(), settings.data)
@@ -98,8 +96,8 @@ def verify(path: Path) -> Findings:
         )
     with tempfile.TemporaryDirectory(prefix="kilter-verify-") as folder:
         found = _checked_copy(path, Path(folder) / "copy.sqlite")
-    if not _has_hash(path):
-        found.add(f"The backup does not have the hash in {_hash_file(path).name}: one of the two was altered.")
+    if not has_hash(path):
+        found.add(f"The backup does not have the hash in {hash_file(path).name}: one of the two was altered.")
     return found
 
 
@@ -267,34 +265,3 @@ def _put(part: Path, path: Path) -> None:
     with suppress(OSError):  # some file systems cannot
         os.fsync(folder)
     os.close(folder)
-
-
-def _hash_file(path: Path) -> Path:
-    return path.with_name(f"{path.name}.sha256")
-
-
-def _write_hash(path: Path) -> None:
-    _hash_file(path).write_text(f"{_sha256(path)}  {path.name}\n", encoding="utf-8")  # for sha256sum --check
-
-
-def _has_hash(path: Path) -> bool:
-    """Whether a backup has the hash that lies beside it; one that lost that file has its manifest."""
-    beside = _hash_file(path)
-    return not beside.exists() or beside.read_bytes().split()[:1] == [_sha256(path).encode()]
-
-
-def _check_hash(path: Path) -> None:
-    if not _has_hash(path):
-        raise ServiceError(
-            f"{path} does not have the hash in {_hash_file(path).name}: it was changed or copied badly. Take another copy, "
-            "or an older backup.",
-            code="database_damaged",
-        )
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while piece := file.read(PIECE_BYTES):
-            digest.update(piece)
-    return digest.hexdigest()

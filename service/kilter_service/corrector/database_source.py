@@ -58,8 +58,8 @@ class DatabaseSource:
             key = (version.robot, version.epoch)
             try:
                 active = self._compiled.get(key) or _compiled(version, self._temperature_c)
-            except CoreError:
-                log.exception("version %s of robot %s cannot be streamed", version.id, version.robot)
+            except CoreError as error:
+                log.error("version %s of robot %s cannot be streamed: %s", version.id, version.robot, error.message)
                 continue
             self._compiled[key] = out[version.robot] = active
         return out

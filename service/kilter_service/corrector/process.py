@@ -29,6 +29,7 @@ from kilter_service.corrector.orphan import take_over
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import Pulse, running
+from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 from kilter_service.signing.masters import Masters, masters_in
 
@@ -54,7 +55,7 @@ class Corrector:
         self._rules = rules or Rules()
         self._stamp: Hashable = object()
         self._active: dict[str, Active] = {}
-        self._reading = True
+        self._looking = Failing(log, "the active versions cannot be read; the versions in use stay")
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
         self._nursery = Nursery()
@@ -210,11 +211,9 @@ class Corrector:
             if stamp != self._stamp:
                 self._take_over(self._source.load())
                 self._stamp = stamp
-            self._reading = True
-        except Exception:  # whatever the database says, the stream continues with what it has
-            if self._reading:  # said once, not four times a second
-                log.exception("the active versions cannot be read; the versions in use stay")
-            self._reading = False
+            self._looking.worked()
+        except Exception as error:  # whatever the database says, the stream continues with what it has
+            self._looking.failed(error)
 
     def _take_over(self, versions: Mapping[str, Active]) -> None:
         for robot in [robot for robot in self._active if robot not in versions]:

@@ -40,6 +40,7 @@ REFUSED = (
     "The database refuses this account ({reason}): see the user, the password and the name in KILTER_DATABASE_URL."
 )
 CREDENTIALS = re.compile(r"(?<=://)[^@/\s]*@|password=\S+")
+CODES = {AWAY_CODE, FULL_CODE, READ_ONLY_CODE, FAILED_CODE, REFUSED_CODE, "database_damaged", "database_busy"}
 ERRNO = {
     errno.ENOSPC: (FULL_CODE, FULL),
     errno.EDQUOT: (FULL_CODE, FULL),

@@ -24,6 +24,8 @@ from kilter_service.settings import DATABASE_FILE, JOBS_FILE, TOKEN_FILE, Settin
 LEAST_FREE_MB = 1024
 SLOW_S = 1.0
 AHEAD = timedelta(minutes=5)  # of this machine's clock: what was stored cannot be later than now
+OLD_S = 48 * 3600.0  # a backup is made every night
+TIMER = "`systemctl list-timers kilter-backup`, `journalctl -u kilter-backup`"
 BUILT = datetime(2026, 11, 1, tzinfo=UTC)
 
 
@@ -109,6 +111,28 @@ def hashes(settings: Settings) -> tuple[bool, str]:
     return _ok(f"{found.looked_at()} looked at, `kilterd verify` looks at all")
 
 
+def backup(settings: Settings) -> tuple[bool, str]:
+    """A backup was made lately, and is whole."""
+    from kilter_service.backup import file_hash, scheduled
+
+    folder = settings.backups
+    if folder is None:
+        return _ok("not looked for: set KILTER_BACKUPS to the folder that `kilterd backup` writes into")
+    scheduled.check_folder(folder)
+    found = scheduled.backups(folder)
+    if not found:
+        return _wrong(f"none in {folder}: run `kilterd backup`, and see that its timer is on ({TIMER})")
+    newest, age_s = found[0], found[0].age_s()
+    if age_s < -AHEAD.total_seconds():
+        return _wrong(f"the newest, {newest.path.name}, is of a later time than now: set the clock, or move it away")
+    if not file_hash.has_hash(newest.path):
+        return _wrong(f"the newest, {newest.path.name}, does not have its hash: move it away and run `kilterd backup`")
+    told = f"the newest of {len(found)}, {newest.path.name}, is {age_s / 3600:.0f} h old"
+    return (
+        _wrong(f"{told}: run `kilterd backup`, and see why its timer did not ({TIMER})") if age_s > OLD_S else _ok(told)
+    )
+
+
 def clock(settings: Settings) -> tuple[bool, str]:
     """The clock is not behind what it was."""
     now = datetime.now(UTC)
@@ -170,6 +194,7 @@ CHECKS: dict[str, Callable[[Settings], tuple[bool, str]]] = {
     "database": database,
     "schema": schema,
     "hashes": hashes,
+    "backup": backup,
     "clock": clock,
     "port": http_port,
     "zenoh port": zenoh_port,

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ class Pulse:
     ) -> None:
         self._settings, self._process, self._name, self._well, self._details = settings, process, name, well, details
         self._ended, self._round_at = threading.Event(), time.monotonic()
-        self._said, self._heard = False, True
+        self._said = False
+        self._telling = Failing(log, "%s cannot say in the database that it is alive", process)
         self._thread = threading.Thread(target=self._run, name=f"pulse of {process}", daemon=True)
 
     def __enter__(self) -> Pulse:
@@ -74,11 +76,9 @@ class Pulse:
                     store.silence(session, self._process, self._name)
                 else:
                     store.beat(session, self._process, self._name, os.getpid(), self._details())
-            self._heard = True
-        except Exception:  # whatever the database says, the process goes on
-            if self._heard:  # said once, not every two seconds
-                log.warning("%s cannot say in the database that it is alive", self._process, exc_info=True)
-            self._heard = False
+            self._telling.worked()
+        except Exception as error:  # whatever the database says, the process goes on
+            self._telling.failed(error)
 
 
 def running(pid: int | None) -> bool:

@@ -14,10 +14,14 @@ from kilter_service.db import Database, revision
 from kilter_service.db.outages import is_read_only
 from kilter_service.health import store
 from kilter_service.health.clock import SetClock
+from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
 log = logging.getLogger("kilter.api")
+looks = {
+    name: Failing(log, "the check of %s failed", name) for name in ("database", "disk", "worker", "corrector", "ros2")
+}
 
 SILENT_AFTER_S = 10.0
 LEAST_FREE_MB = 200  # an upload of the largest size is on disk twice
@@ -56,15 +60,17 @@ def clock() -> SetClock:
 def _told(name: str, look: Callable[[], Check]) -> Check:
     """What a look at a part finds; that it cannot be looked at is a finding."""
     try:
-        return look()
+        found = look()
     except Exception as error:  # the driver's, the system's: whatever it is, the document is what helps
-        log.warning("the check of %s failed", name, exc_info=True)
+        looks[name].failed(error)
         remedy = (
             "see that it runs and can be reached, KILTER_DATABASE_URL says where"
             if name == "database"
             else "see the log"
         )
         return Check(ok=False, detail=f"cannot be read ({type(error).__name__}): {remedy}")
+    looks[name].worked()
+    return found
 
 
 def _database(database: Database) -> Check:

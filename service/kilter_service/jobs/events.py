@@ -21,6 +21,7 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.contract.jobs.job import FINAL, Job
 from kilter_service.db import Database
 from kilter_service.jobs import service, store, wire
+from kilter_service.observability.failing import Failing
 
 log = logging.getLogger("kilter.api")
 
@@ -77,7 +78,7 @@ class Followers:
         self._jobs: dict[str, Followed] = {}
         self._joined = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
-        self._reading = True
+        self._looking = Failing(log, "the jobs that are followed cannot be read")
 
     async def events(self, job_id: str, known: str | None) -> AsyncGenerator[str, None]:
         """Yield the events of a job from now to its end; ``known`` is the id of the last that was received."""
@@ -123,12 +124,10 @@ class Followers:
         known = {job_id: job.progress for job_id, job in self._jobs.items()}
         try:
             found = await run_in_threadpool(_changed, self._database, known)
-        except Exception:  # the database may be away for a while; the followers stay
-            if self._reading:
-                log.warning("the jobs that are followed cannot be read", exc_info=True)
-            self._reading = False
+        except Exception as error:  # the database may be away for a while; the followers stay
+            self._looking.failed(error)
             return
-        self._reading = True
+        self._looking.worked()
         for job_id, (progress, news) in found.items():
             if job_id in self._jobs:
                 self._jobs[job_id].progress = progress

@@ -30,6 +30,7 @@ from kilter_service.jobs.processes import Processes
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
+from kilter_service.observability.failing import log_failure
 from kilter_service.versions.objections import objections_of
 
 log = logging.getLogger("kilter.worker")
@@ -94,7 +95,7 @@ class Runner:
         except CoreError as error:
             return Outcome(error=(error.code, error.message))
         except Exception as error:
-            log.exception("job %s failed", claim.job_id)
+            log_failure(log, error, "job %s failed", claim.job_id)
             if known := in_words(error):  # the disk is full, say
                 return Outcome(error=(known.code, known.message))
             message = f"Kilter failed. The worker's log has the cause under job {claim.job_id}."
@@ -116,8 +117,8 @@ class Runner:
                 _store(session, claim, outcome)
         except DatabaseAwayError:
             raise
-        except Exception:
-            log.exception("the result of job %s could not be stored", claim.job_id)
+        except Exception as error:
+            log_failure(log, error, "the result of job %s could not be stored", claim.job_id)
             message = f"The result could not be stored. The worker's log has the cause under job {claim.job_id}."
             with self._database.transaction() as session:
                 _store(session, claim, Outcome(error=("internal_error", message)))

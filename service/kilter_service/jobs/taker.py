@@ -10,6 +10,7 @@ from kilter_service.db import Database, DatabaseAwayError
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.runner import Runner
+from kilter_service.observability.failing import log_failure
 
 log = logging.getLogger("kilter.worker")
 
@@ -40,8 +41,8 @@ class Taker:
                 pause = POLL_S
             except DatabaseAwayError:  # the thread that writes the heartbeat says so
                 pause = PAUSE_S
-            except Exception:  # one job, or one moment, must not end the queue
-                log.exception("worker %s goes on", self._worker)
+            except Exception as error:  # one job, or one moment, must not end the queue
+                log_failure(log, error, "worker %s goes on", self._worker)
                 pause = PAUSE_S
             self._stop.wait(pause)
 

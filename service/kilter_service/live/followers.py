@@ -21,6 +21,7 @@ from kilter_service.live.heard import Heard
 from kilter_service.live.session import LiveSession, Message, opened
 from kilter_service.live.shown import Reach, RobotShown
 from kilter_service.live.verdict import bypass
+from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 from kilter_service.signing.masters import Masters, masters_in
 
@@ -75,6 +76,7 @@ class Viewers:
         self._masters: Masters | None = None
         self._began_s = 0.0
         self._task: asyncio.Task[None] | None = None
+        self._looking = Failing(log, "the streams that are looked at cannot be looked up")
 
     async def events(self, robot: str) -> AsyncGenerator[str, None]:
         """Yield what is to be shown of a robot, several times a second while a stream moves."""
@@ -132,9 +134,10 @@ class Viewers:
             self.session = await run_in_threadpool(opened, self._settings, self.session)
             found = await run_in_threadpool(_known, self._database, list(self._robots))
             self._here = self._settings.corrector_file.exists()
-        except Exception:  # the database may be away for a while; the followers stay
-            log.warning("the streams that are looked at cannot be looked up", exc_info=True)
+        except Exception as error:  # the database may be away for a while; the followers stay
+            self._looking.failed(error)
             return
+        self._looking.worked()
         for robot, known in found.items():
             if robot in self._robots:
                 self._robots[robot].known = known

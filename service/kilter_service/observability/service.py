@@ -13,12 +13,13 @@ from prometheus_client.registry import Collector
 
 from kilter_service.db import Database, Session
 from kilter_service.observability import machine, store
+from kilter_service.observability.failing import Failing
 from kilter_service.observability.metrics import REGISTRY
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 from kilter_service.wire import to_metres
 
-log = logging.getLogger("kilter.api")
+reading = Failing(logging.getLogger("kilter.api"), "the metrics of the database cannot be read")
 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 DATABASE_UP = "Whether the database answers."
@@ -56,10 +57,11 @@ class _Asked(Collector):
         try:
             with self._database.reading() as session:
                 known = list(_of(session))
-        except Exception:  # the metrics are there to say so
-            log.warning("the metrics of the database cannot be read", exc_info=True)
+        except Exception as error:  # the metrics are there to say so
+            reading.failed(error)
             yield _gauge("kilter_database_up", DATABASE_UP, (), [((), 0.0)])
             return
+        reading.worked()
         yield _gauge("kilter_database_up", DATABASE_UP, (), [((), 1.0)])
         yield from known
 

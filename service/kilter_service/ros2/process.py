@@ -25,6 +25,7 @@ from kilter_service.corrector.endpoints import check_ros2
 from kilter_service.corrector.session import close, config
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import Pulse
+from kilter_service.observability.failing import Failing
 from kilter_service.ros2 import names
 from kilter_service.ros2.names import JOINT_STATE, JOINT_TRAJECTORY, Attachment, MessageType
 from kilter_service.ros2.relay import Relay, StateRelay, TrajectoryRelay
@@ -174,7 +175,7 @@ class Versions:
     def __init__(self, source: VersionSource) -> None:
         self._source = source
         self._stamp: object = object()
-        self._reading = True
+        self._looking = Failing(log, "the active versions cannot be read; the versions in use stay")
 
     def poll(self) -> dict[str, Active] | None:
         """Versions by robot, or None when they are the same; whatever the database says, those in use stay."""
@@ -183,12 +184,11 @@ class Versions:
             if stamp == self._stamp:
                 return None
             found = dict(self._source.load())
-        except Exception:
-            if self._reading:  # said once, not four times a second
-                log.exception("the active versions cannot be read; the versions in use stay")
-            self._reading = False
+        except Exception as error:
+            self._looking.failed(error)
             return None
-        self._stamp, self._reading = stamp, True
+        self._looking.worked()
+        self._stamp = stamp
         return found
 
 
