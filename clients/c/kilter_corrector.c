@@ -32,19 +32,20 @@ enum {
     TILT = 9, TILT_SOFT = 10, TILT_SHARE = 11, PLAY = 12, PLAY_SOFT = 13, REVERSAL = 14, COMPLIANCE = 15, RATE = 16,
     LARGEST = 17, SPEED = 18, RADIAL = 19, TWISTED = 20, HARDENING = 21, SIDED = 22, CHANGE = 23, SPURT = 24,
     TILT_OWN = 25, PLAY_OWN = 26, CURVED = 0, SHAPE = 1, DRIVER = 2, AMPLITUDE_A = 3, AMPLITUDE_B = 4, FACTOR = 5,
-    EXTRA = 6, POWERS = 8, HIGHEST = 20, BENDING = 0, BENDING_JOINT = 36, BENDING_LINK = 37, BASE_FRAME = 0,
-    FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25, FIXED_MOMENT_X = 26, FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3,
-    WEIGHT = 10, ITERATIONS = 16, STEP = 17, SINGULAR = 18, FARTHEST = 19, RAMP = 20, FILTER = 21, HYSTERESIS = 22,
-    LOADED = 23, REACHED = 24, N = 25, M = 26, WEAK = 27, CURVES = 28, BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31,
-    FIRST = 32, LEVERAGE = 33, TURNED = 34, SATURATES = 35, ROUNDS = 36, LINE = 12, SINE = 18, COSINE = 19, LOAD = 20,
-    ON_BASE = 26, WANTED = 0, COMMAND = 1, SHIFT = 2, TILT_A = 3, TILT_B = 4, SIDE = 5, MOMENT = 6, SPEED_NOW = 9,
-    ACCEL_NOW = 10, SIGN = 11, COLUMN = 12, REVERSED_AT_NEW = 18, SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20, GUESSED = 21,
-    TWIST = 22, ROOT = 28, END = 34, STEPPED = 40, RAMPED = 41, TOTAL = 42, NEXT = 43, WISH = 45, KEPT = 45, ERROR = 6,
-    MULTIPLIER = 7, RIGHT = 8, MATRIX = 9, ADDED = 15, LAST_A = 0, LAST_B = 1, LAST_SIDE = 2, LAST_Q = 3,
-    REVERSED_AT = 4, LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7, SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10, SLOPE = 11,
-    VELOCITY = 12, TARGET = 13, AIMED = 44, STARTED = 0, REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4, OK = 0,
-    NOT_FINITE = 5, JOINT_LIMIT = 6, TOO_LARGE = 7, RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512, REVERSING = 1024,
-    DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192, SLOWED = 16384, NEAR_REVERSAL = 65536
+    EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, BENDING = 0, BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40,
+    ROOTED = 41, WAY = 42, BASE_FRAME = 0, FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25, FIXED_MOMENT_X = 26,
+    FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3, WEIGHT = 10, ITERATIONS = 16, STEP = 17, SINGULAR = 18, FARTHEST = 19,
+    RAMP = 20, FILTER = 21, HYSTERESIS = 22, LOADED = 23, REACHED = 24, N = 25, M = 26, WEAK = 27, CURVES = 28,
+    BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31, FIRST = 32, LEVERAGE = 33, TURNED = 34, SATURATES = 35, ROUNDS = 36,
+    LINE = 12, SINE = 18, COSINE = 19, LOAD = 20, ON_BASE = 26, WANTED = 0, COMMAND = 1, SHIFT = 2, TILT_A = 3,
+    TILT_B = 4, SIDE = 5, MOMENT = 6, SPEED_NOW = 9, ACCEL_NOW = 10, SIGN = 11, COLUMN = 12, REVERSED_AT_NEW = 18,
+    SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20, GUESSED = 21, TWIST = 22, ROOT = 28, END = 34, STEPPED = 40, RAMPED = 41,
+    TOTAL = 42, NEXT = 43, WISH = 45, KEPT = 45, ERROR = 6, MULTIPLIER = 7, RIGHT = 8, MATRIX = 9, ADDED = 15,
+    LAST_A = 0, LAST_B = 1, LAST_SIDE = 2, LAST_Q = 3, REVERSED_AT = 4, LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7,
+    SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10, SLOPE = 11, VELOCITY = 12, TARGET = 13, AIMED = 44, STARTED = 0,
+    REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4, OK = 0, NOT_FINITE = 5, JOINT_LIMIT = 6, TOO_LARGE = 7,
+    RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512, REVERSING = 1024, DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192,
+    SLOWED = 16384, NEAR_REVERSAL = 65536
 };
 #define WAVE 0.0
 #define LINEAR 1.0
@@ -831,43 +832,67 @@ static void kept_signs(matrix W, int n, int oj)
     }
 }
 
-/* Add what the curves of the joints say at the command. */
+/* What a curve says at the command. */
+static double curve(rows P, matrix W, int row, int oj)
+{
+    double shape = P.at[row][SHAPE];
+    int d = oj + (int)P.at[row][DRIVER];
+    double q = W[d][COMMAND];
+    double s = 0.0;
+    double c = 0.0;
+    if (shape == WAVE) {
+        const tuple2 got1 = sine_cosine(P.at[row][FACTOR] * q);
+        s = got1.at[0];
+        c = got1.at[1];
+        return P.at[row][AMPLITUDE_A] * s + P.at[row][AMPLITUDE_B] * c;
+    }
+    if (shape == LINEAR) {
+        return P.at[row][AMPLITUDE_A] * q;
+    }
+    if (shape == LAG) {
+        return -P.at[row][AMPLITUDE_A] * W[d][SPEED_NOW];
+    }
+    if (shape == SINES) {
+        return P.at[row][AMPLITUDE_A] * sin(q) * sin(W[oj + (int)P.at[row][CURVED]][COMMAND]);
+    }
+    if (shape == POLYNOMIAL) {
+        double u = smaller(1.0, larger(-1.0, (q - P.at[row][EXTRA]) / P.at[row][EXTRA + 1]));
+        double total = 0.0;
+        for (int k = 0; k < HIGHEST - POWERS + 1; k++) {
+            total = total * u + P.at[row][HIGHEST - k];
+        }
+        return total;
+    }
+    double a = P.at[row][EXTRA];
+    double b = P.at[row][EXTRA + 1];
+    const tuple2 got2 = sine_cosine(q + P.at[row][EXTRA + 2]);
+    s = got2.at[0];
+    c = got2.at[1];
+    double length = sqrt(a * a + b * b - 2.0 * a * b * c);
+    return -P.at[row][AMPLITUDE_A] * s * (1.0 - P.at[row][EXTRA + 3] / length);
+}
+
+/* Add what the curves of the joints say at the command, to it or to the twist behind it. */
 static void joint_curves(rows P, matrix W, int n, int m, int oj)
 {
     int first = m + 1 + n;
     for (int row = first; row < first + (int)P.at[P.count - 1][CURVES]; row++) {
         int j = oj + (int)P.at[row][CURVED];
-        double shape = P.at[row][SHAPE];
-        int d = oj + (int)P.at[row][DRIVER];
-        double q = W[d][COMMAND];
-        if (shape == WAVE) {
-            const tuple2 got1 = sine_cosine(P.at[row][FACTOR] * q);
-            double s = got1.at[0];
-            double c = got1.at[1];
-            W[j][SHIFT] += P.at[row][AMPLITUDE_A] * s + P.at[row][AMPLITUDE_B] * c;
-        } else if (shape == LINEAR) {
-            W[j][SHIFT] += P.at[row][AMPLITUDE_A] * q;
-        } else if (shape == LAG) {
-            W[j][SHIFT] -= P.at[row][AMPLITUDE_A] * W[d][SPEED_NOW];
-        } else if (shape == SINES) {
-            W[j][SHIFT] += P.at[row][AMPLITUDE_A] * sin(q) * sin(W[j][COMMAND]);
-        } else if (shape == POLYNOMIAL) {
-            double u = smaller(1.0, larger(-1.0, (q - P.at[row][EXTRA]) / P.at[row][EXTRA + 1]));
-            double total = 0.0;
-            for (int k = 0; k < HIGHEST - POWERS + 1; k++) {
-                total = total * u + P.at[row][HIGHEST - k];
-            }
-            W[j][SHIFT] += total;
-        } else {
-            double a = P.at[row][EXTRA];
-            double b = P.at[row][EXTRA + 1];
-            const tuple2 got2 = sine_cosine(q + P.at[row][EXTRA + 2]);
-            double s = got2.at[0];
-            double c = got2.at[1];
-            double length = sqrt(a * a + b * b - 2.0 * a * b * c);
-            W[j][SHIFT] -= P.at[row][AMPLITUDE_A] * s * (1.0 - P.at[row][EXTRA + 3] / length);
-        }
+        int moved = (int)P.at[row][MOVED];
+        int at = moved == 0 ? SHIFT : TWIST + moved - 1;
+        W[j][at] += curve(P, W, row, oj);
     }
+}
+
+/* Power of the length that stands out at joint row j; 1 where a bending row has none. */
+static double reach_of(rows P, matrix W, int row, int j)
+{
+    double length = larger(0.0, P.at[row][WAY] * (W[j][COMMAND] - P.at[row][ROOTED]));
+    double out = 1.0;
+    for (int _ = 0; _ < (int)P.at[row][POWER]; _++) {
+        out *= length;
+    }
+    return out;
 }
 
 /* Add the twists of the bending rows: linear in the loads on a joint and on the end of its link. */
@@ -890,13 +915,14 @@ static void bending_rows(rows P, matrix W, int n, int m, int oj)
             const double t = each_t[i];
             W[j][END + 3 + i] -= t;
         }
+        double reach = reach_of(P, W, row, j);
         for (int r = 0; r < 6; r++) {
             double total = 0.0;
             for (int c = 0; c < 6; c++) {
                 total += P.at[row][BENDING + 6 * r + c] * W[j][ROOT + c] + P.at[row + 1][BENDING + 6 * r + c] * W[j][END
                     + c];
             }
-            W[j][TWIST + r] += total;
+            W[j][TWIST + r] += reach * total;
         }
     }
 }
@@ -2376,12 +2402,13 @@ static bool possible(const unsigned char *bytes, int count, int n)
         }
     }
     for (int row = m + 1 + n; row < m + 1 + n + curves; row++) {
-        if (!whole(bytes, row, CURVED, 0, n - 1) || !whole(bytes, row, DRIVER, 0, n - 1)) {
+        if (!whole(bytes, row, CURVED, 0, n - 1) || !whole(bytes, row, DRIVER, 0, n - 1) ||
+            !whole(bytes, row, MOVED, 0, 6)) {
             return false;
         }
     }
     for (int row = m + 1 + n + curves; row < m + 1 + n + curves + 2 * bendings; row += 2) {
-        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1)) {
+        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1) || !whole(bytes, row, POWER, 0, 3)) {
             return false;
         }
     }

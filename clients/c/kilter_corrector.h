@@ -17,7 +17,7 @@ extern "C" {
 #endif
 
 #define KC_FORMAT 1u          /* of the program's header */
-#define KC_LAYOUT 0x85014a26u  /* of its numbers: a program for another layout is refused */
+#define KC_LAYOUT 0xac71c663u  /* of its numbers: a program for another layout is refused */
 #define KC_COLUMNS 48
 #define KC_HEADER_BYTES 128
 #define KC_MOST_JOINTS 16

@@ -29,6 +29,7 @@ GENERATED = (
     "clients/python/src/kilter_client/cli/option_texts.py",
     "clients/python/src/kilter_client/cli/listed_texts.py",
     "service/kilter_service/contract/effect_options.py",
+    "service/kilter_service/contract/whole_effect_options.py",
     "service/kilter_service/contract/effects.py",
     *(f"clients/matlab/+kilter/{kind}.m" for kind in ("identify", "gap", "evaluate", "plan")),
 )

@@ -118,12 +118,13 @@ static bool possible(const unsigned char *bytes, int count, int n)
         }
     }
     for (int row = m + 1 + n; row < m + 1 + n + curves; row++) {
-        if (!whole(bytes, row, CURVED, 0, n - 1) || !whole(bytes, row, DRIVER, 0, n - 1)) {
+        if (!whole(bytes, row, CURVED, 0, n - 1) || !whole(bytes, row, DRIVER, 0, n - 1) ||
+            !whole(bytes, row, MOVED, 0, 6)) {
             return false;
         }
     }
     for (int row = m + 1 + n + curves; row < m + 1 + n + curves + 2 * bendings; row += 2) {
-        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1)) {
+        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1) || !whole(bytes, row, POWER, 0, 3)) {
             return false;
         }
     }

@@ -10,7 +10,7 @@ from typing import Any
 from kilter_core.effects import EFFECTS, Effect
 
 MADE = "made from core/kilter_core/effects by `make contract`: change them there."
-HEAD = '''"""Every effect with its options, {made}"""
+HEAD = '''"""Effects {where} with their options, {made}"""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.units import Asked, JointNumber, unit
+from kilter_service.contract.units import {imported}
 
 
-class _AtJoints(Asked):
-    joints: Annotated[list[JointNumber], Field(min_length=1, max_length=32)] | None = Field(
-        None, description="{joints}"
-    )
-
-
-class _Whole(Asked):
-    joints: None = Field(None, description="Null: the effect does not act at joints.")
+class {base}(Asked):
+    joints: {joints}
 '''
+AT_JOINTS = """Annotated[list[JointNumber], Field(min_length=1, max_length=32)] | None = Field(
+        None, description="{text}"
+    )
+"""
+WHOLE = """None = Field(None, description="Null: the effect does not act at joints.")
+"""
 UNION_HEAD = '''"""The effects by name and as documents, {made}"""
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag
 
 from kilter_service.contract.effect_options import ({models})
+from kilter_service.contract.whole_effect_options import ({whole})
 
 '''
 UNITS = {"_nm": "N m", "_c": "degC", "_s": "s", "_m": "m", "_rad": "rad", "_kg": "kg"}
@@ -46,16 +47,33 @@ LIMITS = {"low": "ge", "above": "gt", "high": "le"}
 
 
 def options_module() -> str:
-    """Return the text of the module of every effect's options."""
-    joints = next(f.metadata["text"] for f in fields(Effect) if f.name == "joints")
-    return HEAD.format(made=MADE, joints=joints) + "".join(_model(kind) for kind in EFFECTS.values())
+    """Return the text of the module with the options of the effects at joints."""
+    text = next(f.metadata["text"] for f in fields(Effect) if f.name == "joints")
+    head = HEAD.format(
+        where="at joints",
+        made=MADE,
+        base="_AtJoints",
+        joints=AT_JOINTS.format(text=text),
+        imported="Asked, JointNumber, unit",
+    )
+    return head + "".join(_model(kind) for kind in EFFECTS.values() if kind.at_joints)
+
+
+def whole_options_module() -> str:
+    """Return the text of the module with those of the others."""
+    imported = "Asked, JointNumber, unit"
+    head = HEAD.format(where="on the whole arm", made=MADE, base="_Whole", joints=WHOLE, imported=imported)
+    return head + "".join(_model(kind) for kind in EFFECTS.values() if not kind.at_joints)
 
 
 def effects_module() -> str:
     """Return the text of the module that puts them together."""
-    names = sorted(f"{kind.__name__}Effect" for kind in EFFECTS.values())
-    models = "\n" + "\n".join(_packed(", ".join(names) + ",")) + "\n"
-    return UNION_HEAD.format(made=MADE, models=models) + "\n".join(_lines())
+
+    def listed(at_joints: bool) -> str:
+        names = sorted(f"{kind.__name__}Effect" for kind in EFFECTS.values() if kind.at_joints == at_joints)
+        return "\n" + "\n".join(_packed(", ".join(names) + ",")) + "\n"
+
+    return UNION_HEAD.format(made=MADE, models=listed(True), whole=listed(False)) + "\n".join(_lines())
 
 
 def _model(kind: type[Effect]) -> str:

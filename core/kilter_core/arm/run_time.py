@@ -64,7 +64,10 @@ class Shape(Enum):
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve that is added to ``joint``; ``driver`` is the joint that it follows, ``powers`` those of a polynomial."""
+    """A curve that is added to ``joint``; ``driver`` is the joint that it follows, ``powers`` those of a polynomial.
+
+    Where ``twist`` is a component of the twist behind the joint (0-5), the curve is added to that.
+    """
 
     joint: int
     shape: Shape
@@ -74,16 +77,22 @@ class Curve:
     factor: float = 1.0
     constants: tuple[float, ...] = ()
     powers: tuple[float, ...] = ()
+    twist: int | None = None
 
 
 @dataclass(frozen=True)
 class BendingRow:
-    """Twist behind a joint by matrices (6, 6) of the wrench on it, and of that on the end of its ``link (3,)``."""
+    """Twist behind a joint by matrices (6, 6) of the wrench on it, and of that on the end of its ``link (3,)``.
+
+    ``reach`` (power, root, way): all of it times that power of way (q - root), which is 0 where this is below 0; power 0:
+    whatever q is.
+    """
 
     joint: int
     of_joint: Floats
     of_end: Floats
     link: Floats
+    reach: tuple[int, float, float] = (0, 0.0, 1.0)
 
 
 @dataclass
@@ -128,12 +137,14 @@ class RunTimeForm:
 
     def curve(
         self, joint: int, shape: Shape, a: float, b: float = 0.0, *, driver: int | None = None, factor: float = 1.0,
-        constants: tuple[float, ...] = (), powers: tuple[float, ...] = (),
+        constants: tuple[float, ...] = (), powers: tuple[float, ...] = (), twist: int | None = None,
     ) -> None:  # fmt: skip
-        """Add a curve of a joint, which follows the joint itself unless another drives it."""
+        """Add a curve of a joint, or of a component of the twist behind it; it follows the joint unless another drives it."""
         if a != 0.0 or b != 0.0:
             driver = joint if driver is None else driver
-            self.curves.append(Curve(joint, shape, driver, a, b, factor, constants, powers))
+            self.curves.append(Curve(joint, shape, driver, a, b, factor, constants, powers, twist))
+        if twist is not None:
+            self.twisted.add(joint)
 
     def waves(self, joints: Sequence[int], values: Floats, factors: Sequence[Sequence[float]]) -> None:
         """Add waves of joints, ``factors`` joint by joint; amplitudes of sines then cosines per joint, factor by factor."""
@@ -143,13 +154,20 @@ class RunTimeForm:
                 start = 2 * order * count + place
                 self.curve(j, Shape.WAVE, float(values[start]), float(values[start + count]), factor=factor)
 
-    def bend(self, joint: int, of_joint: Floats, of_end: Floats, link: Floats) -> None:
+    def bend(
+        self,
+        joint: int,
+        of_joint: Floats,
+        of_end: Floats,
+        link: Floats,
+        reach: tuple[int, float, float] = (0, 0.0, 1.0),
+    ) -> None:
         """Add a twist that is linear in the wrenches.
 
         The wrench is moved to the end of the link once for each row with a link: give zeros where no moment at the end
         counts.
         """
-        self.bending.append(BendingRow(joint, of_joint, of_end, link))
+        self.bending.append(BendingRow(joint, of_joint, of_end, link, reach))
         self.twisted.add(joint)
 
     def softening(self, own: float | tuple[float, ...], joints: Sequence[int]) -> list[float]:

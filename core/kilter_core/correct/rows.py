@@ -55,6 +55,7 @@ def _curve(curve: Curve) -> Floats:
     row = np.zeros(layout.COLUMNS)
     row[layout.CURVED], row[layout.SHAPE], row[layout.DRIVER] = curve.joint, _SHAPES[curve.shape], curve.driver
     row[layout.AMPLITUDE_A], row[layout.AMPLITUDE_B], row[layout.FACTOR] = curve.a, curve.b, curve.factor
+    row[layout.MOVED] = 0 if curve.twist is None else 1 + curve.twist
     row[layout.EXTRA : layout.EXTRA + len(curve.constants)] = curve.constants
     row[layout.POWERS : layout.POWERS + len(curve.powers)] = curve.powers
     return row
@@ -70,4 +71,5 @@ def _bending(bending: BendingRow) -> Floats:
     rows[0, :36], rows[1, :36] = bending.of_joint.ravel(), bending.of_end.ravel()
     rows[0, layout.BENDING_JOINT] = bending.joint
     rows[0, layout.BENDING_LINK : layout.BENDING_LINK + 3] = bending.link
+    rows[0, layout.POWER], rows[0, layout.ROOTED], rows[0, layout.WAY] = bending.reach
     return rows

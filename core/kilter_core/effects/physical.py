@@ -58,7 +58,13 @@ REVERSAL = PhysicalClass(
 JOINT_TILT = PhysicalClass("joint_tilt", "tilt of {joint} under load", ("bearing", "flange", "mount of the base"))
 BASE_TILT = PhysicalClass(JOINT_TILT.id, "tilt of the base or of joint 1 under load", JOINT_TILT.outside)
 LINK_SAG = PhysicalClass("load_sag", "sag of the link after {joint} under load", ("flange", "telescope", "weld"))
+TELESCOPE_SAG = PhysicalClass(
+    LINK_SAG.id, "sag under load of the arm that {joint} extends", ("clearance of the guide", "bearing of the carriage")
+)
 TOOL_SAG = PhysicalClass(LINK_SAG.id, "sag of the tool under load", ("adapter", "gripper", "flange"))
+GUIDE = PhysicalClass(
+    "guide", "error of the guide of {joint}", ("bent or sagging rail", "worn carriage", "hose that pulls the carriage")
+)
 LOADS = PhysicalClass("loads", "loads that are not as stated", ("weight of hoses", "forgotten adapter", "other masses"))
 STATION = PhysicalClass(
     "station",

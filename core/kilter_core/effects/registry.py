@@ -21,6 +21,7 @@ from kilter_core.effects.encoder_scale import EncoderScale
 from kilter_core.effects.friction_windup import FrictionWindup
 from kilter_core.effects.gear_error import GearError
 from kilter_core.effects.gravity_spring import GravitySpring
+from kilter_core.effects.guide_rotation import GuideRotation
 from kilter_core.effects.hardening import Hardening
 from kilter_core.effects.joint_coupling import JointCoupling
 from kilter_core.effects.link_bending import LinkBending
@@ -35,6 +36,8 @@ from kilter_core.effects.reading_tilt import ReadingTilt
 from kilter_core.effects.second_harmonic import SecondHarmonic
 from kilter_core.effects.session_shift import SessionShift
 from kilter_core.effects.settling import Settling
+from kilter_core.effects.straightness import Straightness
+from kilter_core.effects.telescope_bending import TelescopeBending
 from kilter_core.effects.thermal_drift import ThermalDrift
 from kilter_core.effects.thermal_growth import ThermalGrowth
 from kilter_core.effects.time_offset import TimeOffset
@@ -87,6 +90,9 @@ _ALL: tuple[type[Effect], ...] = (
     Hardening,
     DirectionCompliance,
     ReadingTilt,
+    Straightness,
+    GuideRotation,
+    TelescopeBending,
     UnknownSmoothCurve,
     UnknownJointCurve,
     UnknownField,

@@ -10,29 +10,40 @@ from kilter_service.contract.effect_options import (
     AxialComplianceEffect,
     BacklashEffect,
     BacklashLoadEffect,
-    BaseComplianceEffect,
-    BaseStepEffect,
     ClearanceTiltEffect,
-    ColumnBendingEffect,
     DirectionComplianceEffect,
-    DriftEffect,
     EccentricityEffect,
     EncoderScaleEffect,
     FrictionWindupEffect,
     GearErrorEffect,
     GravitySpringEffect,
+    GuideRotationEffect,
     HardeningEffect,
     JointCouplingEffect,
     LinkBendingEffect,
     LinkGrowthEffect,
     LinkTorsionEffect,
+    RadialComplianceEffect,
+    ReadingTiltEffect,
+    SecondHarmonicEffect,
+    StraightnessEffect,
+    TelescopeBendingEffect,
+    TrackingLagEffect,
+    UnknownJointCurveEffect,
+    UnknownSmoothCurveEffect,
+    ZeroDriftEffect,
+    ZeroStepEffect,
+    ZeroThermalEffect,
+)
+from kilter_service.contract.whole_effect_options import (
+    BaseComplianceEffect,
+    BaseStepEffect,
+    ColumnBendingEffect,
+    DriftEffect,
     LoadErrorEffect,
     MeasurementScaleEffect,
     PayloadErrorEffect,
-    RadialComplianceEffect,
     RandomWalkEffect,
-    ReadingTiltEffect,
-    SecondHarmonicEffect,
     SessionShiftEffect,
     SettlingEffect,
     ThermalDriftEffect,
@@ -40,14 +51,8 @@ from kilter_service.contract.effect_options import (
     TimeOffsetEffect,
     ToolSagEffect,
     ToolStepEffect,
-    TrackingLagEffect,
     UnknownFieldEffect,
-    UnknownJointCurveEffect,
     UnknownResidualEffect,
-    UnknownSmoothCurveEffect,
-    ZeroDriftEffect,
-    ZeroStepEffect,
-    ZeroThermalEffect,
 )
 
 # fmt: off
@@ -57,8 +62,8 @@ EffectName = Literal[
     "link_torsion", "base_compliance", "thermal_growth", "payload_error", "friction_windup", "time_offset",
     "tracking_lag", "drift", "measurement_scale", "session_shift", "zero_drift", "zero_thermal", "link_growth",
     "settling", "random_walk", "base_step", "tool_step", "zero_step", "column_bending", "thermal_drift", "tool_sag",
-    "hardening", "direction_compliance", "reading_tilt", "unknown_smooth_curve", "unknown_joint_curve",
-    "unknown_field", "unknown_residual", "load_error"
+    "hardening", "direction_compliance", "reading_tilt", "straightness", "guide_rotation", "telescope_bending",
+    "unknown_smooth_curve", "unknown_joint_curve", "unknown_field", "unknown_residual", "load_error"
 ]
 EffectDocument = Annotated[
     ClearanceTiltEffect | BacklashEffect | BacklashLoadEffect | AxialComplianceEffect | RadialComplianceEffect |
@@ -68,8 +73,8 @@ EffectDocument = Annotated[
     MeasurementScaleEffect | SessionShiftEffect | ZeroDriftEffect | ZeroThermalEffect | LinkGrowthEffect |
     SettlingEffect | RandomWalkEffect | BaseStepEffect | ToolStepEffect | ZeroStepEffect | ColumnBendingEffect |
     ThermalDriftEffect | ToolSagEffect | HardeningEffect | DirectionComplianceEffect | ReadingTiltEffect |
-    UnknownSmoothCurveEffect | UnknownJointCurveEffect | UnknownFieldEffect | UnknownResidualEffect |
-    LoadErrorEffect,
+    StraightnessEffect | GuideRotationEffect | TelescopeBendingEffect | UnknownSmoothCurveEffect |
+    UnknownJointCurveEffect | UnknownFieldEffect | UnknownResidualEffect | LoadErrorEffect,
     Field(discriminator="id"),
 ]
 # fmt: on

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct import file
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
@@ -20,7 +19,7 @@ from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from tests.core.correct.c_corrector import COMPILER, CPP, FOLDER, WARNINGS, Corrector, blob_of, built
 from tests.core.correct.twins import ARMS, twin
-from tests.corrector.test_runtime_effects import ACTING, CONFIG
+from tests.corrector.test_runtime_effects import ACTING, CONFIG, robot_for
 from tools.c_corrector.assemble import assembled
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
@@ -36,7 +35,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 def program_of(preset: str, *names: str, seed: int = 0, **options: Any) -> CorrectionProgram:
     """A preset with errors of a fraction of a millimetre and effects of a fifth of their prior width."""
-    robot = robot_from_document({"convention": "preset", "preset": preset, "name": preset})
+    robot = robot_for(names, preset)
     model = RobotModel(robot, tuple(make_effect(name, **CONFIG.get(name, {})) for name in names))
     values, rng = model.values0(), np.random.default_rng(seed)
     for k, p in enumerate(model.parameters):

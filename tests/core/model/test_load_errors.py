@@ -19,6 +19,7 @@ from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from tests.core.truth import Arm, some_arm, with_bodies
+from tests.corrector.test_runtime_effects import robot_for
 
 KATANA = robot_from_document(preset_document("katana450-chapter5"))
 EFFECTS = ("axial_compliance", "radial_compliance", "link_bending", "base_compliance", "tool_sag")
@@ -114,8 +115,10 @@ def test_slopes_that_nobody_reads_are_not_made() -> None:
 @pytest.mark.parametrize("effect", sorted(k for k, e in KNOWN.items() if "moments" in e.needs and not e.nuisance))
 def test_an_effect_reads_no_load_that_it_does_not_name(effect: str) -> None:
     """In a fit only those follow the masses."""
-    found = loaded_calibration(effect)
-    rows = replace(rows_of(KATANA, 30), direction=np.random.default_rng(0).choice([-1.0, 1.0], (30, 5)))
+    robot = robot_for([effect]) if effect == "telescope_bending" else KATANA
+    found = loaded_calibration(effect, robot=robot)
+    sides = np.random.default_rng(0).choice([-1.0, 1.0], (30, robot.n_joints))
+    rows = replace(rows_of(robot, 30), direction=sides)
     batch, (own, errors) = found.model.batch(rows), found.model.effect_slices().values()
     made = found.model.effects[0]
     loaded = (batch.with_loads(found.values[errors], reads) for reads in (dict(made.reads) or None, None))
@@ -152,11 +155,11 @@ def rows_of(robot: Robot, count: int, payload: bool = True) -> Observations:
     return Observations(q, payload_kg=kg, payload_com=None if kg is None else rng.normal(0.0, 0.02, (count, 3)))
 
 
-def loaded_calibration(*effects: str, payload: bool = True, **options: object) -> Calibration:
+def loaded_calibration(*effects: str, payload: bool = True, robot: Robot = KATANA, **options: object) -> Calibration:
     """An arm with these effects and load errors, all with values of about a prior width."""
-    rows = rows_of(KATANA, 30, payload)
-    made = [make_effect(e, **options.get(e, {})).on(KATANA, rows) for e in (*effects, "load_error")]  # type: ignore[attr-defined]
-    model, rng = RobotModel(KATANA, tuple(made)), np.random.default_rng(1)
+    rows = rows_of(robot, 30, payload)
+    made = [make_effect(e, **options.get(e, {})).on(robot, rows) for e in (*effects, "load_error")]  # type: ignore[attr-defined]
+    model, rng = RobotModel(robot, tuple(made)), np.random.default_rng(1)
     values = model.values0()
     for k in range(model.n_geometric, len(values)):
         p = model.parameters[k]

@@ -31,17 +31,20 @@ from kilter_core.correct.kernels.layout import (
     LAST_SIDE,
     LINEAR,
     MOMENT,
+    MOVED,
     NEAR_REVERSAL,
     PLAY,
     PLAY_OWN,
     PLAY_SOFT,
     POLYNOMIAL,
+    POWER,
     POWERS,
     RADIAL,
     RATE,
     REVERSAL,
     REVERSING,
     ROOT,
+    ROOTED,
     SHAPE,
     SHIFT,
     SIDE,
@@ -57,6 +60,7 @@ from kilter_core.correct.kernels.layout import (
     TILT_SOFT,
     TWIST,
     WAVE,
+    WAY,
     XI,
 )
 
@@ -175,33 +179,50 @@ def kept_signs(W, n, oj):
 
 
 @compiled(**FAST)
+def _curve(P, W, row, oj):
+    """What a curve says at the command."""
+    shape = P[row, SHAPE]
+    d = oj + int(P[row, DRIVER])
+    q = W[d, COMMAND]
+    if shape == WAVE:
+        s, c = sine_cosine(P[row, FACTOR] * q)
+        return P[row, AMPLITUDE_A] * s + P[row, AMPLITUDE_B] * c
+    if shape == LINEAR:
+        return P[row, AMPLITUDE_A] * q
+    if shape == LAG:
+        return -P[row, AMPLITUDE_A] * W[d, SPEED_NOW]
+    if shape == SINES:
+        return P[row, AMPLITUDE_A] * math.sin(q) * math.sin(W[oj + int(P[row, CURVED]), COMMAND])
+    if shape == POLYNOMIAL:
+        u, total = min(1.0, max(-1.0, (q - P[row, EXTRA]) / P[row, EXTRA + 1])), 0.0
+        for k in range(HIGHEST - POWERS + 1):
+            total = total * u + P[row, HIGHEST - k]
+        return total
+    a, b = P[row, EXTRA], P[row, EXTRA + 1]
+    s, c = sine_cosine(q + P[row, EXTRA + 2])
+    length = math.sqrt(a * a + b * b - 2.0 * a * b * c)
+    return -P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
+
+
+@compiled(**FAST)
 def _joint_curves(P, W, n, m, oj):
-    """Add what the curves of the joints say at the command."""
+    """Add what the curves of the joints say at the command, to it or to the twist behind it."""
     first = m + 1 + n
     for row in range(first, first + int(P[P.shape[0] - 1, CURVES])):
         j = oj + int(P[row, CURVED])
-        shape = P[row, SHAPE]
-        d = oj + int(P[row, DRIVER])
-        q = W[d, COMMAND]
-        if shape == WAVE:
-            s, c = sine_cosine(P[row, FACTOR] * q)
-            W[j, SHIFT] += P[row, AMPLITUDE_A] * s + P[row, AMPLITUDE_B] * c
-        elif shape == LINEAR:
-            W[j, SHIFT] += P[row, AMPLITUDE_A] * q
-        elif shape == LAG:
-            W[j, SHIFT] -= P[row, AMPLITUDE_A] * W[d, SPEED_NOW]
-        elif shape == SINES:
-            W[j, SHIFT] += P[row, AMPLITUDE_A] * math.sin(q) * math.sin(W[j, COMMAND])
-        elif shape == POLYNOMIAL:
-            u, total = min(1.0, max(-1.0, (q - P[row, EXTRA]) / P[row, EXTRA + 1])), 0.0
-            for k in range(HIGHEST - POWERS + 1):
-                total = total * u + P[row, HIGHEST - k]
-            W[j, SHIFT] += total
-        else:
-            a, b = P[row, EXTRA], P[row, EXTRA + 1]
-            s, c = sine_cosine(q + P[row, EXTRA + 2])
-            length = math.sqrt(a * a + b * b - 2.0 * a * b * c)
-            W[j, SHIFT] -= P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
+        moved = int(P[row, MOVED])
+        at = SHIFT if moved == 0 else TWIST + moved - 1
+        W[j, at] += _curve(P, W, row, oj)
+
+
+@compiled(**FAST)
+def _reach(P, W, row, j):
+    """Power of the length that stands out at joint row j; 1 where a bending row has none."""
+    length = max(0.0, P[row, WAY] * (W[j, COMMAND] - P[row, ROOTED]))
+    out = 1.0
+    for _ in range(int(P[row, POWER])):
+        out *= length
+    return out
 
 
 @compiled(**FAST)
@@ -216,11 +237,12 @@ def _bending_rows(P, W, n, m, oj):
         t0, t1, t2 = cross(l0, l1, l2, W[j, END], W[j, END + 1], W[j, END + 2])
         for i, t in enumerate((t0, t1, t2)):
             W[j, END + 3 + i] -= t
+        reach = _reach(P, W, row, j)
         for r in range(6):
             total = 0.0
             for c in range(6):
                 total += P[row, BENDING + 6 * r + c] * W[j, ROOT + c] + P[row + 1, BENDING + 6 * r + c] * W[j, END + c]
-            W[j, TWIST + r] += total
+            W[j, TWIST + r] += reach * total
 
 
 @compiled(**FAST)

@@ -28,11 +28,14 @@ LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3,
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22
 CHANGE, SPURT = 23, 24  # most rate and acceleration of the correction
 TILT_OWN, PLAY_OWN = 25, 26  # half-widths of the signs as the version has them, before the correction softens them
-# curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``
+# curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``: to its command where ``MOVED`` is 0, else to
+# that component of the twist behind it, from 1
 CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
+MOVED = 21
 WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
-# bending rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector
-BENDING, BENDING_JOINT, BENDING_LINK = 0, 36, 37
+# bending rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector; the
+# twist is times a ``POWER`` of the length that stands out, ``WAY`` times (command less ``ROOTED``)
+BENDING, BENDING_JOINT, BENDING_LINK, POWER, ROOTED, WAY = 0, 36, 37, 40, 41, 42
 # row of the base mount: constant transform of the base, then the one up to the first move; compliances, constant moment
 BASE_FRAME, FIRST_MOVE, MOUNT_X, MOUNT_Y, FIXED_MOMENT_X, FIXED_MOMENT_Y = 0, 12, 24, 25, 26, 27
 # scalars; FIRST: how many of the task rows come first

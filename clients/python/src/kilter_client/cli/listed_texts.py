@@ -185,6 +185,24 @@ EFFECTS: list[dict[str, str]] = [
         "summary": "encoder reads the tilt of its own joint as rotation",
     },
     {
+        "id": "straightness",
+        "acts_on": "joints",
+        "needs": "",
+        "summary": "carriage of a prismatic joint moves across its axis along the travel",
+    },
+    {
+        "id": "guide_rotation",
+        "acts_on": "joints",
+        "needs": "",
+        "summary": "carriage of a prismatic joint pitches, yaws and rolls along the travel",
+    },
+    {
+        "id": "telescope_bending",
+        "acts_on": "joints",
+        "needs": "link masses",
+        "summary": "bending of an arm that a prismatic joint extends, under the load at its end",
+    },
+    {
         "id": "unknown_smooth_curve",
         "acts_on": "joints",
         "needs": "",
