@@ -26,6 +26,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "contacts_mixed": (400, "Contacts of different kinds cannot be searched together"),
     "sheet_order_wrong": (400, "The quarter points of a sheet are in the wrong order"),
     "too_few_poses": (400, "Too few poses"),
+    "rows_of_another_arm": (400, "Rows of another arm"),
     "not_converged": (400, "The estimator found no minimum"),
     "metric_not_supported": (400, "The data cannot support this criterion"),
     "kind_unavailable": (400, "This kind of job does not exist"),

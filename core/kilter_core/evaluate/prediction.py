@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import OptionError
-from kilter_core.identify.estimate import frames_alone
-from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.estimate import refitted
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.worse import Difference, PoseErrors
 from kilter_core.measurement import Measurement
@@ -44,8 +43,8 @@ def evaluate(
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
-        "registration_only": _refitted(nominal, measurement, ("base", "tool")),
-        "identified": _refitted(calibration, measurement, tuple(refit)),
+        "registration_only": refitted(nominal, measurement, ("base", "tool")),
+        "identified": refitted(calibration, measurement, tuple(refit)),
     }
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only
@@ -55,7 +54,7 @@ def evaluate(
             "within_u95": None, "rows": none.to_document(), "warnings": [],
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
-    stages["without"] = _refitted(nominal, measurement, tuple(refit))
+    stages["without"] = refitted(nominal, measurement, tuple(refit))
     within = None if known is None else table.within
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
@@ -136,12 +135,3 @@ def rows_of(
 
 def _numbers(metres: Floats) -> list[float | None]:
     return [None if np.isnan(v) else mm(float(v)) for v in metres]
-
-
-def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[str, ...]) -> Calibration:
-    if not frames:
-        return calibration
-    model, values = calibration.model.absorb_frame_increments(calibration.values)
-    held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
-    options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
-    return frames_alone(Calibration(model, values, calibration.marker_points), measurement, options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,6 +48,16 @@ def frames_alone(start: Calibration, measurement: Measurement, options: Identify
     """Fit frames only, as the options leave them free; a fit that ends further off than the start is not taken."""
     found = estimate(start, measurement, options).calibration()
     return start if _further_off(found, start, measurement) else found
+
+
+def refitted(calibration: Calibration, measurement: Measurement, frames: Sequence[str]) -> Calibration:
+    """Fit frames, [], ["base"] or ["base", "tool"], anew to other rows, everything else held as it is."""
+    if not frames:
+        return calibration
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
+    held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
+    options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
+    return frames_alone(Calibration(model, values, calibration.marker_points), measurement, options)
 
 
 def _further_off(found: Calibration, start: Calibration, measurement: Measurement) -> bool:

@@ -1,0 +1,257 @@
+"""The check: has the arm moved since its version was made, and which one cause explains it.
+
+An alarm is a chi-square of all that was measured, or the likelihood ratio of one cause; both and all causes share the stated
+chance. The cause that explains most for its numbers (BIC) is named, with every cause that the rows do not refute beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtrc, chdtri, chndtrinc
+
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.identify.estimate import refitted
+from kilter_core.identify.plausibility.believable import reach
+from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Floats
+from kilter_core.watch.causes import Cause, Column, Frame, after, columns_of
+from kilter_core.watch.innovation import Innovation
+
+FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
+POWER = 0.95  # with which the smallest change is seen
+REFUTED = 1e-3  # chance that the true cause is refuted beside another one
+PASSES = 3  # about the change found: a large one bends the derivatives
+FOREIGN = 0.02  # of the reach: rows that miss it by more, and that no one cause brings near, are not of this arm
+BROUGHT_NEAR = 0.1  # share of the misfit that the cause may leave
+SEEN_LEAST = 1e-6  # of what a frame shows in all directions, what it must show in each to be seen in all
+
+Verdict = Literal["ok", "moved", "cannot_tell"]
+SETUPS: tuple[tuple[Frame, ...], ...] = ((), ("base",), ("base", "tool"))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A cause before the rows: ``gain`` in chi-square by its ``rank`` numbers, its ``bic``, and whether the rows
+    refute it beside the best one.
+
+    ``change (K,)`` has standard deviations ``sigma (K,)``, infinite where nothing measured shows that number.
+    """
+
+    cause: Cause
+    gain: float
+    rank: int
+    bic: float
+    change: Floats
+    sigma: Floats
+    refuted: bool
+
+    @property
+    def u95(self) -> Floats:
+        """Half width (K,) of the 95 % interval of each number."""
+        return QUANTILE * self.sigma
+
+
+@dataclass(frozen=True)
+class Check:
+    """Verdict on rows against a version.
+
+    ``causes`` are those that explain it and that the rows do not refute, best first; empty where all is well, and where no
+    single cause explains the rows. ``p_value`` is the chance of so much from an arm that has not moved. ``smallest`` are the
+    changes seen with 95 %, by name of the cause: of a frame a shift (m) in the direction that shows least. ``unseen``: no
+    change of these moves what was measured.
+    """
+
+    verdict: Verdict
+    causes: tuple[Judged, ...]
+    judged: tuple[Judged, ...]
+    p_value: float
+    chi_square: float
+    numbers: int
+    poses: int
+    misfit: float
+    smallest: dict[str, float]
+    unseen: tuple[str, ...]
+    new_setup: tuple[Frame, ...]
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A whitened innovation (R,), freed of what a new set-up takes up, with ``numbers`` left, and the causes beside it."""
+
+    r: Floats
+    numbers: int
+    columns: tuple[Column, ...]
+    hidden: tuple[Column, ...]
+
+    @staticmethod
+    def of(innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]) -> _Linear:
+        nuisance, columns = columns_of(innovation, calibration, anew)
+        r = innovation.r - nuisance @ (nuisance.T @ innovation.r)
+        seen, hidden = ([one for one in columns if one.seen is which] for which in (True, False))
+        return _Linear(r, len(r) - nuisance.shape[1], tuple(seen), tuple(hidden))
+
+    def about(self, cause: Cause, change: Floats) -> _Linear:
+        """The same problem linear about a change: the innovation that a cause leaves, with what it took put back."""
+        column = next(one for one in self.columns if one.cause == cause)
+        return _Linear(self.r + column.white @ change, self.numbers, self.columns, self.hidden)
+
+
+def check(
+    calibration: Calibration,
+    rows: Observations,
+    known: Predictive,
+    *,
+    noise: float | None = None,
+    new_setup: Sequence[str] = (),
+) -> Check:
+    """Check an arm by rows that its version was not fitted to; ``noise`` m of a coordinate, the version's own when None.
+
+    Nothing of the arm is refitted. Only what ``new_setup`` says was set up anew, [], ["base"] or ["base", "tool"], may take
+    any value: then a cause that looks like it, as the zero of the first joint does, is not seen.
+
+    Raises:
+        OptionError: another set-up, or no noise known. ObservationError: no positions, or rows of another arm.
+        TooFewPosesError: under three poses.
+
+    """
+    anew = next((one for one in SETUPS if list(one) == list(new_setup)), None)
+    if anew is None:
+        raise OptionError(f'new_setup is {list(new_setup)}: give [], ["base"] or ["base", "tool"].', option="new_setup")
+    calibration = _absorbed(calibration)
+    innovation = Innovation.of(calibration, rows, known, noise)
+    if anew:
+        calibration = _absorbed(refitted(calibration, innovation.measurement, anew))
+        innovation = Innovation.of(calibration, rows, known, noise)
+    linear = _Linear.of(innovation, calibration, anew)
+    p_value, smallest = _p_value(linear), _smallest(linear)
+    misfit = innovation.misfit
+    if p_value <= FALSE_ALARM:
+        linear, left = _about_the_best(linear, innovation, calibration, anew)
+        _refuse_foreign(calibration, misfit, left)
+    judged = _judged(linear)
+    causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
+    return Check(
+        _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
+        innovation.poses, misfit, smallest, tuple(one.cause.name for one in linear.hidden), anew,
+    )  # fmt: skip
+
+
+def _absorbed(calibration: Calibration) -> Calibration:
+    """The same calibration with the increments of its frames in the frames."""
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
+    return replace(calibration, model=model, values=values)
+
+
+def _verdict(p_value: float, causes: Sequence[Judged]) -> Verdict:
+    if p_value > FALSE_ALARM:
+        return "ok"
+    return "moved" if len(causes) == 1 else "cannot_tell"
+
+
+def _about_the_best(
+    linear: _Linear, innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]
+) -> tuple[_Linear, float]:
+    """The problem linear about what the best cause changed, and the misfit (m) that it leaves; three small steps."""
+    left = innovation.misfit
+    for _ in range(PASSES):
+        if not linear.columns:
+            break
+        best = linear.columns[int(np.argmin(_bic(linear)))]
+        change = best.change(linear.r)
+        at, rows, factor = after(calibration, innovation.measurement.observations, best.cause, change)
+        moved = innovation.after(at, rows, factor)
+        if moved.misfit > left:  # further than derivatives reach: the step before stands
+            break
+        left = moved.misfit
+        linear = _Linear.of(moved, at, anew).about(best.cause, change)
+    return linear, left
+
+
+def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> None:
+    if misfit > FOREIGN * reach(calibration.robot) and left > BROUGHT_NEAR * misfit:
+        raise ObservationError(
+            f"The rows miss what the version predicts by {misfit * 1e3:.4g} mm (rms), and no one cause explains it: they "
+            "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
+            'of this robot with the tool of its version, or say what was set up anew, new_setup ["base"] or '
+            '["base", "tool"].',
+            code="rows_of_another_arm", misfit_mm=misfit * 1e3,
+        )  # fmt: skip
+
+
+def _p_value(linear: _Linear) -> float:
+    """Chance of the chi-square, or of the largest gain of any cause; the two and all causes share it."""
+    singles = [_chance(_gain(linear.r, one.span), one.span.shape[1]) for one in linear.columns]
+    whole = _chance(float(linear.r @ linear.r), max(linear.numbers, 1))
+    return min(1.0, 2.0 * whole, 2.0 * len(singles) * min(singles, default=1.0))
+
+
+def _chance(chi_square: float, freedom: int) -> float:
+    """Chance of a chi-square at least as large."""
+    return float(chdtrc(freedom, chi_square))
+
+
+def _gain(r: Floats, span: Floats) -> float:
+    return float(np.sum((span.T @ r) ** 2))
+
+
+def _bic(linear: _Linear) -> list[float]:
+    total, price = float(linear.r @ linear.r), float(np.log(max(linear.numbers, 2)))
+    return [total - _gain(linear.r, one.span) + one.span.shape[1] * price for one in linear.columns]
+
+
+def _judged(linear: _Linear) -> tuple[Judged, ...]:
+    """All causes, best first."""
+    if not linear.columns:
+        return ()
+    r, bic = linear.r, _bic(linear)
+    best = linear.columns[int(np.argmin(bic))]
+    found = [
+        Judged(
+            one.cause, _gain(r, one.span), one.span.shape[1], value, one.change(r), one.deviations(),
+            _refuted(r, one, best),
+        )
+        for one, value in zip(linear.columns, bic, strict=True)
+    ]  # fmt: skip
+    return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
+
+
+def _refuted(r: Floats, column: Column, best: Column) -> bool:
+    """Whether the best cause explains what this one leaves, more than chance does; one that contains it never is."""
+    left = best.span - column.span @ (column.span.T @ best.span)
+    U, s, _ = np.linalg.svd(left, full_matrices=False)
+    more = U[:, s > 1e-5]
+    return bool(more.shape[1] and _chance(_gain(r, more), more.shape[1]) < REFUTED)
+
+
+def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
+    """Causes that may be it; none where even these leave more than chance does, for then there are several or another."""
+    total = float(linear.r @ linear.r)
+    kept = []
+    for one in judged:
+        freedom = linear.numbers - one.rank
+        if not one.refuted and (freedom < 1 or _chance(total - one.gain, freedom) > REFUTED):
+            kept.append(one)
+    return tuple(kept)
+
+
+def _smallest(linear: _Linear) -> dict[str, float]:
+    """Smallest change of each cause that raises the alarm with 95 %, by its own likelihood ratio."""
+    out = {}
+    for one in linear.columns:
+        shown = one.white[:, :3] if one.cause.frame else one.white
+        least = float(np.linalg.svd(shown, compute_uv=False)[-1])
+        if least > SEEN_LEAST * float(np.linalg.norm(shown)):
+            out[one.cause.name] = float(np.sqrt(_needed(one.span.shape[1], len(linear.columns)))) / least
+    return out
+
+
+def _needed(rank: int, causes: int) -> float:
+    """Noncentrality with which the likelihood ratio of a cause of some rank is seen, one of so many."""
+    threshold = chdtri(rank, FALSE_ALARM / (2.0 * causes))
+    return float(chndtrinc(threshold, rank, 1.0 - POWER))

@@ -1,0 +1,123 @@
+"""What a few measurements say beyond a version: measured minus predicted, in units of what was to be expected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration, Prediction
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats
+
+FEWEST_POSES = 3  # the six numbers of two positions cannot tell the place of the instrument from the arm
+MOST_NUMBERS = 1500  # coordinates whose common covariance is inverted: 0.2 s
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """The whitened innovation ``r (R,)`` of rows, and what whitens the derivatives of their prediction.
+
+    ``lower (R, R)`` is the Cholesky factor of the covariance of noise and version, ``seen`` tells which of the coordinates
+    (N, m, 3) were measured. ``poses`` are those that count; of a large campaign some, evenly chosen.
+    """
+
+    measurement: Measurement
+    prediction: Prediction
+    r: Floats
+    lower: Floats
+    seen: Bools
+    poses: int
+
+    @staticmethod
+    def of(calibration: Calibration, rows: Observations, known: Predictive, noise: float | None = None) -> Innovation:
+        """Innovation of rows against a version; ``noise`` m of a coordinate, that of the version's fit when None.
+
+        Raises:
+            ObservationError: no positions. TooFewPosesError: fewer than three distinct poses. OptionError: no noise known.
+
+        """
+        measurement = Measurement.of(rows, calibration.marker_points).of_tool()
+        _refuse_few(measurement)
+        measurement = _some(measurement)
+        at = [k for k, name in enumerate(calibration.names) if name in known.names]
+        own = [known.names.index(calibration.names[k]) for k in at]
+        prediction, J = calibration.model.jacobian(
+            measurement.observations, calibration.values, np.array(at, dtype=np.int64)
+        )
+        left = measurement.residual(prediction, J)
+        seen = ~np.isnan(left.points)
+        assert left.d_points is not None
+        slope = left.d_points[seen]
+        covariance = slope @ known.covariance[np.ix_(own, own)] @ slope.T
+        covariance += _own(measurement, seen, known.inadequacy, known.noise if noise is None else noise)
+        lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        r = solve_triangular(lower, left.points[seen], lower=True)
+        return Innovation(measurement, prediction, r, lower, seen, measurement.poses)
+
+    def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
+        """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""
+        measurement, found = replace(self.measurement, observations=rows), calibration.predict(rows)
+        prediction = replace(found, position=factor * found.position)
+        left = measurement.residual(prediction).points[self.seen]
+        r = solve_triangular(self.lower, left, lower=True)
+        return replace(self, measurement=measurement, prediction=prediction, r=r)
+
+    @property
+    def misfit(self) -> float:
+        """Root mean square (m) of the length by which measured and predicted points differ."""
+        left = self.measurement.residual(self.prediction).points[self.seen]
+        return float(np.sqrt(3.0 * np.mean(left**2)))
+
+    def white(self, J: Floats) -> Floats:
+        """Whitened columns (R, K) of a derivative ``J (N, 6, K)`` of the tool's position and rotation vector."""
+        found = self.measurement.residual(self.prediction, J).d_points
+        assert found is not None
+        return np.asarray(solve_triangular(self.lower, found[self.seen], lower=True))
+
+
+def _refuse_few(measurement: Measurement) -> None:
+    if not measurement.observes_places:
+        raise ObservationError("A check needs rows that say where the tool is: upload x_mm, y_mm, z_mm or markers.")
+    rows, poses = len(measurement.observations), measurement.poses
+    if poses < FEWEST_POSES:
+        counted = "one pose" if poses == 1 else f"{poses} poses"
+        had = f"the {rows} rows repeat {counted}" if rows > poses else f"this is {counted}"
+        raise TooFewPosesError(
+            f"A check needs {FEWEST_POSES} distinct poses, better five: {had}. Measure poses that differ in every joint.",
+            poses=poses, needed=FEWEST_POSES,
+        )  # fmt: skip
+
+
+def _some(measurement: Measurement) -> Measurement:
+    """Rows of so many poses, evenly chosen, that their coordinates can be looked at together."""
+    rows = measurement.observations
+    a_row = measurement.tool.scalars() / len(rows)
+    most = max(FEWEST_POSES, int(MOST_NUMBERS / a_row))
+    if len(rows) <= most:
+        return measurement
+    kept = np.zeros(len(rows), dtype=bool)
+    groups = rows.pose_groups()
+    poses = np.unique(groups)
+    share = max(FEWEST_POSES, int(most * len(poses) / len(rows)))
+    chosen = poses[np.linspace(0, len(poses) - 1, min(share, len(poses))).round().astype(np.int64)]
+    for pose in chosen:  # of a pose that was repeated without end, the first rows
+        kept[np.flatnonzero(groups == pose)[: max(1, most // len(chosen))]] = True
+    return Measurement.of(rows.select(kept), measurement.marker_points).of_tool()
+
+
+def _own(measurement: Measurement, seen: Bools, inadequacy: float, noise: float) -> Floats:
+    """Covariance (R, R) of noise, each coordinate's own, and of what the model lacks, which repeats of a pose share."""
+    if not (np.isfinite(noise) and noise >= 0.0) or noise**2 + inadequacy**2 == 0.0:
+        raise OptionError(
+            "The noise of the instrument is not known: state it, larger than zero, per coordinate.", option="noise"
+        )
+    count = np.arange(seen.shape[1] * 3).reshape(1, seen.shape[1], 3)
+    place = (measurement.observations.pose_groups()[:, None, None] * count.size + count)[seen]
+    alike = place[:, None] == place[None, :]
+    least = (1e-3 * inadequacy) ** 2  # of a version that says no noise apart: repeats would be one number
+    return np.asarray(inadequacy**2 * alike + max(noise**2, least) * np.eye(len(place)))
