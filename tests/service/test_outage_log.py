@@ -16,7 +16,7 @@ import pytest
 
 from kilter_service.auth.token import admin_token
 from kilter_service.errors import ServiceError
-from kilter_service.observability.failing import Failing, log_failure
+from kilter_service.failure_log import Failing, log_failure
 from kilter_service.settings import Settings
 from tests.service.postgresql import PostgreSql, own_postgresql, programs
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from kilter_service.backup import scheduled
+from kilter_service import backup_folder
 from kilter_service.db import Database
 from kilter_service.doctor import checks
 from kilter_service.observability import service as metrics
@@ -76,7 +76,7 @@ def test_the_newest_are_kept_and_nothing_else_is_touched(prepared: Settings) -> 
     assert f"2 backups are kept in {prepared.backups}, 2 older ones were removed." in done.stdout
     assert [path.exists() for path in old] == [False, False, True]
     assert all((prepared.backups / name).read_bytes() == b"mine" for name in others)
-    left = [backup.path for backup in scheduled.backups(prepared.backups)]
+    left = [backup.path for backup in backup_folder.backups(prepared.backups)]
     assert (len(left), left[1]) == (2, old[2])
     assert sum(path.suffix == ".sha256" for path in prepared.backups.iterdir()) == 2
 

@@ -15,7 +15,7 @@ from fastapi import Request
 from kilter_service.auth.direct import address_of
 from kilter_service.caller import ANYBODY, CALLER, Caller
 from kilter_service.db import Database, audited
-from kilter_service.observability.failing import Failing
+from kilter_service.failure_log import Failing
 
 log = logging.getLogger("kilter.api")
 

@@ -11,19 +11,20 @@ from kilter_service.settings import Settings
 
 def backup(settings: Settings, arguments: argparse.Namespace) -> None:
     """Write all that is stored to a file, while the server runs."""
-    from kilter_service.backup import scheduled, service
+    from kilter_service import backup_folder
+    from kilter_service.backup import service
 
     where, keep = Path(arguments.path) if arguments.path else settings.backups, arguments.keep
     if where is None:
         print("kilterd: say where the backup goes: `kilterd backup PATH`, or set KILTER_BACKUPS", file=sys.stderr)
         sys.exit(2)
     if keep is not None or not arguments.path:
-        scheduled.check_folder(where)
+        backup_folder.check_folder(where)
     path, found = service.backup(settings, where)
     print(f"{path} holds {found.looked_at()}; {found.checked()}.")
     if keep is None:
         return
-    kept = scheduled.keep_newest(where, keep)
+    kept = backup_folder.keep_newest(where, keep)
     print(f"{kept.left} backups are kept in {where}, {len(kept.removed)} older ones were removed.")
     for altered in kept.altered:
         print(f"kilterd: {altered} does not have its hash: it was altered, move it away.", file=sys.stderr)

@@ -15,12 +15,12 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from kilter_service.backup import manifest, store
-from kilter_service.backup.file_hash import check_hash, has_hash, hash_file, write_hash
 from kilter_service.backup.findings import Findings
-from kilter_service.backup.scheduled import name_now
+from kilter_service.backup_folder import name_now
 from kilter_service.db import Database, revision
 from kilter_service.db.failures import in_words
 from kilter_service.errors import ServiceError
+from kilter_service.file_hash import check_hash, has_hash, hash_file, write_hash
 from kilter_service.private_files import private_file, private_folder
 from kilter_service.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 

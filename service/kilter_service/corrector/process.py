@@ -28,8 +28,8 @@ from kilter_service.corrector.nursery import POLL_S, Child, Nursery, StoppedErro
 from kilter_service.corrector.orphan import take_over
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
 from kilter_service.errors import ServiceError
+from kilter_service.failure_log import Failing
 from kilter_service.health.pulse import Pulse, running
-from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 from kilter_service.signing.masters import Masters, masters_in
 

@@ -113,13 +113,13 @@ def hashes(settings: Settings) -> tuple[bool, str]:
 
 def backup(settings: Settings) -> tuple[bool, str]:
     """A backup was made lately, and is whole."""
-    from kilter_service.backup import file_hash, scheduled
+    from kilter_service import backup_folder, file_hash
 
     folder = settings.backups
     if folder is None:
         return _ok("not looked for: set KILTER_BACKUPS to the folder that `kilterd backup` writes into")
-    scheduled.check_folder(folder)
-    found = scheduled.backups(folder)
+    backup_folder.check_folder(folder)
+    found = backup_folder.backups(folder)
     if not found:
         return _wrong(f"none in {folder}: run `kilterd backup`, and see that its timer is on ({TIMER})")
     newest, age_s = found[0], found[0].age_s()

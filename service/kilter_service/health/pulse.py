@@ -10,7 +10,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from kilter_service.observability.failing import Failing
+from kilter_service.failure_log import Failing
 from kilter_service.settings import Settings
 
 if TYPE_CHECKING:

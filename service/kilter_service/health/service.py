@@ -12,9 +12,9 @@ from functools import cache, partial
 from kilter_service.contract.health import Check, Health
 from kilter_service.db import Database, revision
 from kilter_service.db.outages import is_read_only
+from kilter_service.failure_log import Failing
 from kilter_service.health import store
 from kilter_service.health.clock import SetClock
-from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 

@@ -20,8 +20,8 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.contract.jobs.job import FINAL, Job
 from kilter_service.db import Database
+from kilter_service.failure_log import Failing
 from kilter_service.jobs import service, store, wire
-from kilter_service.observability.failing import Failing
 
 log = logging.getLogger("kilter.api")
 

@@ -17,6 +17,7 @@ from kilter_core.errors import CancelledError, CoreError
 from kilter_service.caller import on_behalf
 from kilter_service.db import Database, DatabaseAwayError, Session
 from kilter_service.db.failures import in_words
+from kilter_service.failure_log import log_failure
 from kilter_service.jobs import store
 from kilter_service.jobs.can_correct import with_ability_warning
 from kilter_service.jobs.default_load import with_load_warning
@@ -30,7 +31,6 @@ from kilter_service.jobs.processes import Processes
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
-from kilter_service.observability.failing import log_failure
 from kilter_service.versions.objections import objections_of
 
 log = logging.getLogger("kilter.worker")

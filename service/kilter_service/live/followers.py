@@ -16,12 +16,12 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.corrector.keys import robot_of, stream_of
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
+from kilter_service.failure_log import Failing
 from kilter_service.live import store
 from kilter_service.live.heard import Heard
 from kilter_service.live.session import LiveSession, Message, opened
 from kilter_service.live.shown import Reach, RobotShown
 from kilter_service.live.verdict import bypass
-from kilter_service.observability.failing import Failing
 from kilter_service.settings import Settings
 from kilter_service.signing.masters import Masters, masters_in
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prometheus_client.core import GaugeMetricFamily, Metric
 
-from kilter_service.backup import scheduled
+from kilter_service import backup_folder
 from kilter_service.settings import Settings
 
 
@@ -32,7 +32,7 @@ def gauges(settings: Settings) -> Iterable[Metric]:
 def _backup_age_s(folder: Path) -> float:
     """Age of the newest backup; infinite where there is none, or none that can be seen."""
     try:
-        found = scheduled.backups(folder)
+        found = backup_folder.backups(folder)
     except OSError:
         return math.inf
     return found[0].age_s() if found else math.inf

@@ -12,8 +12,8 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
 from kilter_service.db import Database, Session
+from kilter_service.failure_log import Failing
 from kilter_service.observability import machine, store
-from kilter_service.observability.failing import Failing
 from kilter_service.observability.metrics import REGISTRY
 from kilter_service.settings import Settings
 from kilter_service.version import code_version

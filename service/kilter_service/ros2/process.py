@@ -24,8 +24,8 @@ from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import check_ros2
 from kilter_service.corrector.session import close, config
 from kilter_service.errors import ServiceError
+from kilter_service.failure_log import Failing
 from kilter_service.health.pulse import Pulse
-from kilter_service.observability.failing import Failing
 from kilter_service.ros2 import names
 from kilter_service.ros2.names import JOINT_STATE, JOINT_TRAJECTORY, Attachment, MessageType
 from kilter_service.ros2.relay import Relay, StateRelay, TrajectoryRelay

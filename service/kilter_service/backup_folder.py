@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kilter_service.backup.file_hash import has_hash, hash_file
 from kilter_service.errors import ServiceError
+from kilter_service.file_hash import has_hash, hash_file
 
 SUFFIX = ".kilter-backup"
 WHEN = "%Y%m%dT%H%M%SZ"
