@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.contract.stream_frames import Flag, Status
+from kilter_service.contract.stream_messages import Flag, Status
 from kilter_service.correction_uncertainty import about, from_parameters
 from kilter_service.wire import to_mm
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.contract.stream_frames import Status
+from kilter_service.contract.stream_messages import Status
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from kilter_service.contract.stream_frames import MAX_AGE_NS
+from kilter_service.contract.stream_messages import MAX_AGE_NS
 from kilter_service.signing.masters import Masters
 
 STREAM, QUERY = "kilter_service.corrector.loop:stream_main", "kilter_service.corrector.queries:query_main"

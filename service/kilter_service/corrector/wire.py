@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.contract.stream_frames import Flag as Flag
-from kilter_service.contract.stream_frames import Kind as Kind
-from kilter_service.contract.stream_frames import Status as Status
+from kilter_service.contract.stream_messages import Flag as Flag
+from kilter_service.contract.stream_messages import Kind as Kind
+from kilter_service.contract.stream_messages import Status as Status
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from kilter_service.caller import CALLER
-from kilter_service.contract.stream_frames import MAX_AGE_NS
+from kilter_service.contract.stream_messages import MAX_AGE_NS
 from kilter_service.contract.streams import NewStreamSession, StreamSession
 from kilter_service.db import Database, audited
 from kilter_service.db import Session as Opened

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.stream_frames import Status
+from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction_limits import options_of
 from kilter_service.db import Database

@@ -1,4 +1,4 @@
-"""What a frame of the stream says beside its numbers, as docs/reference/stream.md tables it: kinds, flags and verdicts."""
+"""What a message of the stream says beside its numbers, as docs/reference/stream.md tables it: kinds, flags and verdicts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MAX_AGE_NS = 50_000_000  # of a setpoint when it arrives
 
 
 class Kind(IntEnum):
-    """What a frame carries."""
+    """What a message carries."""
 
     POINT = 0
     CHUNK = 1
