@@ -12,6 +12,7 @@ from kilter_client.results.shown_jobs import ShownSearch
 from kilter_service.contract.gap_details import NamedEffect
 from kilter_service.contract.gap_details import Untestable as Row
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
+from kilter_service.page.gap.claim import claim_of
 from kilter_service.page.gap.tested import candidates, untestable
 
 GAP = {"before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
@@ -53,3 +54,13 @@ def test_the_library_prints_lengths_in_space_beside_lengths_in_space() -> None:
     said = Search()._line()
     assert "0.235 mm -> 0.0505 mm (noise alone: 0.0527 mm)" in said
     assert "0.0304" not in said
+
+
+def test_what_revisits_say_is_told_beside_the_effect_that_they_bear_out(capsys: pytest.CaptureFixture[str]) -> None:
+    told = "15 poses revisited at other times vary by 0.13 ± 0.006 mm, and the other poses predict 0.12 mm"
+    order = {"name": "order", "words": "poses revisited", "met": True, "number": 14.0, "told": told}
+    walk = WALK | {"claim": {"said": "member", "words": "random walk", "evidence": [order]}}
+    assert f"  random_walk: {told}\n" in printed(capsys, effects=[walk])
+    assert f"{told}." in claim_of(NamedEffect(**walk)).remarks
+    unmet = walk | {"claim": walk["claim"] | {"evidence": [order | {"met": False}]}}
+    assert told not in printed(capsys, effects=[unmet])

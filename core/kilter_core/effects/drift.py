@@ -26,7 +26,7 @@ class Drift(Effect):
     id = "drift"
     summary = "slow motion of the base or of the instrument with time"
     physical = STATION
-    separated_by = (Separator.SENSOR,)
+    separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "ISO 9283, drift of pose characteristics; Barfoot, State Estimation for Robotics, 7.1"
     needs = frozenset({"t"})
     stage = "base"

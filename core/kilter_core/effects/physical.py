@@ -15,13 +15,15 @@ from enum import Enum
 class PhysicalClass:
     """A class: its ``id``, its ``label`` with {joint} for the joints, and in words the ``outside`` members of no library.
 
-    ``shaped`` says whether the shape that a member gives it tells anything more.
+    ``shaped`` says whether the shape that a member gives it tells anything more; ``went`` is added where what it follows
+    may have gone along with something else.
     """
 
     id: str
     label: str
     outside: tuple[str, ...] = ()
     shaped: bool = True
+    went: str = ""
 
     def at(self, joints: Sequence[int] | None) -> str:
         """Label at joints (from 0)."""
@@ -36,8 +38,11 @@ class Separator(Enum):
     LOADS = "its dependence on the load, at two loads"
     SIDES = "approaches from both sides"
     TEMPERATURE = "a temperature that does not go along with time"
+    ORDER = "poses revisited at other times, or a random order, so that nothing else goes along with time"
     SENSOR = "a sensor at the place itself: a link encoder, an inclinometer or a reflector on the base"
 
+
+WENT = ", or with whatever went with it"
 
 JOINT_TWIST = PhysicalClass(
     "joint_twist", "twist about the axis of {joint} under load", ("gear", "harmonic drive", "bearing", "coupling")
@@ -68,18 +73,22 @@ GUIDE = PhysicalClass(
 LOADS = PhysicalClass("loads", "loads that are not as stated", ("weight of hoses", "forgotten adapter", "other masses"))
 STATION = PhysicalClass(
     "station",
-    "motion of base or instrument with time, or with whatever went with it",
+    "motion of base or instrument with time",
     ("knocked tripod or base", "floor", "temperature"),
+    went=WENT,
 )
 JOINT_ZERO = PhysicalClass(
     "joint_zero",
-    "zero of {joint} that moved with time or temperature, or with whatever went with it",
+    "zero of {joint} that moved with time or temperature",
     ("knocked joint", "slipping coupling", "bending mount"),
+    went=WENT,
 )
 THERMAL = PhysicalClass(
     "thermal", "something that went with temperature", ("sun on one side", "warm motor", "bending column or mount")
 )
-TOOL_SHIFT = PhysicalClass("tool", "shift of tool or marker between sessions", ("remounted marker", "bumped tool"))
+TOOL_SHIFT = PhysicalClass(
+    "tool", "shift of tool or marker between sessions", ("remounted marker", "bumped tool"), went=WENT
+)
 INSTRUMENT = PhysicalClass("instrument", "error of the instrument", ("refraction", "its own calibration"))
 DELAY = PhysicalClass("delay", "delay between readings and positions", ("filter", "buffer", "clock"))
 SHAPE = PhysicalClass("shape", "shape without a cause")

@@ -35,7 +35,7 @@ class RandomWalk(Effect):
     id = "random_walk"
     summary = "base or instrument wanders with time"
     physical = STATION
-    separated_by = (Separator.SENSOR,)
+    separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "Wiener process as prior of a pose; Barfoot, State Estimation for Robotics, 3.4"
     needs = frozenset({"t"})
     stage = "base"

@@ -30,7 +30,7 @@ class Settling(Effect):
     id = "settling"
     summary = "base or instrument settles exponentially"
     physical = STATION
-    separated_by = (Separator.SENSOR,)
+    separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "ISO 230-3, thermal distortion after start-up: first-order response; ISO 9283, drift"
     needs = frozenset({"t"})
     stage = "base"

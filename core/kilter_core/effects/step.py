@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Effect, option
+from kilter_core.effects.physical import Separator
 from kilter_core.observations import Observations
 
 
@@ -23,6 +24,7 @@ class Step(Effect):
     source = "Quandt 1958; Bai and Perron 1998: a linear model whose parameters change at an unknown row"
     glances = frozenset({"t", "row"})
     event = True
+    separated_by = (Separator.ORDER,)
 
     at_s: float | None = option(None, "When it happened, s on the clock of the rows.")
     at_row: int | None = option(None, "First row after it, counted from 1 as measured.")

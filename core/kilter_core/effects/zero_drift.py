@@ -27,7 +27,7 @@ class ZeroDrift(Effect):
     id = "zero_drift"
     summary = "zero of a joint moves with time"
     physical = JOINT_ZERO
-    separated_by = (Separator.SENSOR,)
+    separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "Yin et al. 2014, joint by joint warm-up: which parameters move; ISO 9283, drift of pose characteristics"
     needs = frozenset({"t"})
     aliases = ("drift", "zero_thermal", "settling")

@@ -222,7 +222,7 @@ class _Run:
                 *self._unplanned(effects), *kept.alike(), *beyond,
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
-                    {j.evidence.place for j in effects if j.verdict == "provisional"},
+                    {j.evidence.place for j in effects if j.verdict == "provisional" or j.claim.followed},
                 ),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,

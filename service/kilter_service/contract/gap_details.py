@@ -115,13 +115,15 @@ class Replication(Stored):
 class Separation(Stored):
     """Evidence that would separate an effect from the others of its physical class."""
 
-    name: str = Field(description="`turn`, `loads`, `sides`, `temperature` or `sensor`.")
+    name: str = Field(description="`turn`, `loads`, `sides`, `temperature`, `order` or `sensor`.")
     words: str | None = Field(None, description="What is asked for.")
     met: bool | None = Field(None, description="Whether these rows have it.")
     number: float | None = Field(
         None,
-        description="What decided: revolutions, visits from the rarer side, or standard deviations; null: nothing there.",
+        description="What decided: revolutions, visits from the rarer side, the chance of a random order, or standard "
+        "deviations; null: nothing there.",
     )
+    told: str | None = Field(None, description="What these rows say of it, in words.")
 
 
 class Claim(Stored):

@@ -8,13 +8,18 @@ from typing import Any
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.effects.physical import PhysicalClass
+from kilter_core.effects.physical import PhysicalClass, Separator
 from kilter_core.gap.evidence.likeness import Alias
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.search.candidates import Candidate
 
 MEMBER, ONE_OF, CLASS = "member", "one_of", "class"
 SHOWN = 3  # names in a sentence
+FOLLOWED = (
+    Separator.TEMPERATURE,
+    Separator.ORDER,
+)  # of what an effect follows: without it something else may have gone along
+REMEDY = "to tell, revisit poses at other times, or measure all in random order"
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,11 @@ class Claim:
     evidence: tuple[Separated, ...]
     settled: bool
 
+    @property
+    def followed(self) -> bool:
+        """Whether what it follows may have gone along with something else, which then is what acts."""
+        return _followed(self.evidence)
+
     @staticmethod
     def of(
         candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool
@@ -43,13 +53,18 @@ class Claim:
         of it (``settled``).
         """
         physical = candidate.effects[0].class_on(robot)
-        label = physical.at(candidate.joints)
+        evidence, label = _needed(evidence), physical.at(candidate.joints)
+        if _followed(evidence):
+            label += physical.went
+        unordered = next((e.told for e in evidence if e.separator is Separator.ORDER and not e.met), None)
         kin = (e.id for e in EFFECTS.values() if e.physical.id == physical.id and not e.empirical)
         about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled)
         names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
         member = next((a.member for a in rivals if a.member), "")
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
+        if unordered is not None:
+            return Claim(CLASS, f"{member or label} ({unordered}; {REMEDY})", *about)
         if member:
             return Claim(CLASS, member, *about)
         if not settled or not all(e.met for e in evidence):
@@ -66,7 +81,7 @@ class Claim:
             "claim": {
                 "said": self.said, "words": self.words, "settled": self.settled,
                 "evidence": [{"name": e.separator.name.lower(), "words": e.separator.value, "met": e.met,
-                              "number": e.number} for e in self.evidence],
+                              "number": e.number, "told": e.told or None} for e in self.evidence],
             },
             "physical_class": {
                 "id": self.physical.id, "label": self.label,
@@ -74,6 +89,16 @@ class Claim:
                 "outside": list(self.physical.outside),
             },
         }  # fmt: skip
+
+
+def _followed(evidence: Sequence[Separated]) -> bool:
+    return any(e.separator in FOLLOWED and not e.met for e in evidence)
+
+
+def _needed(evidence: tuple[Separated, ...]) -> tuple[Separated, ...]:
+    """The evidence asked for: where a sensor saw the effect itself, the order of the poses no longer matters."""
+    sensed = any(e.separator is Separator.SENSOR and e.met for e in evidence)
+    return tuple(e for e in evidence if not (sensed and e.separator is Separator.ORDER))
 
 
 def _some(names: Sequence[str]) -> str:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.effects.physical import Separator
+from kilter_core.gap.evidence.order import order_of
+from kilter_core.gap.evidence.revisits import revisits
 from kilter_core.gap.evidence.smooth import TURN
 from kilter_core.gap.search.bases import orthonormal
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -30,11 +32,12 @@ EACH_SIDE = 4  # visits from each side
 
 @dataclass(frozen=True)
 class Separated:
-    """Whether a piece of evidence separates the name from its class, and the number that says so."""
+    """Whether a piece of evidence separates the name from its class, the number that says so, and what is ``told`` of it."""
 
     separator: Separator
     met: bool
     number: float | None = None
+    told: str = ""
 
 
 def separated(search: SearchResult, place: int) -> tuple[Separated, ...]:
@@ -83,6 +86,27 @@ def _temperature(search: SearchResult, place: int) -> Separated:
     powers = np.vander(x, COURSE + 1)
     course = powers @ np.linalg.lstsq(powers, rows.temperature_c, rcond=None)[0]
     return _beside(search, place, Separator.TEMPERATURE, replace(rows, temperature_c=course))
+
+
+def _order(search: SearchResult, place: int) -> Separated:
+    """Poses that were revisited tell time from what went with it; without them a random order of all poses does."""
+    settings = search.problem.settings
+    seen = revisits(search, place)
+    told = "no pose was revisited at another time" if seen is None else "revisits at other times are too few to tell"
+    if seen is not None:
+        unit, scale = ("deg", 180.0 / np.pi) if settings.source.unit == "rad" else ("mm", 1e3)
+        size = seen.predicted * scale
+        vary = f"{seen.poses} poses revisited at other times vary by {seen.slope * size:.2g} ± {seen.sigma * size:.1g} {unit}"
+        whose = "the other poses predict" if seen.held_out else "the law says"
+        if seen.alone > ALONE and seen.apart < ALIKE:
+            return Separated(Separator.ORDER, True, seen.alone, f"{vary}, and {whose} {size:.2g} {unit}")
+        if seen.sharp:
+            told = f"{vary}, where {whose} {size:.2g} {unit}"
+    order = order_of(settings.source, settings.used)
+    if order.random and not (seen is not None and seen.sharp):
+        return Separated(Separator.ORDER, True, order.chance, "the poses were measured in random order")
+    number = None if seen is None else seen.alone
+    return Separated(Separator.ORDER, False, number, f"{told}; {order.words}")
 
 
 def _sensor(search: SearchResult, place: int) -> Separated:
@@ -140,5 +164,6 @@ TESTS: Mapping[Separator, Callable[[SearchResult, int], Separated]] = {
     Separator.LOADS: _loads,
     Separator.SIDES: _sides,
     Separator.TEMPERATURE: _temperature,
+    Separator.ORDER: _order,
     Separator.SENSOR: _sensor,
 }

@@ -125,6 +125,10 @@ def _remarks(effect: NamedEffect) -> Iterator[str]:
     if effect.too_small_to_matter:
         yield f"It moves the tool by {number((effect.moves_mm or 0.0) * 1e3, 2)} µm: too small to matter."
     yield from _class(effect)
+    told = [
+        one.told for one in (effect.claim.evidence if effect.claim is not None else None) or [] if one.met and one.told
+    ]
+    yield from (f"{words[:1].upper()}{words[1:]}." for words in told)
     if effect.empirical:
         yield "It is a shape without a cause: never take it for physics."
     if effect.halves is not None:

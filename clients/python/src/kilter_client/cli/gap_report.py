@@ -107,6 +107,9 @@ def _remarks(effect: Mapping[str, Any]) -> None:
         )
     if effect.get("too_small_to_matter"):
         say(f"  {_name(effect)} moves the tool by {number(effect.get('moves_mm'), 2)} mm: too small to matter")
+    for one in (effect.get("claim") or {}).get("evidence") or ():
+        if one.get("met") and one.get("told"):
+            say(f"  {_name(effect)}: {one['told']}")
     half = effect.get("halves")
     if half:
         both = (

@@ -87,9 +87,11 @@ class Separation(Record):
     met: bool | None
     """Whether these rows have it."""
     name: str
-    """`turn`, `loads`, `sides`, `temperature` or `sensor`."""
+    """`turn`, `loads`, `sides`, `temperature`, `order` or `sensor`."""
     number: float | None
-    """What decided: revolutions, visits from the rarer side, or standard deviations; None: nothing there."""
+    """What decided: revolutions, visits from the rarer side, the chance of a random order, or standard deviations; None: nothing there."""
+    told: str | None
+    """What these rows say of it, in words."""
     words: str | None
     """What is asked for."""
 
