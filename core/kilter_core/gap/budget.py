@@ -1,7 +1,8 @@
 """How long a search may take: what is cut short when the time is over, and what is said of it.
 
-The geometry, its noise and the first scan are made whatever they take: without them there is nothing to report. What was
-cut short never makes a claim surer: names that were not tried on resamples or shuffles stay provisional.
+The geometry, its noise and the first scan are made whatever they take: without them there is nothing to report. Everything
+else looks at the time at each of its steps, the search for wrong readings too. What was cut short never makes a claim
+surer: names that were not tried on resamples or shuffles stay provisional.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from kilter_core.types import Progress
 clock: Callable[[], float] = time.monotonic
 
 # Share of the time after which a stage is cut short; the next has the rest.
+PREPARING = 0.25
 SEARCHING = 0.5
 RESAMPLING = 0.7
 SHUFFLING = 0.85
@@ -44,6 +46,20 @@ class Budget:
         if what not in self.left_out:
             self.left_out.append(what)
         return True
+
+    def tick(self, share: float, what: str) -> Callable[[], None]:
+        """What a stage calls at each of its steps.
+
+        Raises:
+            OutOfTimeError: from the call, when its ``share`` is over.
+
+        """
+
+        def told() -> None:
+            if self.over(share, what):
+                raise OutOfTimeError
+
+        return told
 
     def ending(self, progress: Progress, share: float, what: str) -> Progress:
         """The same progress, which ends a stage whose ``share`` is over.

@@ -111,7 +111,7 @@ def find_gap(
     remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations))
     every, share = observations, validation
     observations, validation = parted(observations, validation, options.seed)
-    prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
+    prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15), budget)
     report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget).report()
     if not isinstance(share, Observations):
         report = report.numbered(*held_out(every, share, options.seed))
@@ -180,7 +180,7 @@ class _Run:
         found = search(
             problem.settings, problem, scorer, limits, self.options, _part(self.progress, 0.2, 0.5), self.budget
         )
-        return rejudged(found, self.options.alpha, limits)
+        return rejudged(found, self.options.alpha, limits, self.budget)
 
     def _reported(
         self, found: SearchResult, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
@@ -269,7 +269,8 @@ class _Run:
             evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
             # Only where something else is left is an effect asked to rise by itself.
             alone = not whole(moved[k]) and not fit.too_large
-            own = halves(found, k, classes[k], self.options.max_effects) if alone else None
+            late = alone and self.budget.over(MEASURING, "the halves of the campaign")
+            own = halves(found, k, classes[k], self.options.max_effects) if alone and not late else None
             evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
             out.append(judge(found, evidence, fit, self.prepared.library, whole(moved[k])))
         out.sort(key=lambda j: -j.evidence.gain_mm)

@@ -9,6 +9,12 @@ import pytest
 
 from kilter_core.errors import OptionError
 from kilter_core.gap import GapOptions, GapReport, budget, find_gap
+from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.gap.search.renewal import WRONG
+from kilter_core.gap.search.renewed_search import AGAIN
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import unheard
 from tests.core.gap.simulated import campaign, katana
 
 QUICK = GapOptions(
@@ -48,7 +54,7 @@ def test_what_there_is_no_time_for_is_left_out_and_said() -> None:
     assert "effects beyond those named" in left_out(one)
     assert len(one.effects) < 2
     assert one.verdict != "closed"
-    named = searched(30.0)  # time for both names, none for the resamples and shuffles behind them
+    named = searched(60.0)  # time for both names, none for the resamples and shuffles behind them
     assert {j.evidence.candidate.id for j in named.effects} == {"backlash", "eccentricity"}
     assert "resamples of poses" in left_out(named)
     assert {j.verdict for j in named.effects} == {"provisional"}
@@ -60,6 +66,35 @@ def test_what_there_is_no_time_for_is_left_out_and_said() -> None:
 
 def test_a_budget_that_is_not_reached_changes_nothing() -> None:
     assert searched(None).to_document() == searched(3600.0).to_document()
+
+
+def spoilt() -> Observations:
+    """A campaign in which every seventh reading is 0.5 mm off."""
+    rows = campaign(katana(), poses=100, revisits=0, seed=5)
+    assert rows.position is not None
+    position = rows.position.copy()
+    position[::7, 0] += 5e-4
+    return replace(rows, position=position)
+
+
+@pytest.mark.usefixtures("ticking")
+def test_the_search_for_wrong_readings_ends_in_time() -> None:
+    short, long = budget.Budget(12.0), budget.Budget(1e6)  # at a second for each look, three fits of the descent
+    cut, whole = (prepare_data(Calibration.nominal(katana()), spoilt(), QUICK, unheard, b) for b in (short, long))
+    assert cut.problem.settings.used.all()
+    assert short.left_out == [WRONG]
+    assert whole.problem.settings.used.sum() < len(whole.problem.settings.used)
+    assert not long.left_out
+
+
+@pytest.mark.usefixtures("ticking")
+def test_noise_and_wrong_readings_are_judged_again_only_in_time() -> None:
+    """A hunt for nothing that is there: the wrong readings of the first fit stay aside, no later look is begun."""
+    cut = find_gap(katana(), spoilt(), replace(QUICK, budget_s=1.0))
+    assert WRONG in left_out(cut)
+    assert AGAIN in left_out(cut)
+    assert not cut.set_aside
+    assert find_gap(katana(), spoilt(), replace(QUICK, budget_s=1e6)).set_aside
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, "ten", True])

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.gap.budget import SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, refit
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
 from kilter_core.gap.search.renewal import renewed, under
 from kilter_core.gap.search.scan import Null, Scorer, null_of
 from kilter_core.gap.search.select import Selector
@@ -107,7 +107,11 @@ def _forward_selection(
         null = null_of(problem, selector.scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
-        after = selector.better(problem.gram, chosen, critical, options.max_effects, seen)
+        ticking = replace(selector, tick=budget.tick(SEARCHING, MORE)) if round_ else selector
+        try:
+            after = ticking.better(problem.gram, chosen, critical, options.max_effects, seen)
+        except OutOfTimeError:
+            break
         if set(after) == set(chosen) or budget.over(SEARCHING, MORE):
             break
         seen.add(frozenset(after))
@@ -115,14 +119,14 @@ def _forward_selection(
             min(0.9, (round_ + 0.5) / 6.0),
             "re-fitting with " + ", ".join(scorer.candidates[m].label for m in after),
         )
+        tick = partial(budget.ending(progress, SEARCHING, MORE), *now)
         try:
-            tick = partial(budget.ending(progress, SEARCHING, MORE), *now)
             other = refit(problem.settings, problem.values, selector.columns(after), tick)
         except OutOfTimeError:
             break
         if worse(selector, (other, after), (problem, chosen)):
             continue  # the set does not do what the linearised problem promised
-        before, (problem, chosen) = problem, (renewed(other, selector.columns(after)), after)
+        before, (problem, chosen) = problem, (_renewed_in_time(other, selector.columns(after), tick), after)
         # A column that was zero may move something by now: an error of the payload does beside a compliance.
         if problem is not other or np.any((problem.size > 0.0) & (before.size == 0.0)):
             selector = selector_at(problem, selector, limits)
@@ -133,8 +137,16 @@ def _forward_selection(
     return SearchResult(problem, selector, chosen, first, critical, tuple(steps), noise, strict)
 
 
+def _renewed_in_time(problem: LinearizedProblem, columns: list[int], tick: Tick) -> LinearizedProblem:
+    """The problem with noise and outliers judged again; itself where there was no time for it."""
+    try:
+        return renewed(problem, columns, tick)
+    except OutOfTimeError:
+        return problem
+
+
 def when(
-    problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...], limits: Floats
+    problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...], limits: Floats, tick: Tick = go_on
 ) -> tuple[LinearizedProblem, Selector]:
     """The search with every event at the row where it takes most, given what is chosen, and fitted again if one is."""
     candidates = selector.scorer.candidates
@@ -142,7 +154,7 @@ def when(
     if made == candidates:
         return after, selector
     if any(made[k] != candidates[k] for k in chosen):
-        after = refit(after.settings, after.values, selector.columns(chosen))
+        after = refit(after.settings, after.values, selector.columns(chosen), tick)
     selector = replace(selector, scorer=replace(selector.scorer, candidates=made))
     return after, selector_at(after, selector, limits)
 

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 from scipy.stats import chi2
 
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on
 from kilter_core.gap.search.projection import Stacked
 from kilter_core.gap.search.wrong_rows import are_wrong
 from kilter_core.identify.robust import redescended
@@ -27,22 +27,22 @@ WILD = 2.0  # times the squared limit, when geometry and what was named predict 
 LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
 
 
-def outliers(problem: LinearizedProblem, chosen: Sequence[int] = ()) -> Bools:
+def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick = go_on) -> Bools:
     """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale.
 
     Where the library has more parameters than the data could fix it explains anything, a wild reading too. Then geometry
     and the ``chosen`` columns alone predict, and a visit must be further outside the scatter than any smooth
-    effect.
+    effect. ``tick`` is called before every fit, and may raise.
     """
     settings = problem.settings
     size = settings.whitener.shape[-1]
     y, whole = problem.within_priors()
     geometry = problem.G.shape[1]
     limit, alike = _limit(settings)
-    found = _far(problem, whole, y, limit, alike)
+    found = _far(problem, whole, y, limit, alike, tick)
     if whole.width > SUPPLE * settings.used.sum() * size:
         known = [*range(geometry), *(geometry + k for k in chosen)]
-        found |= _far(problem, whole.only(known), y, np.sqrt(WILD) * limit, alike)
+        found |= _far(problem, whole.only(known), y, np.sqrt(WILD) * limit, alike, tick)
     return found
 
 
@@ -62,12 +62,13 @@ def _limit(settings: ProblemSettings) -> tuple[float, int]:
     return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
 
 
-def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int) -> Bools:
+def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int, tick: Tick) -> Bools:
     """Visits beyond the limit, if they are wrong readings and no structure."""
     used = problem.settings.used
     dimension = max(1, round(X.size / alike))
 
     def sizes(weight: Floats) -> Floats:
+        tick()
         every = np.zeros(len(used))
         every[used] = weight
         return np.sqrt(_left_out(X, y, every)[used] / alike)

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
+from kilter_core.gap.budget import Budget
 from kilter_core.gap.noise.from_repeats import Noise, fit_noise, repeat_noise, sensors, spikes, stated_noise
 from kilter_core.gap.noise.motion import (
     averaged,
@@ -25,7 +26,7 @@ from kilter_core.gap.search.events import placed
 from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
 from kilter_core.gap.search.link_source import LinkSource
 from kilter_core.gap.search.masses import blurred, tool_source
-from kilter_core.gap.search.renewal import renewed, under
+from kilter_core.gap.search.renewal import under, without_wrong
 from kilter_core.gap.search.row_warnings import (
     JUDGED_AGAIN,
     identical_repeats,
@@ -50,7 +51,6 @@ NOT_FITTED = "geometry_not_fitted"
 DOMINATES = 10.0  # times the noise that geometry leaves, from which its shape is not that of the noise
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
 POSE = 6  # numbers of a pose; visits with more show markers
-ROUNDS = 3  # fits of the geometry without outliers, each judged by the one before
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
 
@@ -84,14 +84,22 @@ class Prepared:
         return replace(self, problem=problem, outlying=outlying, warnings=(*said, *outlier_warnings(problem)))
 
 
-def prepare_data(start: Calibration, rows: Observations, options: GapOptions, progress: Progress = unheard) -> Prepared:
+def prepare_data(
+    start: Calibration,
+    rows: Observations,
+    options: GapOptions,
+    progress: Progress = unheard,
+    budget: Budget | None = None,
+) -> Prepared:
     """Visits, the robust fit of the geometry, noise, outliers and library: all that the search begins with.
+
+    The search for wrong readings ends with its share of the ``budget``.
 
     Raises:
         TooFewPosesError: not enough poses for the geometry and a test. ObservationError: nothing measured.
 
     """
-    return _Preparation(start, rows, options, progress).run()
+    return _Preparation(start, rows, options, progress, budget or Budget()).run()
 
 
 @dataclass
@@ -102,6 +110,7 @@ class _Preparation:
     rows: Observations
     options: GapOptions
     progress: Progress
+    budget: Budget
     warnings: list[dict[str, Any]] = field(default_factory=list)
 
     def run(self) -> Prepared:
@@ -131,7 +140,7 @@ class _Preparation:
         problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
         problem = _weighed(placed(problem, library.candidates)[0])
         self.progress(0.6, "looking for outliers")
-        problem = self._correlated(problem, visits) if moving else self._without_outliers(problem)
+        problem = self._correlated(problem, visits) if moving else without_wrong(problem, self.budget, self.progress)
         if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:
             problem = self._in_order(problem, visits)
         outlying = np.union1d(spiked, _outlying(kept, visits, problem)).astype(np.int64)
@@ -294,15 +303,6 @@ class _Preparation:
                 "measure at least twice as many poses as the geometry needs.",
                 poses=poses,
             )
-        return problem
-
-    def _without_outliers(self, problem: LinearizedProblem) -> LinearizedProblem:
-        for _ in range(ROUNDS):
-            after = renewed(problem, ())
-            if after is problem:
-                break
-            self.progress(0.7, "fitting without outliers")
-            problem = after
         return problem
 
     def _correlated(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:

@@ -12,33 +12,52 @@ from dataclasses import replace
 
 import numpy as np
 
+from kilter_core.gap.budget import PREPARING, Budget, OutOfTimeError
 from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
 from kilter_core.gap.search.contrasts import fitted_away
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, linearize_at, refit
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, linearize_at, refit
 from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
-from kilter_core.types import Bools
+from kilter_core.types import Bools, Progress
 
+WRONG = "wrong readings beyond those set aside"
 CHANGED = 0.02  # of the noise, from which a fit is made again
 FREER = 0.1  # of its freedom, from which the same
+FITS = 3  # of the geometry without wrong readings
 ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
 
 
-def renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
+def renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
     """The problem re-fitted with noise and outliers as the fit with these columns shows them; itself if unchanged.
 
     Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
     the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
+    ``tick`` is called at every step, and may raise: then nothing was judged again.
     """
-    before, problem = problem, _renewed(problem, columns)
+    before, problem = problem, _renewed(problem, columns, tick)
     for _ in range(ROUNDS if problem is not before and problem.settings.noise.repeats is not None else 0):
         noise = _with_noise(problem.settings, problem, columns, problem.settings.used).noise
         if _alike(problem.settings.noise, noise):
             break
-        problem = refit(replace(problem.settings, noise=noise), problem.values, columns)
+        problem = refit(replace(problem.settings, noise=noise), problem.values, columns, tick)
     return problem
 
 
-def _renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
+def without_wrong(problem: LinearizedProblem, budget: Budget, progress: Progress) -> LinearizedProblem:
+    """The geometry fitted without wrong readings, which each fit judges for the next until none changes, or time is over."""
+    tick = budget.tick(PREPARING, WRONG)
+    for _ in range(FITS):
+        try:
+            after = renewed(problem, (), tick)
+        except OutOfTimeError:
+            break
+        if after is problem:
+            break
+        progress(0.7, "fitting without outliers")
+        problem = after
+    return problem
+
+
+def _renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick) -> LinearizedProblem:
     settings = problem.settings
     if settings.inflation > 1.0:  # rows correlated in time: a disturbance looks like what they share
         return problem
@@ -47,11 +66,11 @@ def _renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedPr
     if len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values):
         used = settings.used
     else:
-        used = ~outliers(linearize_at(every, problem.values), columns)
+        used = ~outliers(linearize_at(every, problem.values), columns, tick)
     after = _with_noise(replace(every, used=used), problem, columns, used)
     if np.array_equal(used, settings.used) and _alike(settings.noise, after.noise):
         return problem
-    return refit(after, problem.values, columns)
+    return refit(after, problem.values, columns, tick)
 
 
 def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int] = ()) -> LinearizedProblem:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linearized import Tick, go_on
 from kilter_core.gap.search.scan import Scorer, Scores
 from kilter_core.gap.search.tails import tail
 from kilter_core.types import Bools, Floats
@@ -44,6 +45,7 @@ class Selector:
     limits: Floats
     closed: frozenset[int] = frozenset()  # candidates that may not enter
     pairs: bool = True  # whether two that hide each other are looked for
+    tick: Tick = field(default=go_on, compare=False)  # called before every exchange; may raise
 
     @property
     def causes(self) -> Selector:
@@ -174,6 +176,7 @@ class Selector:
         """Replace the one or two members by the one outside with which the criterion grows most, if it does."""
         best, gain = chosen, SMALLEST_GAIN
         for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
+            self.tick()
             rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
             variance = self.variance(problem, chosen)
             now = self.criterion(problem, chosen, variance)
@@ -319,6 +322,7 @@ class Selector:
         worth = np.where(scores.d > 0, self.ranked(given, scores), -np.inf)
         best, most = None, -np.inf
         for k in map(int, np.argsort(-worth, kind="stable")[:PAIRED]):
+            self.tick()
             m, _ = self.entry(gram, (*chosen, k), critical)
             if m is None or m in (*chosen, k) or k in self.closed:
                 continue
