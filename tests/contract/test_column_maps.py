@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.tables.source import FORMATS
-from kilter_files.ground.units import SIZES
+from kilter_files.formats.reader import MAP
+from kilter_files.formats.registry import readers_for
+from kilter_files.ground.units import SIZES, TIMESTAMP
 from kilter_files.maps.column_map import read_map
-from kilter_files.maps.columns import TIMESTAMP
 from kilter_files.maps.section import Section
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -59,7 +59,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, folder: Path) -> dict[str, set[str]]:
 
     monkeypatch.setattr(Section, "raw", raw)
     (folder / "map.toml").write_text(EVERYTHING)
-    read_map(folder / "map.toml", FORMATS)
+    read_map(folder / "map.toml", readers_for(MAP))
     return found
 
 
@@ -85,7 +85,7 @@ def test_every_key_is_documented_and_no_other(monkeypatch: pytest.MonkeyPatch, t
 def test_every_format_and_unit_is_documented() -> None:
     formats = re.findall(r"^\| `(\w+)` \| ((?:`\.\w+`(?:, )?)+) \|", PAGE, re.MULTILINE)
     assert {name: tuple(re.findall(r"\.\w+", ends)) for name, ends in formats} == {
-        name: form.endings for name, form in FORMATS.items()
+        name: reader.endings for name, reader in readers_for(MAP).items()
     }
     assert PAGE.count("`csv`, `mat`, `parquet`, `tdms`, `xlsx` or `program`") == 1
     units = PAGE.partition("| of a | units |\n")[2].partition("\n\n")[0]
@@ -98,4 +98,4 @@ def test_every_format_and_unit_is_documented() -> None:
 
 
 def test_the_example_with_everything_is_a_map() -> None:
-    read_map(REPOSITORY / "clients/python/examples/columns.toml", FORMATS)
+    read_map(REPOSITORY / "clients/python/examples/columns.toml", readers_for(MAP))

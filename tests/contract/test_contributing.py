@@ -205,14 +205,36 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.tables.table import Table
 
 
-def read_toy(path: Path) -> Table:
-    """Read one file."""
-    rows = [[float(cell) for cell in line.split()] for line in path.read_text(encoding="utf-8").splitlines()]
-    q1, x = zip(*rows, strict=True)
-    return Table({"q1_deg": list(q1), "x_mm": [1e3 * v for v in x]}, list(range(1, len(rows) + 1)))
+class Toy(Reader[Table]):
+    """Rows of two numbers."""
+
+    name = "toy"
+    title = "The log of a toy"
+    use = DEVICE
+    endings = (".toy",)
+    is_a = "the log of a toy"
+    instead = "Send it with --device toy."
+
+    def recognises(self, head: Head) -> bool:
+        """Its ending."""
+        return head.ending in self.endings
+
+    def describe(self, head: Head) -> Document:
+        """How many rows."""
+        return {"rows": len(self.read(head.path)), "ready": True, "device": self.name}
+
+    def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:
+        """Read one file."""
+        rows = [[float(cell) for cell in line.split()] for line in path.read_text(encoding="utf-8").splitlines()]
+        q1, x = zip(*rows, strict=True)
+        return Table({"q1_deg": list(q1), "x_mm": [1e3 * v for v in x]}, list(range(1, len(rows) + 1)))
+
+
+READER = Toy()
 '''
 USE_READER = """
 import pathlib, tempfile
@@ -224,6 +246,16 @@ file.write_text("10 0.5\\n20 0.25\\n")
 made = prepare(file, "toy")
 assert made.content.decode().splitlines() == ["q1_deg,x_mm", "10.0,500.0", "20.0,250.0"], made.content
 assert run(["upload", "arm", str(file), "--device", "toy", "--dry-run"]) == 0
+from kilter_files import DEVICES
+from kilter_files.formats.registry import listed
+from kilter_files.look.inspection import inspect
+from kilter_service.page.drop.child import _looked
+from kilter_service.page.drop.service import ways
+assert (inspect(file)["kind"], inspect(file)["rows"]) == ("toy", 2)
+assert _looked(file)["device"] == "toy"
+assert ("toy", "The log of a toy") in ways()
+assert ("upload --device", "toy", (".toy",), "The log of a toy") in listed()
+assert "toy" in DEVICES
 """
 
 KIND = '''"""Job kind ``count``: how many rows there are."""
@@ -385,19 +417,12 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
 
 METHODS, EFFECTS = "core/kilter_core/identify/registry.py", "core/kilter_core/effects/registry.py"
 MEASUREMENTS = "core/kilter_core/measurement/registry.py"
-FILES = "clients/files/kilter_files/__init__.py"
+READERS = "clients/files/kilter_files/formats/registry.py"
 KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"
 JOBS = "service/kilter_service/contract/jobs/job.py"
 ROWS, UNITS = "core/kilter_core/observations/rows.py", "service/kilter_service/contract/columns.py"
 COLUMNS_PAGE = "docs/reference/columns.md"
 PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
-LOADER = """def _toy(path: Path) -> Table:
-    from kilter_files.toy import read_toy
-
-    return read_toy(path)
-
-
-"""
 ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
     "effect": (3, {
         "core/kilter_core/effects/toy_wobble.py": EFFECT,
@@ -423,9 +448,8 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         .replace("Inclination)", "Inclination, ToyRange)"),
     }, USE_MEASUREMENT),
     "reader": (2, {
-        "clients/files/kilter_files/toy.py": READER,
-        FILES: lined(FILES, ("# device name -> reader", LOADER),
-                     ('    "inclinometer": _incl', '    "toy": _toy,\n')),
+        "clients/files/kilter_files/formats/readers/toy.py": READER,
+        READERS: lined(READERS, ('    "ballbar",\n', '    "toy",\n')),
     }, USE_READER),
     "kind of job": (4, {
         "service/kilter_service/contract/jobs/count.py": KIND_OPTIONS,

@@ -10,6 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 from kilter_core.effects import EFFECTS
+from kilter_files.formats.registry import listed
 from kilter_service.contract.words import allowed
 from kilter_service.jobs.registry import KINDS
 from tools.contract.commands import table_of_command, table_of_server
@@ -27,11 +28,20 @@ def _table(name: str) -> str:
         return "\n".join(_effect_rows()) + "\n"
     if name == "kinds":
         return "\n".join(_kind_rows()) + "\n"
+    if name == "formats":
+        return "\n".join(_format_rows()) + "\n"
     if name == "kilterd":
         return table_of_server()
     if name.startswith("kilter "):
         return table_of_command(name)
     return "\n".join(_option_rows(name.removeprefix("options of "))) + "\n"
+
+
+def _format_rows() -> Iterator[str]:
+    yield "| `kilter` ... | format | endings | what |"
+    yield "|---|---|---|---|"
+    for use, name, endings, title in listed():
+        yield f"| `{use}` | `{name}` | {', '.join(f'`{ending}`' for ending in endings)} | {_cell(title)} |"
 
 
 def properties(kind: str) -> dict[str, Any]:

@@ -5,48 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kilter_files.ground.errors import FileError
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 if TYPE_CHECKING:
-    from kilter_files.formats.joints.joint_log import LogHints
+    from kilter_files.formats.reader import LogHints
     from kilter_files.tables.joint_log import JointLog
+
+    DEVICES: Mapping[str, Callable[[Path], Table]]
 
 __all__ = ["DEVICES", "Prepared", "prepare", "read_joints"]
 
 
-def _ipa_lasertracker(path: Path) -> Table:
-    """A campaign of Fraunhofer IPA's laser tracker data set."""
-    from kilter_files.formats.points.ipa_lasertracker import read_ipa_lasertracker
+def __getattr__(name: str) -> Any:
+    """``DEVICES``: the reader of each device's files, by name, gathered from the readers when it is asked for."""
+    if name != "DEVICES":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from kilter_files.formats.reader import DEVICE
+    from kilter_files.formats.registry import readers_for
 
-    return read_ipa_lasertracker(path)
+    return {name: reader.read for name, reader in readers_for(DEVICE).items()}
 
-
-def _ballbar(path: Path) -> Table:
-    """The log of a double ball bar."""
-    from kilter_files.formats.logs.ballbar import ballbar_table
-
-    return ballbar_table(path)
-
-
-def _inclinometer(path: Path) -> Table:
-    """The log of an inclinometer: no campaign, see `kilter tilt-join`."""
-    raise FileError(
-        f"{path}: an inclinometer measures joints, not tool positions, so it makes no campaign. See what it holds with "
-        "`kilter inspect`, and send readings with `kilter joint-parameters ROBOT --readings FILE`.",
-        file=str(path),
-    )
-
-
-# device name -> reader of its files, whose docstring is its line in `kilter formats`; any other device's files must be
-# contract columns or come with a map
-DEVICES: Mapping[str, Callable[[Path], Table]] = {
-    "ballbar": _ballbar,
-    "inclinometer": _inclinometer,
-    "ipa-lasertracker": _ipa_lasertracker,
-}
 
 TYPES = {".csv": CSV_TYPE, ".parquet": PARQUET_TYPE, ".json": JSON_TYPE}
 
@@ -71,12 +52,16 @@ def prepare(
         return Prepared.from_table(_mapped(path, Path(column_map), None if joined is None else Path(joined)))
     if joined is not None:
         raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
-    from kilter_files.formats.tables.source import endings
+    from kilter_files.formats.opening import endings
 
     if endings().get(path.suffix.lower()) == "xlsx":
         return Prepared.from_table(read_contract(path))
-    if device is not None and device in DEVICES and not _is_joined(path):
-        return Prepared.from_table(DEVICES[device](path))
+    from kilter_files.formats.reader import DEVICE
+    from kilter_files.formats.registry import readers_for
+
+    reader = readers_for(DEVICE).get(device or "")
+    if reader is not None and not _is_joined(path):
+        return Prepared.from_table(reader.read(path))
     return as_it_is(path)
 
 
@@ -87,7 +72,7 @@ def read_contract(path: Path) -> Table:
         FileError: other columns, or a damaged workbook.
 
     """
-    from kilter_files.formats.tables.source import open_source
+    from kilter_files.formats.opening import open_source
     from kilter_files.maps.mapped import contract_table
     from kilter_files.tables.source import Layout
 
@@ -101,7 +86,8 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
         FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
 
     """
-    from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files.formats.reader import LogHints
 
     if column_map is None:
         return read_joint_log(path, hints or LogHints())
@@ -115,11 +101,13 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
 
 def _mapped(path: Path, column_map: Path, joined: Path | None) -> Table:
     """Read a file and, where the map has a [join], the second one, and return them in contract columns."""
-    from kilter_files.formats.tables.source import FORMATS, open_source
+    from kilter_files.formats.opening import open_source
+    from kilter_files.formats.reader import MAP
+    from kilter_files.formats.registry import readers_for
     from kilter_files.maps.column_map import read_map
     from kilter_files.maps.mapped import mapped, second_file
 
-    chosen = read_map(column_map, FORMATS)
+    chosen = read_map(column_map, readers_for(MAP))
     source = open_source(path, chosen.form, chosen.layout)
     place = second_file(path, chosen, joined)
     there = None if place is None or chosen.join is None else open_source(place, chosen.join.form, chosen.join.layout)
@@ -144,10 +132,13 @@ def as_it_is(path: Path) -> Prepared:
     """Read a file that already has contract columns; its bytes, and so its content hash, stay what they are."""
     kind = TYPES.get(path.suffix.lower())
     if kind is None:
+        from kilter_files.formats.reader import DEVICE
+        from kilter_files.formats.registry import readers_for
+
         raise FileError(
             f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Send it with a column map "
             f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "
-            f"({', '.join(DEVICES)}).",
+            f"({', '.join(readers_for(DEVICE))}).",
             file=str(path),
         )
     try:

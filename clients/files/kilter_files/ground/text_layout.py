@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault, head_of
@@ -15,6 +16,7 @@ from kilter_files.ground.units import SIZES
 
 SAMPLE_BYTES = 1 << 18
 SAMPLE_LINES = 400
+CELLS_BYTES = 1 << 16
 TRIES = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","))
 COMMENTS = ("//", "#", "%", "!")
 UNITS = {unit.lower(): unit for sizes in SIZES.values() for unit in sizes} | {
@@ -40,6 +42,18 @@ class TextLayout:
     width: int
     header: bool
 
+    def to_document(self) -> dict[str, Any]:
+        """Return what is to be said of the layout."""
+        told = zip(self.names, self.units, strict=True)
+        return {
+            "encoding": self.encoding,
+            "delimiter": self.delimiter,
+            "decimal": self.decimal,
+            "first_row_in_line": self.first_line,
+            "header": self.header,
+            "columns": [{"name": name, "unit": unit} for name, unit in told],
+        }
+
     def split(self, line: str) -> list[str]:
         """Return the cells of a line."""
         return split_line(line, self.delimiter)
@@ -61,6 +75,16 @@ def sniff(path: Path) -> TextLayout:
     if _score(lines, *best) <= 0:
         raise fault(path, "no table of numbers was found in its beginning", "Export it as CSV with one row per frame.")
     return _layout(path, lines, encoding, *best)
+
+
+def lines_in_cells(path: Path) -> bool:
+    """Tell whether quoted cells of a text go over several lines."""
+    text = head_of(path, CELLS_BYTES).decode("utf-8", "replace")
+    reader = csv.reader(text.splitlines(keepends=True))
+    try:
+        return any("\n" in cell for row in reader for cell in row[:-1]) and '"' in text
+    except csv.Error:
+        return False
 
 
 def encoding_of(path: Path, head: bytes) -> str:

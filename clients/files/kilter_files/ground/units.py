@@ -25,6 +25,9 @@ SIZES: Mapping[str, Mapping[str, float]] = {
 }
 
 KELVIN = 273.15
+TIMESTAMP = "timestamp"  # the unit of a column of dates or clocks
+UNKNOWN = "?"  # what a draft writes where it could not tell
+JOINT = re.compile(r"q([1-9]\d?)_(deg|rad|mm|m)")
 
 # contract name -> the unit its ending states, in the spelling of SIZES; "" is a plain number
 CONTRACT: tuple[tuple[str, str], ...] = (

@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+from kilter_files.formats.unknown.guess import Columns, Entry
+from kilter_files.formats.unknown.table_shape import TableShape
+from kilter_files.formats.unknown.turns import Turned
+from kilter_files.formats.unknown.understood import listed, understand
 from kilter_files.ground.clusters import clusters
-from kilter_files.ground.units import SIZES, converter
-from kilter_files.look.draft_guess import Columns, Entry, joints, one, points, time
-from kilter_files.look.draft_turns import Turned, turned
-from kilter_files.look.table_shape import TableShape, shape_of
-from kilter_files.maps.columns import UNKNOWN
+from kilter_files.ground.units import UNKNOWN, converter
 
 SAME_DEG = 0.01
 MOST_STATES = 6
@@ -54,46 +53,18 @@ def draft(path: Path) -> Draft:
         FileError: no table of numbers is found in it.
 
     """
-    shape = shape_of(path)
-    columns = Columns(shape)
-    turn = turned(columns)
-    axes, others = joints(columns.without(turn.names if turn else ()))
-    taken = {name for entry in axes for name in entry.used} | set(turn.names if turn else ())
-    place, elsewhere = points(columns, taken)
-    entries = [*axes] or [_unknown_joints(columns)]
-    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not determine which column this is") for a in "xyz"]
-    taken |= {name for entry in place for name in entry.used}
-    for entry in _rest(columns, taken):
-        entries.append(entry)
-        taken |= set(entry.used)
-    lines = [_file(shape), "[columns]", *(_line(columns, entry) for entry in entries)]
-    patterns = [pattern for pattern in others if not any(_matches(pattern, name) for name in taken)]
-    lines += [f"# other columns that might be the joints: {_listed(patterns)}"] if patterns else []
-    lines += [f"# other columns that might be the position: {_listed(elsewhere)}"] if elsewhere else []
-    unused = [name for name in columns.names if name not in taken]
-    lines += [f"# not used: {_listed(unused)}"] if unused else []
+    found = understand(path)
+    columns, turn, axes = found.columns, found.turn, found.axes
+    lines = [_file(found.shape), "[columns]", *(_line(columns, entry) for entry in found.entries)]
+    patterns = [pattern for pattern in found.other_joints if not any(_matches(pattern, name) for name in found.taken)]
+    lines += [f"# other columns that might be the joints: {listed(patterns)}"] if patterns else []
+    lines += [f"# other columns that might be the position: {listed(found.other_places)}"] if found.other_places else []
+    lines += [f"# not used: {listed(found.unused)}"] if found.unused else []
     lines += [] if axes else [JOIN.rstrip(), POSES]
     lines += ["", *_turned_lines(columns, turn)] if turn else []
-    lines += _poses(columns, entries, axes) + _rows(columns, entries, unused)
-    places = [f"columns.{entry.target}" for entry in entries if entry.open] + (
-        ["orientation"] if turn and turn.open else []
-    )
-    guessed = [f"{entry.target}: {entry.remark}" for entry in entries if entry.remark and not entry.open]
-    return Draft(_top(path, places) + "\n".join(lines) + "\n", places, guessed, sorted(taken), unused)
-
-
-def has_joints(path: Path) -> bool:
-    """Whether the draft of a file finds the arm's joints in it, beside the position.
-
-    Raises:
-        FileError: no table of numbers is found in it.
-
-    """
-    columns = Columns(shape_of(path))
-    turn = turned(columns)
-    axes, _ = joints(columns.without(turn.names if turn else ()))
-    place, _ = points(columns, {name for entry in axes for name in entry.used})
-    return bool(axes and place) and not any(entry.open for entry in (*axes, *place))
+    lines += _poses(columns, found.entries, axes) + _rows(columns, found.entries, found.unused)
+    text = _top(path, found.open) + "\n".join(lines) + "\n"
+    return Draft(text, found.open, found.guessed, sorted(found.taken), found.unused)
 
 
 def _matches(pattern: str, name: str) -> bool:
@@ -130,46 +101,6 @@ def _line(columns: Columns, entry: Entry) -> str:
     unit = f", unit = {_quoted(entry.unit)}" if entry.unit else ""
     mark = f"   # {UNKNOWN} {entry.remark}" if entry.open else f"   # {entry.remark}" if entry.remark else ""
     return f"{key} = {{ from = {_quoted(source)}{unit} }}{mark}"
-
-
-def _unknown_joints(columns: Columns) -> Entry:
-    numeric = [name for name in columns.names if columns.numbers(name)]
-    listed = _listed(numeric)
-    told = f'could not determine which columns are joints, write one line each or from = "A*"; numbers are in {listed}'
-    return Entry("q*", UNKNOWN, UNKNOWN, told)
-
-
-def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
-    """Time, temperature, payload and pose numbers."""
-    found = [time(columns, taken)]
-    for words, make in (
-        (r"temp\w*", _temperature),
-        ("payload|load|last|nutzlast|mass|masse", _payload),
-        ("poses?|pose id|punkt|point|messpunkt", _pose),
-    ):
-        found.append(one(columns, taken, words, partial(make, columns)))
-    return [entry for entry in found if entry is not None]
-
-
-def _temperature(columns: Columns, name: str) -> Entry | None:
-    unit = columns.unit(name)
-    return (
-        Entry("temperature_c", name, unit or "C", "" if unit else "the file states no unit", (name,))
-        if unit in (None, "C", "K")
-        else None
-    )
-
-
-def _payload(columns: Columns, name: str) -> Entry | None:
-    unit = columns.unit(name)
-    if unit is not None and unit not in SIZES["mass"]:
-        return None
-    return Entry("payload_kg", name, unit or UNKNOWN, "" if unit else "the file states no unit: kg or g", (name,))
-
-
-def _pose(columns: Columns, name: str) -> Entry | None:
-    whole = all(value.is_integer() for value in columns.numbers(name) or ())
-    return Entry("pose_id", name, None, "", (name,)) if whole else None
 
 
 def _turned_lines(columns: Columns, turn: Turned) -> list[str]:
@@ -212,7 +143,7 @@ def _rows(columns: Columns, entries: Sequence[Entry], unused: Sequence[str]) -> 
             else []
         )
         if 1 < len(states) <= MOST_STATES:
-            told = f"it holds {_listed(states)}"
+            told = f"it holds {listed(states)}"
             out.append(
                 f"# keep = [{{ column = {_quoted(columns.key(name))}, equals = {_quoted(states[0])} }}]   # {told}"
             )
@@ -221,10 +152,6 @@ def _rows(columns: Columns, entries: Sequence[Entry], unused: Sequence[str]) -> 
 
 def _good_first(state: str) -> tuple[bool, str]:
     return state.lower() not in ("ok", "good", "true", "valid", "gut", "i.o.", "yes", "ja"), state
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(" ".join(name.split()) for name in names[:20]) + (" ..." if len(names) > 20 else "")
 
 
 def _quoted(value: str | int) -> str:

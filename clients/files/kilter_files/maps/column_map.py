@@ -13,8 +13,8 @@ from pathlib import Path
 
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.orientation import is_sequence
-from kilter_files.ground.units import units_like
-from kilter_files.maps.columns import UNKNOWN, Columns, read_columns
+from kilter_files.ground.units import UNKNOWN, units_like
+from kilter_files.maps.columns import Columns, read_columns
 from kilter_files.maps.join import Join, read_join
 from kilter_files.maps.section import Section
 from kilter_files.tables.source import Layout

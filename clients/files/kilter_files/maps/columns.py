@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.units import converter, unit_of, units_like
+from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
 from kilter_files.maps.section import Section
 
-TIMESTAMP = "timestamp"
-UNKNOWN = "?"  # what a draft writes where it could not tell
 NUMBERED = ("q", "link", "qd", "qdd", "tau", "dir", "m")
 NO_CONTRACT_COLUMN = (
     "is not a contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, tau1_nm, dir1, "

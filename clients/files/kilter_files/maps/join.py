@@ -11,8 +11,8 @@ from pathlib import Path
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.time_stamps import DAY_S, Stamp, seconds_of, stamp_of
-from kilter_files.ground.units import SIZES
-from kilter_files.maps.columns import TIMESTAMP, Columns, read_columns
+from kilter_files.ground.units import SIZES, TIMESTAMP
+from kilter_files.maps.columns import Columns, read_columns
 from kilter_files.maps.section import Section
 from kilter_files.tables.source import Layout, Source
 

@@ -11,9 +11,9 @@ from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.orientation import from_euler, upright
 from kilter_files.ground.time_stamps import seconds_of
-from kilter_files.ground.units import converter, unit_of
+from kilter_files.ground.units import TIMESTAMP, converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation
-from kilter_files.maps.columns import TIMESTAMP, Column, expanded
+from kilter_files.maps.columns import Column, expanded
 from kilter_files.maps.join import Join, partners, refuse_alone, stamps
 from kilter_files.tables.source import Source
 from kilter_files.tables.table import Table

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.tables.source import open_source
+from kilter_files.formats.opening import open_source
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.rig.height import Heights

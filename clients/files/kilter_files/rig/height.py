@@ -9,7 +9,8 @@ import numpy as np
 
 from kilter_files.formats.logs.inclinometer import TIME
 from kilter_files.formats.points.tracker_header import plain
-from kilter_files.formats.recordings.opening import kind_of
+from kilter_files.formats.reader import Head
+from kilter_files.formats.registry import binary_reader
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
@@ -73,15 +74,15 @@ def read_heights(
         FileError: no such channel, no time, volts without or outside the calibration, an empty cell, time that goes back.
 
     """
-    kind, cut = kind_of(path), None
-    if kind == "tdms":
-        t, values, unit, name = _tdms(path, channel)
-    elif kind == "mat":
-        t, values, unit, name = _mat(path, channel, time)
-    elif kind == "text":
+    reader, cut = binary_reader(Head(path)), None
+    if reader is None:
         t, values, unit, name, cut = _text(path, channel, time)
+    elif reader.name == "tdms":
+        t, values, unit, name = _tdms(path, channel)
+    elif reader.name == "mat":
+        t, values, unit, name = _mat(path, channel, time)
     else:
-        raise fault(path, f"is a {kind} file, not a log of heights", "Give TDMS, CSV or .mat.")
+        raise fault(path, f"is {reader.is_a}, not a log of heights", "Give TDMS, CSV or .mat.")
     if len(values) < 2:
         raise fault(path, f"has {len(values)} values", "Record the whole drawing.", column=name)
     if not (np.isfinite(values).all() and np.isfinite(t).all()):

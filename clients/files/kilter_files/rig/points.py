@@ -6,8 +6,9 @@ from pathlib import Path
 
 from kilter_files.formats.points.tracker_text import read_tracker
 from kilter_files.ground.faults import fault
+from kilter_files.ground.units import JOINT
 from kilter_files.match.matching import Columns, pose_numbers, settled
-from kilter_files.tables.joint_log import JOINT, JointLog
+from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.table import Prepared
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.units import JOINT
 
-JOINT = re.compile(r"q([1-9]\d?)_(deg|rad|mm|m)")
 MARKER = re.compile(r"m[1-9]\d?[xyz]_(mm|m)")
 MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turns either way
 

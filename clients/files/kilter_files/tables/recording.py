@@ -63,6 +63,11 @@ class Recording:
         )
 
 
+def in_stated_unit(recording: Recording, unit: str | None) -> Recording:
+    """Return a recording whose coordinates are in ``unit``, whatever the file states; None: as it states."""
+    return recording if unit is None else in_unit(recording, unit)
+
+
 def in_unit(recording: Recording, unit: str) -> Recording:
     """Read the coordinates in ``unit``, whatever the file states.
 

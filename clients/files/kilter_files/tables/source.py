@@ -21,6 +21,11 @@ class Layout:
     units_row: bool = False
     sheet: str | int | None = None
 
+    @property
+    def missing_numbers(self) -> tuple[float, ...]:
+        """The numbers that stand for "missing", for formats that hold numbers."""
+        return tuple(value for value in self.missing if isinstance(value, float))
+
 
 class Source(Protocol):
     """A file as columns by name."""

@@ -60,7 +60,7 @@ def understood(path: Path, read_as: str) -> Document:
         return _prepared(path, read_as)
     seen = _looked(path)
     if seen.get("ready"):
-        return seen | _prepared(path, "ballbar" if seen["kind"] == "ballbar" else None)
+        return seen | _prepared(path, seen["device"])
     if read_as == "auto" and seen["kind"] in ALONE:
         return seen | {"refusal": f"{path.name}: {ALONE[seen['kind']]}"}
     return seen | _described(path) | _drafted(path, chosen)
@@ -83,41 +83,23 @@ ALONE: Mapping[str, str] = {
 def _looked(path: Path) -> Document:
     """What inspection says, as far as it can be had: a table that it does not know may still take a map."""
     from kilter_files.ground.errors import FileError
+    from kilter_files.look.inspection import inspect
 
-    suffix = path.suffix.lower()
-    if suffix == ".json":
-        return {"kind": "JSON columns", "ready": True}
-    if suffix in (".xlsx", ".xlsm"):
-        return {"kind": "workbook", "ready": _is_contract_workbook(path)}
-    if suffix in (".mod", ".src", ".ls", ".script"):
-        return {"kind": "robot program", "ready": False}
     try:
-        from kilter_files.look.inspection import inspect
-
         found = inspect(path)
     except FileError as error:
         return {"kind": "table", "ready": False, "remarks": [error.detail]}
     kind = "marker-csv" if found["kind"].endswith("csv") and found.get("markers") else found["kind"]
-    ready = kind == "contract-columns" or (kind == "parquet" and not found.get("warnings"))
-    ready |= kind == "ballbar" and any("ready for" in note for note in found["notes"])
-    remarks = [*found.get("notes", []), *found.get("warnings", []), *_problems(found)] if ready else []
-    return {"kind": kind, "ready": ready, "remarks": [text for text in remarks if not text.startswith("ready for")]}
+    remarks = [*found["notes"], *found["warnings"], *_problems(found)] if found["ready"] else []
+    return {
+        "kind": kind, "ready": found["ready"], "device": found.get("device"),
+        "remarks": [text for text in remarks if not text.startswith("ready for")],
+    }  # fmt: skip
 
 
 def _problems(found: Document) -> list[str]:
     places = [({k: v for k, v in one.items() if k != "what"}, one["what"]) for one in found.get("problems", [])]
     return [f"{', '.join(f'{k} {v}' for k, v in place.items())}: {what}".lstrip(": ") for place, what in places]
-
-
-def _is_contract_workbook(path: Path) -> bool:
-    from kilter_files import read_contract
-    from kilter_files.ground.errors import FileError
-
-    try:
-        read_contract(path)
-    except FileError:
-        return False
-    return True
 
 
 def _prepared(path: Path, device: str | None) -> Document:
@@ -165,14 +147,14 @@ def _kept(prepared: Any, reader: str) -> Document:
 
 def _described(path: Path) -> Document:
     """The columns of the file itself, so that a map can be chosen: names, units, first cells, ranges and gaps."""
-    from kilter_files.formats.tables.source import FORMATS
-    from kilter_files.look.draft_guess import Columns
-    from kilter_files.look.table_shape import shape_of
+    from kilter_files.formats.registry import readers
+    from kilter_files.formats.unknown.guess import Columns
+    from kilter_files.formats.unknown.table_shape import shape_of
 
     columns = Columns(shape_of(path))
     rows = len(columns.shape.source.lines)
     return {
-        "kind": FORMATS[columns.shape.form].title,
+        "kind": readers()[columns.shape.form].title,
         "source": [_one(columns, name, rows) for name in columns.names[:MOST_COLUMNS]],
         "more": max(0, len(columns.names) - MOST_COLUMNS),
     }

@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_files.ground.units import converter, unit_of, units_like
+from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
 from kilter_files.maps.column_map import BARE_PATTERN
-from kilter_files.maps.columns import TIMESTAMP, UNKNOWN
 from kilter_service.contract.columns import JOINT_UNITS, PLAIN_UNITS, TILT_UNITS
 from kilter_service.errors import ServiceError
 

@@ -13,7 +13,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
-from kilter_files import DEVICES
+from kilter_files.formats.reader import DEVICE
+from kilter_files.formats.registry import readers_for
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
 from kilter_service.db import Database
@@ -53,7 +54,7 @@ def ways() -> list[tuple[str, str]]:
     return [
         ("auto", "find out"),
         ("map", "through a column map"),
-        *((name, (reader.__doc__ or name).strip().rstrip(".")) for name, reader in DEVICES.items()),
+        *((name, reader.title) for name, reader in readers_for(DEVICE).items()),
     ]
 
 

@@ -18,9 +18,10 @@ from rosbags.typesys import Stores, get_typestore
 from kilter_client import FileError, prepare
 from kilter_client.cli import run
 from kilter_files.formats.joints.bag import read_bag
-from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.programs import targets
 from kilter_files.formats.programs.targets import Dialect, Targets, read_targets
+from kilter_files.formats.reader import LogHints
 from kilter_files.look.inspection import inspect
 from tests.clients.files.simulated import arm, wander, write_n3d
 from tests.clients.files.test_fuzz import EDITS, edited

@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 
 from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
+from kilter_files.formats.unknown.table_shape import shape_of
 from kilter_files.look.draft import draft
 from kilter_files.look.summary import columns_of
-from kilter_files.look.table_shape import shape_of
 from tests.clients.answered import document
 from tests.clients.files.look.labs import LABS, Measured, write_lab
 from tests.clients.files.test_fuzz import EDITS, edited

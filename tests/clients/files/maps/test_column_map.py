@@ -13,7 +13,8 @@ from scipy.io import savemat
 
 from kilter_client import FileError, prepare
 from kilter_files import Prepared
-from kilter_files.formats.tables.source import FORMATS
+from kilter_files.formats.reader import MAP as UPLOAD_MAP
+from kilter_files.formats.registry import readers_for
 from kilter_files.maps.column_map import read_map
 
 LAB = """time;joint a;joint b;X;Y;Z;rx;ry;rz;state
@@ -244,7 +245,7 @@ def test_example_maps_are_readable() -> None:
     folder = Path(__file__).resolve().parents[4] / "clients/python/examples"
     assert {path.name for path in folder.glob("*.toml")} == {"columns.toml", "fanuc.toml", "kr300.toml", "talos.toml"}
     for path in folder.glob("*.toml"):
-        read_map(path, FORMATS)
+        read_map(path, readers_for(UPLOAD_MAP))
 
 
 def test_the_full_example_does_what_it_says(tmp_path: Path) -> None:

@@ -15,10 +15,6 @@ from openpyxl import Workbook
 from scipy.io import savemat
 
 from kilter_client import FileError, MissingPackageError, prepare
-from kilter_files.formats.tables import source
-from kilter_files.formats.tables.source import Format
-from kilter_files.tables.source import Layout
-from kilter_files.tables.text_source import TextSource
 
 POINT = """
 x_mm = { from = "x", unit = "mm" }
@@ -405,20 +401,3 @@ def test_a_time_stamp_under_a_number_is_named(tmp_path: Path) -> None:
 def test_numbers_kept_as_text_by_a_spreadsheet_and_a_row_of_units(tmp_path: Path) -> None:
     columns = '[file]\nunits_row = true\n[columns]\nq1_deg = { from = "Gelenk 1", unit = "deg" }\n'
     assert mapped(tmp_path, "Gelenk 1\n[deg]\n'1.5\n", columns) == [{"q1_deg": 1.5}]
-
-
-# The registry
-
-
-def test_a_new_reader_is_one_entry_and_its_own_function(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(path: Path, layout: Layout) -> TextSource:
-        cells = [line.split("|") for line in path.read_text().splitlines()]
-        return TextSource(path, layout, ["a", "b"], cells, list(range(1, len(cells) + 1)))
-
-    monkeypatch.setitem(source.FORMATS, "toy", Format("a toy", (".toy",), read))
-    write(tmp_path / "m.toml", '[columns]\nq1_deg = { from = "a", unit = "deg" }\nx_mm = { from = "b", unit = "mm" }\n')
-    path = write(tmp_path / "log.toy", "1|2\n3|4\n")
-    assert prepare(path, column_map=tmp_path / "m.toml").content == b"q1_deg,x_mm\n1.0,2.0\n3.0,4.0\n"
-    write(tmp_path / "m.toml", '[file]\nformat = "toys"\n[columns]\nq1_deg = { from = "a", unit = "deg" }\n')
-    with pytest.raises(FileError, match="must be one of csv, mat, parquet, tdms, xlsx, program, toy"):
-        prepare(path, column_map=tmp_path / "m.toml")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from kilter_client import FileError
 from kilter_client.cli import run
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.formats.recordings.opening import open_recording
+from kilter_files.formats.opening import open_recording
 from kilter_files.ground.turns import quaternions_of
 from kilter_files.look.inspection import inspect
 from kilter_files.match.clock_checks import Checks

@@ -46,13 +46,6 @@ class BagJoints:
     warnings: tuple[str, ...]
 
 
-def is_bag(path: Path) -> bool:
-    """Tell whether a path is a bag: its folder, its metadata.yaml, or one of its files by the first bytes."""
-    if path.is_dir():
-        return (path / METADATA).is_file()
-    return path.name == METADATA or head_of(path, 16).startswith((MCAP, SQLITE))
-
-
 def topics(path: Path) -> list[BagTopic]:
     """List the topics of a bag.
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from kilter_files.formats.joints.bag import is_bag, read_bag
+from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.joint_order import ordered
-from kilter_files.formats.programs.targets import dialect_of, read_targets
-from kilter_files.formats.tables.source import open_source
+from kilter_files.formats.opening import open_source
+from kilter_files.formats.programs.targets import read_targets
+from kilter_files.formats.reader import NO_LOG_HINTS, LogHints
+from kilter_files.formats.registry import recognised
 from kilter_files.ground.faults import fault
 from kilter_files.ground.units import unit_of
 from kilter_files.tables.joint_log import JointLog, checked_log
@@ -19,29 +20,17 @@ from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource
 
 
-@dataclass(frozen=True)
-class LogHints:
-    """What the person says of a log: the topic of a bag, and its joints from the base to the tool.
-
-    ``order`` are joint names; a prismatic joint is ``name:m``. ``likely`` is used when the log has all of them.
-    """
-
-    topic: str | None = None
-    order: Sequence[str] = ()
-    likely: Sequence[str] = ()
-
-
-def read_joint_log(path: Path, hints: LogHints = LogHints()) -> JointLog:
+def read_joint_log(path: Path, hints: LogHints = NO_LOG_HINTS) -> JointLog:
     """Read a joint log: contract columns (CSV, Parquet), a bag, or a program's targets.
 
     Raises:
         FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
 
     """
-    if is_bag(path):
-        return _of_bag(path, hints)
-    if path.suffix.lower() != ".parquet" and dialect_of(path) is not None:
-        return _of_targets(path)
+    if recognised(path, "bag"):
+        return log_of_bag(path, hints)
+    if path.suffix.lower() != ".parquet" and recognised(path, "program"):
+        return log_of_targets(path)
     source = open_source(path, "csv" if path.suffix.lower() == ".log" else None, Layout())
     names = list(getattr(source, "names", []))
     unknown = [name for name in names if unit_of(name) is None]
@@ -52,7 +41,13 @@ def read_joint_log(path: Path, hints: LogHints = LogHints()) -> JointLog:
     return checked_log(path, {name: np.array(source.numbers(name)) for name in names}, lines)
 
 
-def _of_bag(path: Path, hints: LogHints) -> JointLog:
+def log_of_bag(path: Path, hints: LogHints) -> JointLog:
+    """Read the joints of a topic, from the base to the tool.
+
+    Raises:
+        FileError: no bag, a damaged one, several topics, or names that do not tell the order.
+
+    """
     plain = [name.removesuffix(":m") for name in hints.order]
     likely = [name.removesuffix(":m") for name in hints.likely]
     found = read_bag(path, hints.topic, plain, likely)
@@ -68,7 +63,13 @@ def _of_bag(path: Path, hints: LogHints) -> JointLog:
     return replace(log, notes=(*found.notes, note), warnings=found.warnings)
 
 
-def _of_targets(path: Path) -> JointLog:
+def log_of_targets(path: Path) -> JointLog:
+    """Read the joint targets of a program.
+
+    Raises:
+        FileError: no targets, or damaged ones.
+
+    """
     found = read_targets(path)
     table = np.array(found.joints_deg)
     log = checked_log(path, {f"q{k + 1}_deg": table[:, k] for k in range(table.shape[1])}, found.lines)

@@ -207,17 +207,17 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     check_numpy()
-    from kilter_files.formats.joints.bag import is_bag
-    from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
-    from kilter_files.look.inspection import is_contract
+    from kilter_files.formats.joints.joint_log import read_joint_log
+    from kilter_files.formats.reader import LogHints
+    from kilter_files.formats.registry import recognised
     from kilter_files.rig.points import prepare_points
 
-    if points == _Points(None, None, None) and is_contract(file):
+    if points == _Points(None, None, None) and recognised(file, "contract-columns"):
         return prepare(file)
     log = None
     if points.joints is not None:
         order = arguments.split_names([points.joint_order or ""])
-        likely = joints_of(robot) if is_bag(points.joints) and not order else ()
+        likely = joints_of(robot) if recognised(points.joints, "bag") and not order else ()
         log = read_joint_log(points.joints, hints=LogHints(points.topic, order, likely))
     return prepare_points(file, preset, points.euler, log)
 

@@ -70,9 +70,8 @@ def inspect(
         emit(_drafted(file, draft), as_json, _show_draft)
         return
     check_numpy()
-    from kilter_files.formats.joints.joint_log import LogHints
     from kilter_files.formats.points.tracker_header import PRESETS
-    from kilter_files.look.inspection import Hints
+    from kilter_files.formats.reader import Hints, LogHints
     from kilter_files.look.inspection import inspect as look
 
     if preset not in PRESETS:

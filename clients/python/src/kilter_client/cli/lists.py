@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Iterator, Sequence
 
@@ -78,20 +77,11 @@ def columns(as_json: Json = False) -> None:
 
 
 def _formats() -> Iterator[dict[str, str]]:
-    from kilter_files import DEVICES
-    from kilter_files.formats.points.tracker_header import PRESETS as POINTS
-    from kilter_files.formats.recordings.kinds import JOINT_LOGS, RECORDINGS
-    from kilter_files.formats.tables.source import FORMATS
+    from kilter_files.formats.registry import listed
     from kilter_files.robots.read import KATANA, TABLES, UR, URDF
 
-    for name, form in FORMATS.items():
-        yield _format("upload --map", name, form.endings, form.title)
-    for name, read in DEVICES.items():
-        yield _format("upload --device", name, (), inspect.getdoc(read) or "")
-    for name, preset in POINTS.items():
-        yield _format("upload --preset", name, (), f"points exported as text: {preset.title}")
-    for name, (title, endings) in {**RECORDINGS, **JOINT_LOGS}.items():
-        yield _format("match", name, endings, title)
+    for use, name, endings, title in listed():
+        yield _format(use, name, endings, title)
     robots = (("json", (".json",), "robot.json"), ("urdf", URDF, "URDF"), ("table", TABLES, "DH or MDH table"))
     others = (("universal", UR, "calibration of Universal Robots"), ("katana", KATANA, "configuration of a Katana"))
     for name, endings, title in (*robots, *others):

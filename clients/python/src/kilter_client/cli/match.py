@@ -85,15 +85,14 @@ def match(
     check_numpy()
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
-    from kilter_files.formats.joints.bag import is_bag
-    from kilter_files.formats.joints.joint_log import LogHints
-    from kilter_files.formats.recordings.opening import open_recording
+    from kilter_files.formats.opening import open_recording
+    from kilter_files.formats.reader import LogHints
+    from kilter_files.formats.registry import recognised
     from kilter_files.match.dwells import RestOptions
     from kilter_files.match.rigid_body import tool_as_markers
 
-    hints = LogHints(
-        topic, arguments.split_names([joint_order or ""]), joints_of(robot or model) if is_bag(joints) else ()
-    )
+    likely = joints_of(robot or model) if recognised(joints, "bag") else ()
+    hints = LogHints(topic, arguments.split_names([joint_order or ""]), likely)
     found = cut_by(open_recording(recording, rate, allow_cut, unit), without)
     log = read_joints(joints, joints_map, hints)
     for text in log.notes:
@@ -117,7 +116,7 @@ def match(
 
 def _body(recording: Recording, tcp: str) -> Body:
     """Find the rigid body of the markers, with the tool point that is given or digitised in another recording."""
-    from kilter_files.formats.recordings.opening import open_recording
+    from kilter_files.formats.opening import open_recording
     from kilter_files.match.rigid_body import find_body, names_a_file
 
     return find_body(recording, open_recording(Path(tcp)) if names_a_file(recording, tcp) else tcp)

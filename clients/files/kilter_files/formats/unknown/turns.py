@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from kilter_files.ground.units import SIZES
-from kilter_files.look.draft_guess import Columns
-from kilter_files.look.draft_names import words_of
-from kilter_files.maps.columns import UNKNOWN
+from kilter_files.formats.unknown.guess import Columns
+from kilter_files.formats.unknown.names import words_of
+from kilter_files.ground.units import SIZES, UNKNOWN
 
 QUATERNIONS: tuple[tuple[str, ...], ...] = (
     ("qw", "qx", "qy", "qz"),

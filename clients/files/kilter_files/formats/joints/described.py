@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from kilter_files.formats.column import column
 from kilter_files.formats.joints.bag import JOINT_STATE, read_bag, topics
-from kilter_files.formats.joints.joint_log import LogHints, read_joint_log
+from kilter_files.formats.joints.joint_log import log_of_bag
 from kilter_files.formats.joints.joint_order import by_name
+from kilter_files.formats.reader import Document, LogHints
 from kilter_files.ground.units import unit_of
 from kilter_files.tables.joint_log import JointLog
-
-Document = dict[str, Any]
 
 GAP = 5.0  # a step so many times the usual one is a gap
 
@@ -33,7 +32,7 @@ def describe_bag(path: Path, hints: LogHints) -> Document:
         timing = _timing(joints.t_s)
         warnings += timing.pop("gaps", [])
         return {"kind": "joint-log", "topics": listed, "columns": columns, "warnings": warnings} | timing
-    return describe_log(read_joint_log(path, hints=hints)) | {"topics": listed}
+    return describe_log(log_of_bag(path, hints)) | {"topics": listed}
 
 
 def describe_log(log: JointLog) -> Document:
@@ -59,10 +58,3 @@ def _timing(t: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Document:
     wide = np.flatnonzero(step > GAP * usual)
     gaps = [f"{len(wide)} gaps in time, the first at {t[wide[0]]:.3f} s"] if len(wide) else []
     return {"rows": len(t), "rate_hz": 1 / usual, "duration_s": float(t[-1] - t[0]), "gaps": gaps}
-
-
-def column(name: str, unit: str | None, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Document:
-    """Describe a column of numbers: unit, range, and how many cells are empty."""
-    known = values[~np.isnan(values)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
-    return {"name": name, "unit": unit, "low": low, "high": high, "empty": len(values) - len(known)}

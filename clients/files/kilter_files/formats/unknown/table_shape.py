@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kilter_files.formats.tables.source import endings, open_source
+from kilter_files.formats.opening import endings, open_source
 from kilter_files.ground.cell_lists import parse_list
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError

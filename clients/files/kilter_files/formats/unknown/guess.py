@@ -8,12 +8,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from kilter_files.formats.unknown.names import Family, Triple, families, triples, words_of
+from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.time_stamps import stamp_of
-from kilter_files.ground.units import SIZES
-from kilter_files.look.draft_names import Family, Triple, families, triples, words_of
-from kilter_files.look.table_shape import TableShape
-from kilter_files.maps.columns import TIMESTAMP, UNKNOWN
+from kilter_files.ground.units import SIZES, TIMESTAMP, UNKNOWN
 
 JOINT = re.compile(r"\b(?:joint\w*|jnts?|axis\w*|axes|ax|achs\w*|gelenk\w*|\w*winkel|angles?|theta|[ajq])\b")
 PLACED = re.compile(r"\b(?:positions?|pos)\b")

@@ -1,0 +1,53 @@
+"""Text whose columns are the contract's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
+from kilter_files.ground.text_layout import TextLayout
+from kilter_files.ground.units import JOINT, unit_of
+from kilter_files.tables.table import CSV_TYPE, Prepared
+
+MEASURED = ("x_mm", "x_m", "m1x_mm", "m1x_m", "link1_deg", "link1_rad")
+
+
+class Contract(Reader[Prepared]):
+    """Rows that are sent as they are."""
+
+    name = "contract-columns"
+    title = "contract columns, sent as they are"
+    use = UPLOAD
+    endings = (".csv",)
+
+    def recognises(self, head: Head) -> bool:
+        """Every name of a column is the contract's."""
+        return head.layout is not None and all(unit_of(name) is not None for name in _full_names(head.layout))
+
+    def describe(self, head: Head) -> Document:
+        """Ranges of the joints; ready when something was measured beside them."""
+        assert head.layout is not None  # it was recognised
+        shape = {"layout": head.layout.to_document()}
+        names = [name for name in _full_names(head.layout) if unit_of(name) is not None]
+        if not any(JOINT.fullmatch(name) for name in names):
+            return {"columns": [{"name": name} for name in names], "warnings": ["no joints"]} | shape
+        from kilter_files.formats.joints.described import describe_log
+        from kilter_files.formats.joints.joint_log import read_joint_log
+
+        found = describe_log(read_joint_log(head.path)) | shape
+        if not any(name in names for name in MEASURED):
+            return found
+        return found | {"kind": self.name, "notes": ["ready for kilter upload"], "ready": True}
+
+    def read(self, path: Path, hints: Hints = NO_HINTS) -> Prepared:
+        """Take the bytes as they are, so that their content hash stays what it is."""
+        return Prepared(path.read_bytes(), CSV_TYPE, notes=("contract columns, sent as they are",))
+
+
+def _full_names(layout: TextLayout) -> list[str]:
+    """Names with the units that were taken off them, as the contract writes both in one."""
+    told = zip(layout.names, layout.units, strict=True)
+    return [f"{name}_{(unit or '').lower()}".rstrip("_") for name, unit in told]
+
+
+READER = Contract()

@@ -1,0 +1,46 @@
+"""Logs of inclinometers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.ground.errors import FileError
+from kilter_files.tables.table import Table
+
+
+class InclinometerLog(Reader[Table]):
+    """Time and inclinations, which make no campaign."""
+
+    name = "inclinometer"
+    title = "The log of an inclinometer: no campaign, see `kilter tilt-join`"
+    use = DEVICE
+
+    def recognises(self, head: Head) -> bool:
+        """Columns that are inclinations, without coordinates."""
+        from kilter_files.formats.logs.inclinometer import tilts_of
+        from kilter_files.formats.recordings.marker_header import understand
+
+        return head.layout is not None and bool(tilts_of(head.layout)) and not understand(head.layout).xyz
+
+    def describe(self, head: Head) -> Document:
+        """Ranges of the inclinations."""
+        from kilter_files.formats.logs.described import describe_inclinometer
+
+        return describe_inclinometer(head)
+
+    def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:
+        """Refuse it: an inclinometer measures joints.
+
+        Raises:
+            FileError: always, with what to do instead.
+
+        """
+        raise FileError(
+            f"{path}: an inclinometer measures joints, not tool positions, so it makes no campaign. See what it holds with "
+            "`kilter inspect`, and send readings with `kilter joint-parameters ROBOT --readings FILE`.",
+            file=str(path),
+        )
+
+
+READER = InclinometerLog()

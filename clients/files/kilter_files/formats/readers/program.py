@@ -1,0 +1,39 @@
+"""Programs of robots, by the joint targets in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.tables.source import Source
+
+
+class Program(Reader[Source]):
+    """Joint targets as columns q1, q2, ... in degrees."""
+
+    name = "program"
+    title = "joint targets of a robot program"
+    use = MAP
+    endings = (".mod", ".src", ".ls", ".script")
+
+    def recognises(self, head: Head) -> bool:
+        """A text with targets of a dialect, whatever its ending."""
+        from kilter_files.formats.programs.targets import dialect_of
+
+        return not head.path.is_dir() and dialect_of(head.path) is not None
+
+    def describe(self, head: Head) -> Document:
+        """Ranges of the joints."""
+        from kilter_files.formats.joints.described import describe_log
+        from kilter_files.formats.joints.joint_log import log_of_targets
+
+        return describe_log(log_of_targets(head.path))
+
+    def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
+        """Read the targets."""
+        from kilter_files.formats.tables.program import read_program
+
+        return read_program(path, hints.layout)
+
+
+READER = Program()

@@ -1,0 +1,108 @@
+"""The one list of readers, in the order in which they are asked whether a file is theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from kilter_files.formats.reader import USES, Document, Head, Hints, Reader
+from kilter_files.ground.faults import fault
+
+# modules of `kilter_files.formats.readers`: what first bytes show before what only columns show
+READERS = (
+    "bag",
+    "tdms",
+    "parquet",
+    "mat",
+    "workbook",
+    "c3d",
+    "n3d",
+    "program",
+    "json_columns",
+    "contract",
+    "ballbar",
+    "inclinometer",
+    "ipa_lasertracker",
+    "marker_text",
+    "text_table",
+    "tracker_text",
+)
+PICTURE = "Export the numbers; a scanned pencil sheet is read with kilter sheet-read."
+# first bytes of files that hold no measurements as they are
+STRANGERS: Mapping[bytes, tuple[str, str]] = {
+    b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
+    b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "Unpack it; a spreadsheet is read as .xlsx or CSV."),
+    b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
+    b"%PDF": ("a PDF", PICTURE),
+    b"\x89PNG": ("a picture", PICTURE),
+    b"\xff\xd8\xff": ("a picture", PICTURE),
+}
+
+
+@cache
+def readers() -> Mapping[str, Reader[Any]]:
+    """Return the readers by name, in the order in which they are asked."""
+    found = [import_module(f"kilter_files.formats.readers.{module}").READER for module in READERS]
+    return {reader.name: reader for reader in found}
+
+
+def readers_for(use: str) -> Mapping[str, Reader[Any]]:
+    """Return the readers whose files a command takes, by name."""
+    return {name: reader for name, reader in sorted(readers().items()) if reader.use == use}
+
+
+def reader_of(head: Head) -> Reader[Any]:
+    """Return whose file it is.
+
+    Raises:
+        FileError: an empty file, or one of a kind that holds no measurements Kilter reads.
+
+    """
+    texts = (reader for reader in readers().values() if not reader.is_a and reader.recognises(head))
+    return binary_reader(head) or next(
+        texts
+    )  # the last one takes whatever text there is, or says what is wrong with it
+
+
+def binary_reader(head: Head) -> Reader[Any] | None:
+    """Return whose file it is by its first bytes, None of a text.
+
+    Raises:
+        FileError: an empty file, or one of a kind that holds no measurements Kilter reads.
+
+    """
+    if not head.start and not head.path.is_dir():
+        raise fault(head.path, "is empty", "Export it again.")
+    for magic, (what, remedy) in STRANGERS.items():
+        if head.start.startswith(magic) and not readers()["xlsx"].recognises(head):  # a workbook is a ZIP archive too
+            raise fault(head.path, f"is {what}", remedy)
+    return next((reader for reader in readers().values() if reader.is_a and reader.recognises(head)), None)
+
+
+def recognised(path: Path, name: str) -> bool:
+    """Tell whether a file is of the format with this name."""
+    return readers()[name].recognises(Head(path))
+
+
+def describe(path: Path, hints: Hints) -> Document:
+    """Describe a file by its own reader.
+
+    Raises:
+        FileError: the file cannot be read at all, with place and remedy.
+
+    """
+    head = Head(path, hints)
+    reader = reader_of(head)
+    known: Document = {"kind": reader.name, "ready": False, "problems": [], "warnings": [], "notes": []}
+    return known | reader.describe(head)
+
+
+def listed() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
+    """Every format that is read: the command that takes it, its name, endings and title."""
+    for use in USES:
+        for reader in readers_for(use).values():
+            for name, title in reader.listed():
+                yield use, name, reader.endings, title

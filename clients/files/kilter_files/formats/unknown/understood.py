@@ -1,0 +1,118 @@
+"""What names and ranges tell of an unknown table: joints, position, orientation, time and conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, points, time
+from kilter_files.formats.unknown.table_shape import TableShape, shape_of
+from kilter_files.formats.unknown.turns import Turned, turned
+from kilter_files.ground.units import SIZES, UNKNOWN
+
+
+@dataclass(frozen=True)
+class Understood:
+    """An unknown table: its entries of a map, the orientation, and columns that might be the joints or the position.
+
+    ``axes`` are the entries of the joints, as far as the table has any.
+    """
+
+    columns: Columns
+    axes: tuple[Entry, ...]
+    entries: tuple[Entry, ...]
+    turn: Turned | None
+    other_joints: tuple[str, ...]
+    other_places: tuple[str, ...]
+    taken: frozenset[str]
+
+    @property
+    def shape(self) -> TableShape:
+        """How the table is laid out."""
+        return self.columns.shape
+
+    @property
+    def unused(self) -> list[str]:
+        """Columns that no entry takes."""
+        return [name for name in self.columns.names if name not in self.taken]
+
+    @property
+    def open(self) -> list[str]:
+        """Places that somebody has to fill in."""
+        places = [f"columns.{entry.target}" for entry in self.entries if entry.open]
+        return places + (["orientation"] if self.turn and self.turn.open else [])
+
+    @property
+    def guessed(self) -> list[str]:
+        """What was taken by names and ranges, and is to be checked."""
+        return [f"{entry.target}: {entry.remark}" for entry in self.entries if entry.remark and not entry.open]
+
+
+def understand(path: Path) -> Understood:
+    """Find out what the columns of a file are.
+
+    Raises:
+        FileError: no table of numbers is found in it.
+
+    """
+    columns = Columns(shape_of(path))
+    turn = turned(columns)
+    axes, others = joints(columns.without(turn.names if turn else ()))
+    taken = {name for entry in axes for name in entry.used} | set(turn.names if turn else ())
+    place, elsewhere = points(columns, taken)
+    entries = [*axes] or [_unknown_joints(columns)]
+    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not determine which column this is") for a in "xyz"]
+    taken |= {name for entry in place for name in entry.used}
+    for entry in _rest(columns, taken):
+        entries.append(entry)
+        taken |= set(entry.used)
+    return Understood(columns, tuple(axes), tuple(entries), turn, tuple(others), tuple(elsewhere), frozenset(taken))
+
+
+def _unknown_joints(columns: Columns) -> Entry:
+    numeric = [name for name in columns.names if columns.numbers(name)]
+    told = (
+        'could not determine which columns are joints, write one line each or from = "A*"; numbers are in '
+        f"{listed(numeric)}"
+    )
+    return Entry("q*", UNKNOWN, UNKNOWN, told)
+
+
+def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
+    """Time, temperature, payload and pose numbers."""
+    found = [time(columns, taken)]
+    for words, make in (
+        (r"temp\w*", _temperature),
+        ("payload|load|last|nutzlast|mass|masse", _payload),
+        ("poses?|pose id|punkt|point|messpunkt", _pose),
+    ):
+        found.append(one(columns, taken, words, partial(make, columns)))
+    return [entry for entry in found if entry is not None]
+
+
+def _temperature(columns: Columns, name: str) -> Entry | None:
+    unit = columns.unit(name)
+    return (
+        Entry("temperature_c", name, unit or "C", "" if unit else "the file states no unit", (name,))
+        if unit in (None, "C", "K")
+        else None
+    )
+
+
+def _payload(columns: Columns, name: str) -> Entry | None:
+    unit = columns.unit(name)
+    if unit is not None and unit not in SIZES["mass"]:
+        return None
+    return Entry("payload_kg", name, unit or UNKNOWN, "" if unit else "the file states no unit: kg or g", (name,))
+
+
+def _pose(columns: Columns, name: str) -> Entry | None:
+    whole = all(value.is_integer() for value in columns.numbers(name) or ())
+    return Entry("pose_id", name, None, "", (name,)) if whole else None
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first names in one line."""
+    return ", ".join(" ".join(name.split()) for name in names[:20]) + (" ..." if len(names) > 20 else "")
