@@ -190,6 +190,7 @@ def test_the_supervisor_knows_what_its_streams_count(corrector: Corrector) -> No
         until(told)
     assert known["counted"]["robot"] == ROBOT
     assert known["counted"]["counters"]["OK"] >= 1
+    assert sum(known["counted"]["by_time"]) >= 1
     json.dumps(corrector.details)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import re
 import subprocess
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -24,6 +26,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import text
 
 from kilter_service.auth.token import admin_token
+from kilter_service.corrector.fast_path import bin_edges_us
 from kilter_service.db import Database
 from kilter_service.health import store as health
 from kilter_service.observability import logs, service, tracing
@@ -101,7 +104,10 @@ def test_metrics_say_how_much_room_is_left_and_when_the_certificate_ends(databas
 
 
 def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database: Database) -> None:
+    took_us = [2.0, 3.9, 5.0, 5.0, 30.0, 900.0, 50_000.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    bins = [*bin_edges_us(), math.inf]
     said = {
+        "by_time": np.histogram(took_us, bins)[0].tolist(),
         "robot": "arm", "stream": "main", "received": 12, "counters": {"OK": 10, "STALE": 2}, "version_id": "ver_1",
         "epoch": 3, "processing_us": {"mean": 5.0, "max": 40.0}, "reversing": 1, "damped": 4, "saturated": 0,
         "slowed": 2, "left_mm": {"lately": 0.31, "max": 0.9},
@@ -113,6 +119,9 @@ def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database:
     assert sample(client, "kilter_stream_answers_total", **place, status="STALE") == 2
     assert sample(client, "kilter_stream_processing_seconds_count", **place) == 12
     assert sample(client, "kilter_stream_processing_seconds_sum", **place) == pytest.approx(60e-6)
+    for edge_us in (4, 8, 1024, 32_768):
+        told = sample(client, "kilter_stream_processing_seconds_bucket", **place, le=repr(edge_us * 1e-6))
+        assert told == sum(one <= edge_us for one in took_us), edge_us
     assert sample(client, "kilter_stream_epoch", **place, version_id="ver_1") == 3
     held_back = [sample(client, "kilter_stream_held_back_total", **place, by=by) for by in HELD_BACK]
     assert held_back == [1, 4, 0, 2]
@@ -128,7 +137,9 @@ def test_a_corrector_of_an_earlier_release_is_counted_too(client: httpx.Client, 
         health.beat(session, "corrector", "local", 1, {"streams": [said]})
     place = {"robot": "arm", "stream": "main"}
     assert sample(client, "kilter_stream_held_back_total", **place, by="damped") == 7
-    assert "kilter_stream_left_meters{" not in client.get("/metrics").text
+    told = client.get("/metrics").text
+    assert "kilter_stream_left_meters{" not in told
+    assert "kilter_stream_processing_seconds_bucket{" not in told
 
 
 def test_a_request_keeps_the_name_that_its_caller_gave(client: httpx.Client) -> None:

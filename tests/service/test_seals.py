@@ -218,6 +218,17 @@ def test_bits_flipped_in_the_file_are_noticed_where_they_hold_something(filled: 
     assert noticed > 2
 
 
+def test_a_name_in_the_schema_that_is_not_text_any_more_is_a_finding(filled: Settings) -> None:
+    path = filled.data / "kilter.sqlite"
+    content = path.read_bytes()
+    assert b"sqlite_autoindex_tombstones_1" in content
+    path.write_bytes(content.replace(b"sqlite_autoindex_tombstones_1", b"sqlite_autoindex_t\xefmbstones_1"))
+    for name in ("-wal", "-shm"):
+        path.with_name(path.name + name).unlink(missing_ok=True)
+    assert service.verify_stored(filled).damaged
+    assert "Traceback" not in kilterd(filled, "verify").stderr
+
+
 def test_a_statement_of_many_rows_is_refused(database: Database) -> None:
     with pytest.raises(RuntimeError, match="Change rows of robots as objects"), database.transaction() as session:
         session.execute(update(RobotRow).values(remarks="x"))

@@ -328,7 +328,8 @@ class HousekeepingThread(threading.Thread):
                 served.status_key, signed, encoding=zenoh.Encoding.APPLICATION_JSON,
                 priority=zenoh.Priority.DATA_LOW, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
-            told.append({"robot": served.robot, "stream": keys.stream_of(served.status_key), **document})
+            place = {"robot": served.robot, "stream": keys.stream_of(served.status_key)}
+            told.append({**place, **document, "by_time": counters.by_time})
         # A supervisor that does not read must not hold up this thread: then it is not told.
         if told and self._pipe is not None and select.select([], [self._pipe], [], 0)[1]:
             with suppress(OSError):  # it is just ending

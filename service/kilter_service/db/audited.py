@@ -16,14 +16,14 @@ from sqlalchemy import ClauseElement, event, insert, inspect, select
 from sqlalchemy.orm import ORMExecuteState, Session, sessionmaker
 
 from kilter_service.caller import CALLER, Caller
-from kilter_service.db.tables import AuditRow, HeartbeatRow, LoginRow, Row
+from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, LoginRow, Row
 
 log = logging.getLogger("kilter.audit")
 
 CHANGES, TOLD = "kilter_changes", "kilter_told"
 MOST_CHANGES, MOST_CHARACTERS = 100, 2000
-# Logins are noted in words: nobody is helped by the hash of a secret.
-LEFT_OUT = (AuditRow, HeartbeatRow, LoginRow)
+# Logins are noted in words: nobody is helped by the hash of a secret. That a job ended is noted with the job.
+LEFT_OUT = (AuditRow, EndedJobsRow, HeartbeatRow, LoginRow)
 
 
 def listen(sessions: sessionmaker[Session]) -> None:

@@ -7,6 +7,7 @@ the database itself refuses its writes.
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
@@ -123,7 +124,10 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
     connection.isolation_level = None
     # FULL: what was acknowledged is on the disk, also when the power goes (docs/explanation/durability.md has the cost).
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={BUSY_TIMEOUT_MS}"):
-        connection.execute(f"PRAGMA {pragma}")
+        try:
+            connection.execute(f"PRAGMA {pragma}")
+        except UnicodeDecodeError as error:  # SQLite repeats a name in the schema that is not text any more
+            raise sqlite3.DatabaseError("malformed database schema") from error
 
 
 def _prepare_postgresql(connection: Any, _record: Any) -> None:

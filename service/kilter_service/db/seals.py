@@ -18,12 +18,13 @@ from typing import Any
 from sqlalchemy import Column, Table
 from sqlalchemy.dialects import sqlite
 
-from kilter_service.db.tables import AuditRow, HeartbeatRow, Row, SealedTableRow, SealRow
+from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, Row, SealedTableRow, SealRow
 from kilter_service.errors import ServiceError
 
-# The audit has a chain of its own; that a process is alive lasts for seconds. Nothing rests on the progress of a job, which
-# workers note beside each other, and the bytes of chunks and shapes have a SHA-256 in the row.
-APART = frozenset(row.__tablename__ for row in (AuditRow, HeartbeatRow, SealRow, SealedTableRow))
+# The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but
+# a metric. Nor does anything on the progress of a job, which workers note beside each other, and the bytes of chunks and
+# shapes have a SHA-256 in the row.
+APART = frozenset(row.__tablename__ for row in (AuditRow, EndedJobsRow, HeartbeatRow, SealRow, SealedTableRow))
 OPEN = frozenset({("jobs", "fraction"), ("jobs", "stage"), ("chunks", "parquet"), ("meshes", "content")})
 TABLES: Mapping[str, Table] = {table.name: table for table in Row.metadata.sorted_tables if table.name not in APART}
 DIGEST_BYTES, TOTAL_BYTES, SEAL_BYTES, NUMBER_BYTES = 8, 32, 16, 4

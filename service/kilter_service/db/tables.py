@@ -161,6 +161,20 @@ class JobRow(Row):
     asked_by: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict, server_default="{}")
 
 
+class EndedJobsRow(Row):
+    """How many jobs of a kind and an end took at most so long, and longer than the row below; 0: they never ran.
+
+    Jobs may be purged; what was counted stays.
+    """
+
+    __tablename__ = "ended_jobs"
+    kind: Mapped[str] = mapped_column(String(32), primary_key=True)
+    state: Mapped[str] = mapped_column(String(16), primary_key=True)
+    at_most_ms: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    jobs: Mapped[int]
+    seconds: Mapped[float]
+
+
 class VersionRow(Row):
     """A set of identified parameters; what it says is never changed after it is stored, what people call it may be.
 

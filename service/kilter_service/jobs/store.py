@@ -18,6 +18,7 @@ from kilter_service.db import Session
 from kilter_service.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow, now
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
+from kilter_service.jobs.ended import store as ended
 from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
 from kilter_service.jobs.records import Asked, JobRecord, JobRequest, ListedJob, Place, ProgressRecord, UsedRecord
@@ -258,7 +259,7 @@ def succeed(
             robot = session.get_one(RobotRow, row.robot_id).name
             result["figures"] = captioned(result["figures"], robot, [c.name or c.id for c in used], version_id)
     row.result = result
-    _finish(row, "succeeded", "done", 1.0)
+    _finish(session, row, "succeeded", "done", 1.0)
 
 
 def fail(session: Session, job_id: str, code: str, message: str) -> None:
@@ -266,7 +267,7 @@ def fail(session: Session, job_id: str, code: str, message: str) -> None:
     row = _row(session, job_id)
     if row.state not in FINAL:
         row.error = {"code": code, "message": message}
-        _finish(row, "failed", "failed", row.fraction)
+        _finish(session, row, "failed", "failed", row.fraction)
 
 
 def cancel(session: Session, job_id: str) -> None:
@@ -274,12 +275,13 @@ def cancel(session: Session, job_id: str) -> None:
     row = _row(session, job_id)
     if row.state not in FINAL:
         row.cancel_requested = True
-        _finish(row, "cancelled", "cancelled", row.fraction)
+        _finish(session, row, "cancelled", "cancelled", row.fraction)
 
 
-def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
+def _finish(session: Session, row: JobRow, state: str, stage: str, fraction: float) -> None:
     row.state, row.stage, row.fraction = state, stage, fraction
     row.finished_at = max(now(), row.started_at or now())  # the clock may have been set back
+    ended.count(session, row)
 
 
 def used_by(session: Session, job_id: str) -> list[UsedRecord]:

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric, SummaryMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
 from kilter_service.db import Database, Session
 from kilter_service.failure_log import Failing
-from kilter_service.observability import machine, store
+from kilter_service.observability import histograms, machine, store
 from kilter_service.observability.metrics import REGISTRY
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
@@ -23,7 +23,6 @@ reading = Failing(logging.getLogger("kilter.api"), "the metrics of the database 
 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 DATABASE_UP = "Whether the database answers."
-LATELY_S = 3600.0
 HELD_BACK = ("reversing", "damped", "saturated", "slowed")  # counters of a stream's status
 
 
@@ -71,12 +70,7 @@ def _of(session: Session) -> Iterable[Metric]:
     yield _gauge("kilter_jobs", "Jobs in the database.", ("kind", "state"), jobs)
     age = [((), store.queue_age_s(session))]
     yield _gauge("kilter_job_queue_age_seconds", "How long the oldest queued job has waited.", (), age)
-    took = SummaryMetricFamily(
-        "kilter_job_duration_seconds", "Time jobs took that finished in the last hour.", labels=("kind", "state")
-    )
-    for one in store.finished_since(session, LATELY_S):
-        took.add_metric((one.kind, one.state), count_value=len(one.durations_s), sum_value=sum(one.durations_s))
-    yield took
+    yield from histograms.of_jobs(store.ended_jobs(session))
     beats = [((process, name), age_s) for process, name, age_s in store.beats(session)]
     text = "Time since a process last said that it is alive."
     yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
@@ -86,8 +80,6 @@ def _of(session: Session) -> Iterable[Metric]:
 def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
     """What the corrector's streams have counted; a restarted corrector begins at zero."""
     answers = CounterMetricFamily("kilter_stream_answers", "Setpoints answered.", labels=("robot", "stream", "status"))
-    text = "Time in the corrector from the arrival of a setpoint to its answer."
-    spent = SummaryMetricFamily("kilter_stream_processing_seconds", text, labels=("robot", "stream"))
     text = "Setpoints corrected whose correction was held back, by what held it."
     held_back = CounterMetricFamily("kilter_stream_held_back", text, labels=("robot", "stream", "by"))
     longest, versions, left = [], [], []
@@ -95,7 +87,6 @@ def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
         place, times = (one["robot"], one["stream"]), one["processing_us"]
         for status, count in one["counters"].items():
             answers.add_metric((*place, status), count)
-        spent.add_metric(place, count_value=one["received"], sum_value=one["received"] * (times["mean"] or 0.0) * 1e-6)
         for by in HELD_BACK:
             held_back.add_metric((*place, by), one.get(by, 0))  # a corrector of an earlier release does not count all
         if "left_mm" in one:
@@ -104,7 +95,7 @@ def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
         versions.append(((*place, one["version_id"] or ""), float(one["epoch"] or 0)))
     yield answers
     yield held_back
-    yield spent
+    yield histograms.of_streams(streams)
     yield _gauge(
         "kilter_stream_processing_longest_seconds", "The longest of these times.", ("robot", "stream"), longest
     )

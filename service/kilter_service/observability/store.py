@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import timedelta
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import func, select
 
 from kilter_service.db import Session
-from kilter_service.db.tables import HeartbeatRow, JobRow, now
+from kilter_service.db.tables import EndedJobsRow, HeartbeatRow, JobRow, now
+from kilter_service.jobs.ended.store import NEVER_RAN
 
 
 @dataclass(frozen=True)
-class Finished:
-    """How long the jobs of a kind and an end took, those that finished lately."""
+class Ended:
+    """Jobs of a kind and an end: how many there were, how many of those that ran took at most so long, and all together."""
 
-    kind: str
-    state: str
-    durations_s: Sequence[float]
+    jobs: int = 0
+    seconds: float = 0.0
+    at_most_ms: Mapping[int, int] = field(default_factory=dict)
 
 
 def jobs_by_state(session: Session) -> list[tuple[str, str, int]]:
@@ -34,18 +34,16 @@ def queue_age_s(session: Session) -> float:
     return 0.0 if oldest is None else max(0.0, (now() - oldest).total_seconds())
 
 
-def finished_since(session: Session, seconds: float) -> list[Finished]:
-    """Return the durations of the jobs that finished in the last seconds."""
-    since = now() - timedelta(seconds=seconds)
-    query = select(JobRow.kind, JobRow.state, JobRow.started_at, JobRow.finished_at).where(
-        JobRow.finished_at >= since, JobRow.started_at.is_not(None)
-    )
-    found: dict[tuple[str, str], list[float]] = {}
-    for kind, state, started, ended in session.execute(query):
-        assert started is not None
-        assert ended is not None
-        found.setdefault((kind, state), []).append((ended - started).total_seconds())
-    return [Finished(kind, state, durations) for (kind, state), durations in found.items()]
+def ended_jobs(session: Session) -> dict[tuple[str, str], Ended]:
+    """Return by kind and state what was counted of all jobs that have ended, also of those that were purged."""
+    found: dict[tuple[str, str], Ended] = {}
+    for row in session.execute(select(EndedJobsRow).order_by(EndedJobsRow.at_most_ms)).scalars():
+        before = found.get((row.kind, row.state), Ended())
+        ran = {row.at_most_ms: row.jobs} if row.at_most_ms != NEVER_RAN else {}
+        found[row.kind, row.state] = Ended(
+            before.jobs + row.jobs, before.seconds + row.seconds, {**before.at_most_ms, **ran}
+        )
+    return found
 
 
 def beats(session: Session) -> list[tuple[str, str, float]]:

@@ -9,6 +9,7 @@ from sqlalchemy import ColumnElement, and_, delete, or_, select, update
 
 from kilter_service.db import Session
 from kilter_service.db.tables import NOT_OVER, HeartbeatRow, JobRow, now
+from kilter_service.jobs.ended import store as ended
 from kilter_service.jobs.lease.claim import Claim
 
 WORKER = "worker"  # the process of the heartbeats that count here
@@ -87,6 +88,7 @@ def orphans(session: Session) -> list[str]:
             message = f"The worker died {MAX_ATTEMPTS} times in this job: see its log."
             row.error = {"code": "internal_error", "message": message}
             row.state, row.stage, row.finished_at = "failed", "failed", now()
+            ended.count(session, row)
         else:
             _queue(row)
     return [row.id for row in found]
