@@ -71,6 +71,9 @@ STATION = PhysicalClass(
     "motion of base or instrument with time, or with whatever went with it",
     ("knocked tripod or base", "floor", "temperature"),
 )
+READ_STATION = PhysicalClass(
+    STATION.id, "motion of the base that its inclinometer reads", ("soft column or floor", "loose anchor")
+)
 JOINT_ZERO = PhysicalClass(
     "joint_zero",
     "zero of {joint} that moved with time or temperature, or with whatever went with it",
