@@ -116,6 +116,8 @@ def observed(robot: Robot, count: int, seed: int = 1) -> Observations:
         temperature_c=rng.uniform(18.0, 35.0, count),
         session=rng.choice([3, 4, 7], count),
         row=np.arange(1, count + 1),
+        base_tilt_x=rng.normal(0.0, 1e-3, count),
+        base_tilt_y=rng.normal(0.0, 1e-3, count),
     )
 
 
@@ -341,6 +343,7 @@ TASK = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])  # weights of the rows of a pose
 CORRECTED: Any = {
     "least_softening_nm": 0.0, "largest_rad": 0.5, "largest_m": 0.3, "farthest_m": 0.5, "iterations": 60, "step": 1e-14,
     "reached_m": 1e-9, "singular_m": 1e-9, "weak_m": 1e-8, "temperature_c": 31.0, "payload_com": (0.01, -0.02, 0.03),
+    "base_tilt": (8e-4, -5e-4),
 }  # fmt: skip
 RUN_TIME_OPTIONS: Mapping[str, list[dict[str, Any]]] = {
     "payload_error": [{"compliances": (1e-4,) * 6}],
@@ -363,6 +366,8 @@ def test_what_acts_at_run_time_is_corrected_as_the_reference_does(name: str, arm
         payload_kg=np.full(100, payload_kg),
         payload_com=np.tile([0.01, -0.02, 0.03], (100, 1)),
         temperature_c=np.full(100, 31.0),
+        base_tilt_x=np.full(100, 8e-4),
+        base_tilt_y=np.full(100, -5e-4),
     )
     for options in RUN_TIME_OPTIONS.get(name, OPTIONS.get(name, [{}])):
         case = Case(make_effect(name, **options).on(robot, observed(robot, 12)), robot, rows)
@@ -378,7 +383,7 @@ def test_what_acts_at_run_time_is_corrected_as_the_reference_does(name: str, arm
         ours = program.correct_rows(rows.q, **motion)
         theirs = correct(
             calibration, rows.q, **motion, payload_kg=rows.payload_kg, payload_com=rows.payload_com,
-            temperature_c=rows.temperature_c,
+            temperature_c=rows.temperature_c, base_tilt=(rows.base_tilt_x, rows.base_tilt_y),
             options=CorrectOptions(max_joint_rad=0.5, max_shift_m=0.5, tolerance_m=1e-13, iterations=60),
         )  # fmt: skip
         good = (theirs.residual < 1e-11) & (theirs.status == 0) & (ours.status == 0)

@@ -27,6 +27,7 @@ GENERATED = (
     "docs/reference/library-types.md",
     "clients/python/src/kilter_client/typed/",
     "clients/python/src/kilter_client/cli/option_texts.py",
+    "clients/python/src/kilter_client/cli/effect_texts.py",
     "clients/python/src/kilter_client/cli/listed_texts.py",
     "service/kilter_service/contract/effect_options.py",
     "service/kilter_service/contract/whole_effect_options.py",

@@ -19,6 +19,7 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 
 TEMPERATURE_C = 31.0
+BASE_TILT = (3e-4, -2e-4)
 DAMPED, RESIDUAL = 0x0800, 0x1000
 CONFIG: dict[str, dict[str, Any]] = {
     "gear_error": {"joints": (0, 2), "ratios": (100.0, 121.0)},
@@ -29,6 +30,7 @@ CONFIG: dict[str, dict[str, Any]] = {
     "drift": {"t0_s": 0.0},
     "zero_drift": {"t0_s": 0.0},
     "settling": {"t0_s": 0.0, "tau_s": 600.0},
+    "measured_tilt": {"zero_x_rad": 1e-4, "zero_y_rad": 0.0},
     "random_walk": {"knots_s": (0.0, 600.0, 1800.0)},
     "unknown_smooth_curve": {"joints": (1, 3), "centres": (0.2, -0.1), "halves": (1.0, 1.5)},
     "straightness": {"joints": (0,), "centres": (0.1,), "halves": (1.2,)},
@@ -36,7 +38,7 @@ CONFIG: dict[str, dict[str, Any]] = {
     "telescope_bending": {"joints": (0,), "roots_m": (-1.5,)},
     "unknown_residual": {"inputs": (1, 2), "length": 1.0, "centres": ((0.1, 0.5), (1.0, -0.4))},
 }
-WIDE: Any = {"largest_rad": 0.3, "farthest_m": 0.1}
+WIDE: Any = {"largest_rad": 0.3, "farthest_m": 0.1, "base_tilt": BASE_TILT}
 # An effect says in its own file whether it acts at run time; those apart do so for some loads only.
 APART = ("payload_error", "tool_sag", "load_error")
 ACTING = tuple(name for name, kind in EFFECTS.items() if kind.at_run_time is not Effect.at_run_time)
@@ -86,6 +88,8 @@ def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool,
     stated = {
         "direction": direction,
         "temperature_c": np.full(60, TEMPERATURE_C),
+        "base_tilt_x": np.full(60, BASE_TILT[0]),
+        "base_tilt_y": np.full(60, BASE_TILT[1]),
         "qd": 0.0 * q,
         "qdd": 0.0 * q,
         "payload_kg": np.full(60, payload_kg),
@@ -156,8 +160,8 @@ def test_a_tool_that_sags_is_held_up_beside_a_link_that_bends() -> None:
     assert (alone.supported, alone.unsupported) == (("tool_sag",), ())
 
 
-def test_what_follows_the_temperature_needs_one() -> None:
-    names = ("zero_thermal", "link_growth", "column_bending")
+def test_what_follows_the_temperature_or_a_measured_tilt_needs_one() -> None:
+    names = ("zero_thermal", "link_growth", "column_bending", "measured_tilt")
     program = compile_program(calibration_with(*names))
     assert program.unsupported == names
 

@@ -38,11 +38,12 @@ def modules() -> dict[Path, str]:
 
 def tables() -> dict[Path, str]:
     """Return whatever repeats the contract as it should be."""
-    from tools.contract.lists import listed_texts
+    from tools.contract.lists import effect_texts, listed_texts
     from tools.contract.tables import command_texts, with_help, with_tables  # imports the modules, which must stand
 
     client = "clients/python/src/kilter_client/cli"
     texts = {f"{client}/option_texts.py": formatted(command_texts())}
+    texts[f"{client}/effect_texts.py"] = formatted(effect_texts())
     texts[f"{client}/listed_texts.py"] = formatted(listed_texts())
     made = client_modules(REPOSITORY / "tests/contract/openapi.json")
     texts |= {f"{TYPED}/{module}.py": formatted(text) for module, text in made.items()}

@@ -15,21 +15,32 @@ from kilter_service.exporters.registry import FORMATS
 
 COLUMNS_PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "columns.md"
 ROW = re.compile(r"^\| (?P<names>`.+?) \| (?P<meaning>.+) \|$", re.MULTILINE)
-NEEDED = {"moments": "link masses", "direction": "dir1 ...", "t": "t_s", "qd": "qd1_deg_s ..."}
+NEEDED = {
+    "moments": "link masses", "direction": "dir1 ...", "t": "t_s", "qd": "qd1_deg_s ...",
+    "base_tilt_x": "base_tilt_x_deg", "base_tilt_y": "base_tilt_y_deg",
+}  # fmt: skip
 PLACES = {"base": "base", "measurement": "instrument"}
 
 
+def effect_texts() -> str:
+    """Return the module of the client with the list of effects."""
+    return _module(("EFFECTS", _effects()))
+
+
 def listed_texts() -> str:
-    """Return the module of the client with all lists."""
-    lines = ['"""What the command lists without a server, made by `make contract`: change it where it stands."""\n']
-    lines.append("from __future__ import annotations\n")
-    for name, rows in (
-        ("EFFECTS", _effects()),
+    """Return the module of the client with the other lists."""
+    return _module(
         ("METHODS", _methods()),
         ("PRESETS", _presets()),
         ("COLUMNS", _columns()),
         ("EXPORTS", _exports()),
-    ):
+    )
+
+
+def _module(*lists: tuple[str, Iterator[dict[str, str]]]) -> str:
+    lines = ['"""What the command lists without a server, made by `make contract`: change it where it stands."""\n']
+    lines.append("from __future__ import annotations\n")
+    for name, rows in lists:
         lines += [f"{name}: list[dict[str, str]] = [", *(f"    {row!r}," for row in rows), "]"]
     return "\n".join(lines) + "\n"
 

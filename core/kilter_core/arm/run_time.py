@@ -19,10 +19,11 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is known at run time besides the joints; ``temperature_c`` None when it is not stated."""
+    """What is known at run time besides the joints; ``temperature_c`` and ``base_tilt`` rad None when not stated."""
 
     payload_kg: float = 0.0
     temperature_c: float | None = None
+    base_tilt: tuple[float, float] | None = None
 
 
 @dataclass
@@ -99,9 +100,9 @@ class BendingRow:
 class RunTimeForm:
     """All that the effects of a model do at run time.
 
-    ``base_shift`` m and ``base_tilt`` rad move the base frame; ``base_compliance`` rad/(N m) tilts it about x and y by the
-    load on it. ``link_errors`` are errors of the masses of the links, four of each that has one, ``payload_errors`` four
-    of the payload, in the order of :class:`~kilter_core.arm.loads.slopes.LoadSlopes`.
+    ``base_shift`` m and ``base_tilt`` rad, together a twist, move the base frame; ``base_compliance`` rad/(N m) tilts it
+    about x and y by the load on it. ``link_errors`` are errors of the masses of the links, four of each that has one,
+    ``payload_errors`` four of the payload, in the order of :class:`~kilter_core.arm.loads.slopes.LoadSlopes`.
     """
 
     robot: Robot

@@ -12,7 +12,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.correct.kernels import layout
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.transforms import rotation_exp
+from kilter_core.transforms import twisted
 from kilter_core.types import Floats
 
 
@@ -163,9 +163,7 @@ def write_base(head: Floats, scalars: Floats, form: RunTimeForm, base: Floats, f
         return []
     first = head[0, layout.IDENTIFIED : layout.IDENTIFIED + 12]
     first_move = np.linalg.solve(base, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
-    moved = base.copy()
-    moved[:3, 3] += base[:3, :3] @ form.base_shift
-    moved[:3, :3] = base[:3, :3] @ rotation_exp(form.base_tilt)
+    moved = base @ twisted(form.base_shift, form.base_tilt)
     if form.base_compliance is None:
         first[:] = _flat(moved @ first_move)
         return []

@@ -65,7 +65,8 @@ class CorrectionOptions:
     not, but by no more than half a per cent of the largest load of the joint. ``ramp_s`` is the least time of a change of
     version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
     robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
-    uncorrected. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
+    uncorrected. ``base_tilt`` rad is what the inclinometer on the base reads about its x and y, the same for a measured
+    tilt. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
     1 / (pi filter_hz) seconds. ``iterations`` bound the work on a setpoint of a stream, ``row_iterations`` that on a row
     by itself. A point further off than ``reached_m`` is flagged, as is a tool rotated by more than ``turned_rad`` on an arm
     that could rotate it.
@@ -76,6 +77,7 @@ class CorrectionOptions:
     payload_kg: float | None = None
     payload_com: tuple[float, float, float] | None = None
     temperature_c: float | None = None
+    base_tilt: tuple[float, float] | None = None
     largest_rad: float = math.radians(1.0)
     largest_m: float = 0.005
     farthest_m: float = 0.005
@@ -296,7 +298,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
     model, values = arm.model.absorb_frame_increments(arm.values)
     load = options.load(robot)
-    conditions = Conditions(load.mass, options.temperature_c)
+    conditions = Conditions(load.mass, options.temperature_c, options.base_tilt)
     form, supported, unsupported, loaded = _at_run_time(model, values, conditions)
     chains = chains_of(calibration, model, values)
     weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())

@@ -74,6 +74,7 @@ def correct(
     payload_kg: Floats | None = None,
     payload_com: Floats | None = None,
     temperature_c: Floats | None = None,
+    base_tilt: tuple[Floats, Floats] | None = None,
     options: CorrectOptions | None = None,
 ) -> Correction:
     """Joints (N, n) that put the real arm where the nominal arm should be at ``q (N, n)``.
@@ -96,7 +97,8 @@ def correct(
     finite = np.asarray(np.isfinite(q).all(axis=1))
     safe = np.where(finite[:, None], q, 0.0)
     conditions = Observations(safe, qd=qd, qdd=qdd, direction=direction, temperature_c=temperature_c)
-    conditions = replace(conditions, payload_kg=payload_kg, payload_com=payload_com)
+    x, y = base_tilt or (None, None)
+    conditions = replace(conditions, payload_kg=payload_kg, payload_com=payload_com, base_tilt_x=x, base_tilt_y=y)
     conditions = conditions if load is None else conditions.carrying(load.mass, load.com)
     wanted = ideal.predict(Observations(safe))
     before = model.predict(conditions, values)

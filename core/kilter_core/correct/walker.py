@@ -1,8 +1,8 @@
 """The one way along a trajectory, whether a file, a query, a message of ROS 2 or a chunk of a stream brought it.
 
 :meth:`Track.follow` decides what is continuous: directions, ramps, rates, limits. This module decides the rest: how times
-become steps, what a refused point means for the others, when load and temperature change. Whoever calls it only
-decodes and encodes, so that a trajectory gives the same numbers however it came.
+become steps, what a refused point means for the others, when load, temperature and tilt of the base change. Whoever calls
+it only decodes and encodes, so that a trajectory gives the same numbers however it came.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ Stretches = Sequence[tuple[slice, CorrectionProgram]]  # rows under one load and
 _REMOVED, _LEFT = slice(layout.REMOVED, layout.REMOVED + 3), slice(layout.LEFT, layout.LEFT + 3)
 
 MOST_CONDITIONS = 200
+MOST_TILTS = 2000  # a tilt may be another in every row
 SLICE = 64
 
 
@@ -245,7 +246,7 @@ def correct_trajectory(
     that name no load carry that of the options, else the robot's default load.
 
     Raises:
-        ObservationError: times that go back, or load and temperature that change too often.
+        ObservationError: times that go back, or load, temperature and tilt of the base that change too often.
 
     """
     options = options or CorrectionOptions()
@@ -271,27 +272,29 @@ def _named(rows: Observations, band: float) -> Floats:
 
 
 def _stretches(calibration: Calibration, rows: Observations, options: CorrectionOptions) -> Stretches:
-    """Rows under one load and temperature, each stretch with its program."""
-    conditions = np.column_stack(
-        [
-            np.full(len(rows), math.nan) if rows.payload_kg is None else rows.payload_kg,
-            np.zeros((len(rows), 3)) if rows.payload_com is None else rows.payload_com,
-            np.full(len(rows), math.nan) if rows.temperature_c is None else rows.temperature_c,
-        ]
-    )
+    """Rows under one load, temperature and tilt of the base, each stretch with its program."""
+    tilted = any("base_tilt_x" in effect.needs for effect in calibration.model.effects)
+    tilts = (rows.base_tilt_x, rows.base_tilt_y) if tilted else (None, None)
+    payload_com = np.zeros((len(rows), 3)) if rows.payload_com is None else rows.payload_com
+    columns = (rows.payload_kg, *payload_com.T, rows.temperature_c, *tilts)
+    conditions = np.column_stack([np.full(len(rows), math.nan) if one is None else one for one in columns])
     same = (conditions[1:] == conditions[:-1]) | (np.isnan(conditions[1:]) & np.isnan(conditions[:-1]))
     starts = [0, *(np.flatnonzero(~same.all(axis=1)) + 1).tolist()]
-    if len(starts) > MOST_CONDITIONS:
+    most = MOST_TILTS if tilted else MOST_CONDITIONS
+    if len(starts) > most:
+        what = "Payload, temperature or tilt of the base" if tilted else "Payload or temperature"
         raise ObservationError(
-            f"Payload or temperature changes {len(starts) - 1} times: a trajectory may do so {MOST_CONDITIONS - 1} times. "
+            f"{what} changes {len(starts) - 1} times: a trajectory may do so {most - 1} times. "
             "Round them, or split the trajectory."
         )
     programs = []
     for start in starts:
-        payload, x, y, z, temperature = conditions[start].tolist()
+        payload, x, y, z, temperature, *tilt = conditions[start].tolist()
         here = options if math.isnan(payload) else replace(options, payload_kg=payload, payload_com=(x, y, z))
         if not math.isnan(temperature):
             here = replace(here, temperature_c=temperature)
+        if not math.isnan(sum(tilt)):
+            here = replace(here, base_tilt=(tilt[0], tilt[1]))
         programs.append(compile_program(calibration, here))
     slices = [slice(start, end) for start, end in zip(starts, [*starts[1:], len(rows)], strict=True)]
     return list(zip(slices, programs, strict=True))

@@ -77,6 +77,9 @@ STATION = PhysicalClass(
     ("knocked tripod or base", "floor", "temperature"),
     went=WENT,
 )
+READ_STATION = PhysicalClass(
+    STATION.id, "motion of the base that its inclinometer reads", ("soft column or floor", "loose anchor")
+)
 JOINT_ZERO = PhysicalClass(
     "joint_zero",
     "zero of {joint} that moved with time or temperature",

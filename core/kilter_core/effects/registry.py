@@ -28,6 +28,7 @@ from kilter_core.effects.link_bending import LinkBending
 from kilter_core.effects.link_growth import LinkGrowth
 from kilter_core.effects.link_torsion import LinkTorsion
 from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.measured_tilt import MeasuredTilt
 from kilter_core.effects.measurement_scale import MeasurementScale
 from kilter_core.effects.payload_error import PayloadError
 from kilter_core.effects.radial_compliance import RadialCompliance
@@ -86,6 +87,7 @@ _ALL: tuple[type[Effect], ...] = (
     ZeroStep,
     ColumnBending,
     ThermalDrift,
+    MeasuredTilt,
     ToolSag,
     Hardening,
     DirectionCompliance,

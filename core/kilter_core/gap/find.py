@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.effects import EFFECTS
 from kilter_core.errors import OptionError
 from kilter_core.gap.budget import MEASURING, RESAMPLING, SEARCHING, SHUFFLING, Budget
 from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
@@ -60,9 +61,11 @@ from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.renewed_search import rejudged
 from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
+from kilter_core.gap.search.wanted import wanted
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.measurement import Measurement
@@ -102,6 +105,8 @@ def find_gap(
     progress = progress or unheard
     budget = Budget(options.budget_s)
     begin = beginning(robot, start)
+    named = [EFFECTS[name] for name in wanted(options.effects)]
+    observations, validation, confirmation = as_inputs(named, begin, observations, validation, confirmation)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):

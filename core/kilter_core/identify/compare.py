@@ -55,6 +55,7 @@ def _measured(observations: Observations) -> Bools:
 
 def lacking(calibration: Calibration, observations: Observations) -> list[str]:
     """Columns that the effects of a calibration need and the rows do not have."""
+    observations = observations.with_tilt_as_condition()
     present = {f.name for f in fields(observations) if getattr(observations, f.name) is not None}
     available = frozenset({"moments"} | present)
     return sorted({name for effect in calibration.model.effects for name in effect.missing(available)})

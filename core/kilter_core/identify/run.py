@@ -26,6 +26,7 @@ from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.redescending import set_aside
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
@@ -155,8 +156,8 @@ def identify(
         ObservationError: nothing measured, or ``foreign_observations``. NotConvergedError: no minimum found.
 
     """
-    options = options or IdentifyOptions()
-    progress = progress or unheard
+    options, progress = options or IdentifyOptions(), progress or unheard
+    train, validation = as_inputs(options.make_effects(), start, train, validation)
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
     remarks = _belonging(begin, train, validation)

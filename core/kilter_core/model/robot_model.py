@@ -117,6 +117,7 @@ class RobotModel:
                 f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
             )
         o, robot = observations, self.load_robot
+        o = o.with_tilt_as_condition() if "base_tilt_x" in self._needs else o
         loads = self._loads(o)
         return Batch(
             q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),

@@ -25,7 +25,8 @@ class Conditions:
     ``direction (N, n)`` in {-1, 0, +1} is the last motion of each joint, ``qd`` and ``qdd (N, n)`` are velocities (rad/s or
     m/s) and accelerations; ``t (N,)`` s, ``temperature_c (N,)`` deg C, ``payload_kg (N,)`` kg; ``session (N,)`` numbers the
     times that tracker and markers were set up, ``setup (N,)`` the set-ups of an instrument that each have a frame of
-    their own; ``row (N,)`` numbers the rows in the order in which they were measured.
+    their own; ``row (N,)`` numbers the rows in the order in which they were measured. ``base_tilt_x`` and ``base_tilt_y
+    (N,)`` rad are what an inclinometer on the base read about x and y of the base frame, as inputs of the model.
     """
 
     direction: Annotated[Floats | None, "dir1 ... dirn"] = None
@@ -37,6 +38,8 @@ class Conditions:
     session: Annotated[Ints | None, "session"] = None
     setup: Annotated[Ints | None, "session"] = None
     row: Annotated[Ints | None, "row"] = None
+    base_tilt_x: Annotated[Floats | None, "base_tilt_x_deg"] = None
+    base_tilt_y: Annotated[Floats | None, "base_tilt_y_deg"] = None
 
 
 # The columns of an upload that state each of them.
@@ -138,6 +141,20 @@ class Observations(Conditions):
     def under(self) -> dict[str, Any]:
         """The conditions by name, None where they are not known."""
         return {name: getattr(self, name) for name in CONDITIONS}
+
+    def with_tilt_as_condition(self) -> Observations:
+        """What an inclinometer on the base read as a condition of the rows, no longer as a measurement.
+
+        As they are where the condition is stated, or where nothing on the base was read about x and y in every row.
+        """
+        n = self.q.shape[1]
+        if self.base_tilt_x is not None or self.tilt is None or self.tilt.shape[1] <= n:
+            return self
+        x, y = self.tilt[:, n, 0], self.tilt[:, n, 1]
+        if np.isnan(x).any() or np.isnan(y).any():
+            return self
+        links = self.tilt[:, :n]
+        return replace(self, base_tilt_x=x, base_tilt_y=y, tilt=None if np.isnan(links).all() else links)
 
     @property
     def tool_seen(self) -> NDArray[np.bool_]:

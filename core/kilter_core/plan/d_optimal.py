@@ -100,6 +100,7 @@ def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
     n = len(rows)
     made = {
         "qd": np.zeros_like(rows.q), "qdd": np.zeros_like(rows.q), "t": np.zeros(n), "temperature_c": np.full(n, 20.0),
+        "base_tilt_x": np.zeros(n), "base_tilt_y": np.zeros(n),
         "payload_kg": np.zeros(n), "session": np.zeros(n, dtype=np.int64), "direction": np.zeros_like(rows.q),
     }  # fmt: skip
     return replace(rows, **{name: made[name] for name in needs if name in made and getattr(rows, name) is None})

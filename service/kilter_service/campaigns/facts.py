@@ -173,6 +173,7 @@ MEANINGS: Mapping[str, str] = {
     "qdd": "acceleration of joint {0}", "tau": "torque of joint {0}", "dir": "direction joint {0} came from",
     "x": "position along x", "y": "position along y", "z": "position along z", "t": "time",
     "payload": "load at the tool", "temperature": "temperature of the arm", "session": "set-up of the instrument",
+    "base_tilt_x": "tilt of the base about x, as an input", "base_tilt_y": "tilt of the base about y, as an input",
     "pose_id": "number of the pose", "row": "number of the row as measured",
     "bar": "length of the ball bar", "bar_id": "which ball bar",
     "socket_id": "which socket", "plane_id": "which plane",

@@ -28,6 +28,7 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     "payload": {"kg": 1.0},
     **dict.fromkeys(PAYLOAD_CENTRE, LENGTHS),
     "temperature": {"c": 1.0},
+    **dict.fromkeys(("base_tilt_x", "base_tilt_y"), ANGLES),
     "session": {"": 1.0},
     "pose_id": {"": 1.0},
     "row": {"": 1.0},
@@ -53,5 +54,6 @@ TOGETHER = (
     ("fx", "fy", "fz"),
     ("mx", "my", "mz"),
     PAYLOAD_CENTRE,
+    ("base_tilt_x", "base_tilt_y"),
     ("bar_id", "bar"),
 )

@@ -41,6 +41,7 @@ from kilter_service.contract.whole_effect_options import (
     ColumnBendingEffect,
     DriftEffect,
     LoadErrorEffect,
+    MeasuredTiltEffect,
     MeasurementScaleEffect,
     PayloadErrorEffect,
     RandomWalkEffect,
@@ -61,9 +62,10 @@ EffectName = Literal[
     "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
     "link_torsion", "base_compliance", "thermal_growth", "payload_error", "friction_windup", "time_offset",
     "tracking_lag", "drift", "measurement_scale", "session_shift", "zero_drift", "zero_thermal", "link_growth",
-    "settling", "random_walk", "base_step", "tool_step", "zero_step", "column_bending", "thermal_drift", "tool_sag",
-    "hardening", "direction_compliance", "reading_tilt", "straightness", "guide_rotation", "telescope_bending",
-    "unknown_smooth_curve", "unknown_joint_curve", "unknown_field", "unknown_residual", "load_error"
+    "settling", "random_walk", "base_step", "tool_step", "zero_step", "column_bending", "thermal_drift",
+    "measured_tilt", "tool_sag", "hardening", "direction_compliance", "reading_tilt", "straightness",
+    "guide_rotation", "telescope_bending", "unknown_smooth_curve", "unknown_joint_curve", "unknown_field",
+    "unknown_residual", "load_error"
 ]
 EffectDocument = Annotated[
     ClearanceTiltEffect | BacklashEffect | BacklashLoadEffect | AxialComplianceEffect | RadialComplianceEffect |
@@ -72,9 +74,9 @@ EffectDocument = Annotated[
     PayloadErrorEffect | FrictionWindupEffect | TimeOffsetEffect | TrackingLagEffect | DriftEffect |
     MeasurementScaleEffect | SessionShiftEffect | ZeroDriftEffect | ZeroThermalEffect | LinkGrowthEffect |
     SettlingEffect | RandomWalkEffect | BaseStepEffect | ToolStepEffect | ZeroStepEffect | ColumnBendingEffect |
-    ThermalDriftEffect | ToolSagEffect | HardeningEffect | DirectionComplianceEffect | ReadingTiltEffect |
-    StraightnessEffect | GuideRotationEffect | TelescopeBendingEffect | UnknownSmoothCurveEffect |
-    UnknownJointCurveEffect | UnknownFieldEffect | UnknownResidualEffect | LoadErrorEffect,
+    ThermalDriftEffect | MeasuredTiltEffect | ToolSagEffect | HardeningEffect | DirectionComplianceEffect |
+    ReadingTiltEffect | StraightnessEffect | GuideRotationEffect | TelescopeBendingEffect | UnknownSmoothCurveEffect
+    | UnknownJointCurveEffect | UnknownFieldEffect | UnknownResidualEffect | LoadErrorEffect,
     Field(discriminator="id"),
 ]
 # fmt: on

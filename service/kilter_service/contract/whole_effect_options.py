@@ -126,6 +126,18 @@ class ThermalDriftEffect(_Whole):
     )
 
 
+class MeasuredTiltEffect(_Whole):
+    """Base moves as its inclinometer reads."""
+
+    id: Literal["measured_tilt"] = Field(description="Id of the effect.")
+    zero_x_rad: Annotated[float, unit("rad")] | None = Field(
+        None, description="Reading about x at which the geometry holds, rad; null: the mean of the rows."
+    )
+    zero_y_rad: Annotated[float, unit("rad")] | None = Field(
+        None, description="Reading about y at which the geometry holds, rad; null: the mean of the rows."
+    )
+
+
 class ToolSagEffect(_Whole):
     """Tool or adapter sags under the payload."""
 

@@ -17,7 +17,21 @@ if TYPE_CHECKING:
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.
 QUANTITIES = frozenset(
-    {"q", "qd", "qdd", "dir", "t", "payload", *PAYLOAD_CENTRE, "temperature", "session", "pose_id", "row"}
+    {
+        "q",
+        "qd",
+        "qdd",
+        "dir",
+        "t",
+        "payload",
+        *PAYLOAD_CENTRE,
+        "temperature",
+        "base_tilt_x",
+        "base_tilt_y",
+        "session",
+        "pose_id",
+        "row",
+    }
 )
 
 

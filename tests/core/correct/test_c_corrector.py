@@ -19,7 +19,7 @@ from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from tests.core.correct.c_corrector import COMPILER, CPP, FOLDER, WARNINGS, Corrector, blob_of, built
 from tests.core.correct.twins import ARMS, twin
-from tests.corrector.test_runtime_effects import ACTING, CONFIG, robot_for
+from tests.corrector.test_runtime_effects import ACTING, BASE_TILT, CONFIG, robot_for
 from tools.c_corrector.assemble import assembled
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
@@ -43,7 +43,9 @@ def program_of(preset: str, *names: str, seed: int = 0, **options: Any) -> Corre
             values[k] += rng.normal() * 1e-4
         else:
             values[k] = 1e-4 if p.unit == "s" else np.clip(p.prior_sigma * rng.uniform(0.1, 0.4), p.lower, p.upper)
-    return compile_program(Calibration(model, values), CorrectionOptions(temperature_c=31.0, **options))
+    return compile_program(
+        Calibration(model, values), CorrectionOptions(temperature_c=31.0, base_tilt=BASE_TILT, **options)
+    )
 
 
 def path_of(program: CorrectionProgram, count: int, seed: int, step: float = 0.01) -> np.ndarray:

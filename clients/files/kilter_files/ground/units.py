@@ -43,6 +43,7 @@ CONTRACT: tuple[tuple[str, str], ...] = (
     (r"payload_kg", "kg"),
     (r"payload_com_[xyz]_(mm|m)", "{0}"),
     (r"temperature_c", "C"),
+    (r"base_tilt_[xy]_(deg|rad)", "{0}"),
     (r"(?:tip[xyz]|bar)_(mm|m)", "{0}"),
     (r"f[xyz]_n", "N"),
     (r"m[xyz]_nm", "Nm"),

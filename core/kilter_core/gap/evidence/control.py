@@ -23,9 +23,11 @@ LABELS = {
     "t": ("t",),
     "session": ("session",),
     "qd": ("qd",),
+    "base_tilt_x": ("base_tilt_x", "base_tilt_y"),
 }
 LABELS |= {name: (name,) for name in CONDITIONS if name not in LABELS}
 WORDS = {"moments": "load", "payload_kg": "load", "temperature_c": "temperature", "t": "time", "qd": "speed"}
+WORDS |= {"base_tilt_x": "tilt of the base"}
 SURVIVING = 0.1  # share of shuffles in which a name may come back before the control counts as failed
 LARGE = 3000  # visits above which fewer shuffles do
 FEW = 8

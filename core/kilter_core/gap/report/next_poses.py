@@ -241,6 +241,7 @@ def _conditions(rows: Observations, q: Floats, load: Floats) -> Observations:
 
     return Observations(
         q=q, payload_kg=load, temperature_c=mean(rows.temperature_c), t=mean(rows.t),
+        base_tilt_x=mean(rows.base_tilt_x), base_tilt_y=mean(rows.base_tilt_y),
         session=None if rows.session is None else np.full(len(q), rows.session[-1]),
         qd=None if rows.qd is None else np.zeros_like(q), qdd=None if rows.qdd is None else np.zeros_like(q),
         payload_com=_centres(rows, load), direction=None if rows.direction is None else np.zeros_like(q),

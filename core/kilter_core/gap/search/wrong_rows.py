@@ -77,6 +77,8 @@ def _conditions(problem: LinearizedProblem) -> Floats:
     batch = problem.settings.source.batch
     parts = [batch.q, np.cos(batch.q), batch.axial]
     parts += [
-        v.reshape(len(batch.q), -1) for v in (batch.direction, batch.payload_kg, batch.temperature_c) if v is not None
+        v.reshape(len(batch.q), -1)
+        for v in (batch.direction, batch.payload_kg, batch.temperature_c, batch.base_tilt_x, batch.base_tilt_y)
+        if v is not None
     ]
     return np.asarray(np.nan_to_num(np.hstack(parts)))

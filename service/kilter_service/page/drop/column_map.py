@@ -23,7 +23,18 @@ OF_JOINTS = {
 OF_ROWS = {
     "Position": ("x", "y", "z", "sx", "sy", "sz"),
     "Orientation": ("qw", "qx", "qy", "qz", "phi", "theta", "psi"),
-    "Row": ("t", "pose_id", "session", "payload", "payload_com_x", "payload_com_y", "payload_com_z", "temperature"),
+    "Row": (
+        "t",
+        "pose_id",
+        "session",
+        "payload",
+        "payload_com_x",
+        "payload_com_y",
+        "payload_com_z",
+        "temperature",
+        "base_tilt_x",
+        "base_tilt_y",
+    ),
     "Force": ("fx", "fy", "fz", "mx", "my", "mz"),
     "Contact": ("socket_id", "plane_id", "bar_id", "bar", "tipx", "tipy", "tipz"),
 }

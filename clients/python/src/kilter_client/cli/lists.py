@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 import typer
 
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.listed_texts import COLUMNS, EFFECTS, EXPORTS, METHODS, PRESETS
+from kilter_client.cli.effect_texts import EFFECTS
+from kilter_client.cli.listed_texts import COLUMNS, EXPORTS, METHODS, PRESETS
 from kilter_client.cli.output import Document, emit, note
 from kilter_client.cli.tables import show_rows
 

@@ -1,0 +1,100 @@
+"""Motion of the base as an inclinometer on it reads it: a measured tilt that enters the model and the correction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
+from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.physical import READ_STATION
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.types import Floats
+
+
+@dataclass(frozen=True)
+class MeasuredTilt(Effect):
+    """The base frame moves with the reading t = (tx, ty) of an inclinometer about its x and y, less that at its zero.
+
+    It rotates by (gx tx + cx ty, gy ty + cy tx, 0) and shifts by t × l: l leads from the point that stays, where a column
+    is bolted down, to the origin of the base frame. g is 1 for a stiff column whose sensor is in the axes of the base
+    frame, c 0; a sensor in other axes, or a column that bends above it, has others. What the reading leaves out (a shift
+    without a tilt, a rotation about the vertical) it cannot tell.
+    """
+
+    id = "measured_tilt"
+    summary = "base moves as its inclinometer reads"
+    physical = READ_STATION
+    source = (
+        "rigid motion of a column about where it is bolted down, to first order in the tilt that its inclinometer reads"
+    )
+    needs = frozenset({"base_tilt_x", "base_tilt_y"})
+    stage = "base"
+    aliases = ("base_compliance", "drift", "column_bending")
+    remedy = "read a two-axis inclinometer on the base or column in every pose"
+    at_joints = False
+
+    zero_x_rad: float | None = option(
+        None, "Reading about x at which the geometry holds, rad; null: the mean of the rows."
+    )
+    zero_y_rad: float | None = option(
+        None, "Reading about y at which the geometry holds, rad; null: the mean of the rows."
+    )
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Let the geometry hold at the mean reading of the rows."""
+        if rows is None or rows.base_tilt_x is None or rows.base_tilt_y is None or not len(rows):
+            return self
+        x = float(np.mean(rows.base_tilt_x)) if self.zero_x_rad is None else self.zero_x_rad
+        y = float(np.mean(rows.base_tilt_y)) if self.zero_y_rad is None else self.zero_y_rad
+        return replace(self, zero_x_rad=x, zero_y_rad=y)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Gains about x and y, cross gains, 1; then the lever, m."""
+        about = "rotation of the base about its {} per reading about {}"
+        gains = [Parameter(f"tilt_gain_{k}", "1", 0.0, 1.0, -5.0, 5.0, about.format(k, k)) for k in "xy"]
+        cross = [
+            Parameter(f"tilt_cross_{k}", "1", 0.0, 0.3, -3.0, 3.0, about.format(k, other)) for k, other in ("xy", "yx")
+        ]
+        text = "from the point that stays to the base, along its "
+        return (*gains, *cross, *(Parameter(f"tilt_lever_{k}", "m", 0.0, 1.0, -20.0, 20.0, text + k) for k in "xyz"))
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the base and its derivatives."""
+        x, y = (np.asarray(self.column(batch, f"base_tilt_{k}"), dtype=np.float64) for k in "xy")
+        moved = _moved(x - _zero(self.zero_x_rad), y - _zero(self.zero_y_rad))
+        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Move the base by the tilt of now, where one is stated."""
+        tilt = form.conditions.base_tilt
+        if tilt is None:
+            return False
+        x, y = (np.array([t - _zero(zero)]) for t, zero in zip(tilt, (self.zero_x_rad, self.zero_y_rad), strict=True))
+        twist = values @ _moved(x, y)[:, 0]
+        form.base_shift += twist[:3]
+        form.base_tilt += twist[3:]
+        return True
+
+
+def _zero(reading: float | None) -> float:
+    if reading is None:
+        raise OptionError(
+            "measured_tilt needs zero_x_rad and zero_y_rad: give the readings at which the geometry holds."
+        )
+    return reading
+
+
+def _moved(x: Floats, y: Floats) -> Floats:
+    """Twists (7, N, 6) of the base per parameter at readings (N,) less their zeros."""
+    out = np.zeros((7, len(x), 6))
+    out[0, :, 3] = out[3, :, 4] = x
+    out[1, :, 4] = out[2, :, 3] = y
+    out[4, :, 2], out[5, :, 2] = -y, x  # (x, y, 0) × l
+    out[6, :, 0], out[6, :, 1] = y, -x
+    return out
