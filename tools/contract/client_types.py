@@ -31,7 +31,8 @@ MODULES: Mapping[str, Sequence[str]] = {
     "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
-    "checks": ("IdentifyCheck", "GapCheck", "EvaluateCheck", "PlanCheck", "JointParametersCheck"),
+    "drifts": ("DriftResult",),
+    "checks": ("IdentifyCheck", "GapCheck", "EvaluateCheck", "PlanCheck", "JointParametersCheck", "DriftCheck"),
     "server": ("Health", "ResolvedReference", "JobSummary", "Today"),
 }
 JOB = "/v1/jobs/{job}"
@@ -39,6 +40,7 @@ JOB = "/v1/jobs/{job}"
 SHOWN: Mapping[str, tuple[str, str]] = {
     "ActivatedVersion": ("ShownActivated", "shown_jobs"),
     "Campaign": ("ShownCampaign", "shown_jobs"),
+    "DriftResult": ("ShownDrift", "shown_jobs"),
     "EvaluateResult": ("ShownEvaluation", "shown_jobs"),
     "Figure": ("ShownFigure", "shown"),
     "GapResult": ("ShownSearch", "shown_jobs"),

@@ -37,6 +37,7 @@ GROUPS = {
         "evaluate",
         "plan",
         "joint_parameters",
+        "drift",
         "check",
         "submit",
         "job",

@@ -76,7 +76,7 @@ class Check:
     poses: int
     misfit: float
     smallest: dict[str, float]
-    unseen: tuple[str, ...]
+    unseen: tuple[Cause, ...]
     new_setup: tuple[Frame, ...]
 
 
@@ -109,14 +109,17 @@ def check(
     *,
     noise: float | None = None,
     new_setup: Sequence[str] = (),
+    fitted_c: tuple[float, float] | None = None,
 ) -> Check:
     """Check an arm by rows that its version was not fitted to; ``noise`` m of a coordinate, the version's own when None.
 
     Nothing of the arm is refitted. Only what ``new_setup`` says was set up anew, [], ["base"] or ["base", "tool"], may take
-    any value: then a cause that looks like it, as the zero of the first joint does, is not seen.
+    any value: then a cause that looks like it, as the zero of the first joint does, is not seen. ``fitted_c`` are the lowest
+    and highest temperature of the rows that the version was fitted to: what the arm expands beyond them has not moved it.
 
     Raises:
-        OptionError: another set-up, or no noise known. ObservationError: no positions, or rows of another arm.
+        OptionError: another set-up, or no noise known.
+        ObservationError: no positions, rows of another arm or tool, another temperature.
         TooFewPosesError: under three poses.
 
     """
@@ -124,10 +127,10 @@ def check(
     if anew is None:
         raise OptionError(f'new_setup is {list(new_setup)}: give [], ["base"] or ["base", "tool"].', option="new_setup")
     calibration = _absorbed(calibration)
-    innovation = Innovation.of(calibration, rows, known, noise)
+    innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     if anew:
         calibration = _absorbed(refitted(calibration, innovation.measurement, anew))
-        innovation = Innovation.of(calibration, rows, known, noise)
+        innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     linear = _Linear.of(innovation, calibration, anew)
     p_value, smallest = _p_value(linear), _smallest(linear)
     misfit = innovation.misfit
@@ -138,7 +141,7 @@ def check(
     causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
-        innovation.poses, misfit, smallest, tuple(one.cause.name for one in linear.hidden), anew,
+        innovation.poses, misfit, smallest, tuple(one.cause for one in linear.hidden), anew,
     )  # fmt: skip
 
 
@@ -180,7 +183,7 @@ def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> Non
             "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
             'of this robot with the tool of its version, or say what was set up anew, new_setup ["base"] or '
             '["base", "tool"].',
-            code="rows_of_another_arm", misfit_mm=misfit * 1e3,
+            code="rows_of_another_arm", misfit_m=misfit,
         )  # fmt: skip
 
 

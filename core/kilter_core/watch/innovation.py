@@ -13,9 +13,11 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
+from kilter_core.watch.conditions import expansion, refuse_another_tool
 
 FEWEST_POSES = 3  # the six numbers of two positions cannot tell the place of the instrument from the arm
 MOST_NUMBERS = 1500  # coordinates whose common covariance is inverted: 0.2 s
+LEAST = 1e-3  # of what the model lacks, noise that tells repeats apart where none is known
 
 
 @dataclass(frozen=True)
@@ -34,13 +36,23 @@ class Innovation:
     poses: int
 
     @staticmethod
-    def of(calibration: Calibration, rows: Observations, known: Predictive, noise: float | None = None) -> Innovation:
+    def of(
+        calibration: Calibration,
+        rows: Observations,
+        known: Predictive,
+        noise: float | None = None,
+        fitted_c: tuple[float, float] | None = None,
+    ) -> Innovation:
         """Innovation of rows against a version; ``noise`` m of a coordinate, that of the version's fit when None.
 
+        ``fitted_c`` are the lowest and highest temperature of the rows it was fitted to, None where nobody knows.
+
         Raises:
-            ObservationError: no positions. TooFewPosesError: fewer than three distinct poses. OptionError: no noise known.
+            ObservationError: no positions, another tool or temperature. OptionError: no noise known.
+            TooFewPosesError: fewer than three distinct poses.
 
         """
+        refuse_another_tool(calibration, rows)
         measurement = Measurement.of(rows, calibration.marker_points).of_tool()
         _refuse_few(measurement)
         measurement = _some(measurement)
@@ -55,6 +67,11 @@ class Innovation:
         slope = left.d_points[seen]
         covariance = slope @ known.covariance[np.ix_(own, own)] @ slope.T
         covariance += _own(measurement, seen, known.inadequacy, known.noise if noise is None else noise)
+        grown = expansion(calibration, measurement.observations, fitted_c)
+        if grown is not None:
+            more = measurement.residual(prediction, grown).d_points
+            assert more is not None
+            covariance += more[seen] @ more[seen].T
         lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         r = solve_triangular(lower, left.points[seen], lower=True)
         return Innovation(measurement, prediction, r, lower, seen, measurement.poses)
@@ -119,5 +136,5 @@ def _own(measurement: Measurement, seen: Bools, inadequacy: float, noise: float)
     count = np.arange(seen.shape[1] * 3).reshape(1, seen.shape[1], 3)
     place = (measurement.observations.pose_groups()[:, None, None] * count.size + count)[seen]
     alike = place[:, None] == place[None, :]
-    least = (1e-3 * inadequacy) ** 2  # of a version that says no noise apart: repeats would be one number
+    least = (LEAST * inadequacy) ** 2  # of a version that says no noise apart: repeats would be one number
     return np.asarray(inadequacy**2 * alike + max(noise**2, least) * np.eye(len(place)))

@@ -19,6 +19,7 @@ RULES = {
     "evaluate": (0.5, 0.1, 5.0),
     "plan": (3.0, 0.3, 60.0),
     "joint_parameters": (0.5, 0.1, 10.0),
+    "drift": (0.2, 0.05, 3.0),
 }
 OTHER = (5.0, 0.5, 120.0)
 RULE_ROWS = 300

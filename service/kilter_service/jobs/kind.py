@@ -20,6 +20,17 @@ if TYPE_CHECKING:
     from kilter_core.types import Each
     from kilter_service.jobs.foresight import Foresight
 
+
+@dataclass(frozen=True)
+class FitOfVersion:
+    """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
+    and which campaigns of the job have rows of it.
+    """
+
+    temperatures_c: tuple[float, float] | None = None
+    shared: tuple[str, ...] = ()
+
+
 Progress = Callable[[float, str], None]
 
 
@@ -36,7 +47,8 @@ class JobInput:
     ``devices`` and ``names`` are those of all campaigns, by id.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
-    readings of all the robot's campaigns, and ``origin``, the result of the job that made the version.
+    readings of all the robot's campaigns, and ``origin``, the result of the job that made the version. Only for kinds with
+    ``against_fit``: ``fit``, what the version was fitted to.
     """
 
     robot: Robot
@@ -51,6 +63,7 @@ class JobInput:
     names: dict[str, str] = field(default_factory=dict)
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
+    fit: FitOfVersion = FitOfVersion()
     confirmation: dict[str, Observations] = field(default_factory=dict)
     default_load: tuple[str, ...] = ()
     no_load: tuple[str, ...] = ()
@@ -92,7 +105,8 @@ class JobKind:
     names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and ``takes_confirmation`` say what a
     request must and may have,
     ``instead_of_campaigns`` which options replace campaigns. ``long`` kinds have a queue of their own: whoever
-    identifies does not wait for somebody's gap search. ``history`` kinds want to know where the arm was driven before.
+    identifies does not wait for somebody's gap search. ``history`` kinds want to know where the arm was driven before,
+    ``against_fit`` kinds what their version was fitted to. ``most_campaigns`` is how many a request may name.
     ``foresee`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
     """
 
@@ -107,6 +121,8 @@ class JobKind:
     instead_of_campaigns: tuple[str, ...] = ()
     long: bool = False
     history: bool = False
+    against_fit: bool = False
+    most_campaigns: int | None = None
     foresee: Callable[[JobInput, Foresight], None] | None = None
 
     @property

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.kind import JobKind
+from kilter_service.jobs.kinds.drift import DRIFT
 from kilter_service.jobs.kinds.evaluate import EVALUATE
 from kilter_service.jobs.kinds.gap import GAP
 from kilter_service.jobs.kinds.identify import IDENTIFY
@@ -14,7 +15,7 @@ from kilter_service.jobs.kinds.joint_parameters import JOINT_PARAMETERS
 from kilter_service.jobs.kinds.plan import PLAN
 
 KINDS: Mapping[str, JobKind] = MappingProxyType(
-    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS)}
+    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS, DRIFT)}
 )
 
 

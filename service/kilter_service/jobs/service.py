@@ -85,6 +85,12 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind
         raise ServiceError(
             f"A {kind.name} job takes campaigns or {others[0]}, not both: make two jobs.", code="campaigns_invalid"
         )
+    if kind.most_campaigns is not None and len(job.campaigns) > kind.most_campaigns:
+        raise ServiceError(
+            f"The job names {len(job.campaigns)} campaigns, and a {kind.name} job takes {kind.most_campaigns}: make a job of "
+            "each.",
+            code="campaigns_invalid",
+        )
     if isinstance(job.validation, Folds) and not kind.takes_folds:
         raise ServiceError(
             f"A {kind.name} job takes no folds: name campaigns in `validation`, give a fraction of the poses, or "

@@ -19,7 +19,8 @@ from kilter_service.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow, now
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.ended import store as ended
-from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
+from kilter_service.jobs.fit_of_version import fit_of
+from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
 from kilter_service.jobs.records import Asked, JobRecord, JobRequest, ListedJob, Place, ProgressRecord, UsedRecord
 from kilter_service.jobs.refusals import read_options
@@ -183,6 +184,7 @@ def input_of(session: Session, robot_id: int, kind_name: str, request: JobReques
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
+        fit=fit_of(session, named, request.campaigns) if kind.against_fit and named is not None else FitOfVersion(),
         confirmation=rows_of(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),

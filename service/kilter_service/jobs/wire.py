@@ -10,6 +10,7 @@ from kilter_service.contract.fits import Member, NullDirection
 from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import (
     CheckedCampaign,
+    DriftCheck,
     Duration,
     EvaluateCheck,
     GapCheck,
@@ -24,10 +25,12 @@ from kilter_service.contract.jobs.check import (
     Testability,
     UnknownParameter,
 )
+from kilter_service.contract.jobs.drift import DriftResult
 from kilter_service.contract.jobs.evaluate import EvaluateResult
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.identify import IdentifyResult
 from kilter_service.contract.jobs.job import (
+    DriftJob,
     EvaluateJob,
     GapJob,
     IdentifyJob,
@@ -57,6 +60,7 @@ ANSWERS: dict[str, tuple[type[Job], type[BaseModel]]] = {
     "evaluate": (EvaluateJob, EvaluateResult),
     "plan": (PlanJob, PlanResult),
     "joint_parameters": (JointParametersJob, JointParametersResult),
+    "drift": (DriftJob, DriftResult),
 }
 
 
@@ -66,6 +70,7 @@ CHECKS: dict[str, type[JobCheck]] = {
     "evaluate": EvaluateCheck,
     "plan": PlanCheck,
     "joint_parameters": JointParametersCheck,
+    "drift": DriftCheck,
 }
 
 

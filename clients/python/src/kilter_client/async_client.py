@@ -11,8 +11,8 @@ from kilter_client.locate import locate
 from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
+from kilter_client.verbs import drifts, keeping
 from kilter_client.verbs import jobs as computed
-from kilter_client.verbs import keeping
 from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
@@ -70,6 +70,7 @@ class AsyncKilter:
     evaluate = awaited(computed.evaluate)
     plan = awaited(computed.plan)
     joint_parameters = awaited(computed.joint_parameters)
+    drift = awaited(drifts.drift)
     check = awaited(computed.check)
     submit = awaited(computed.submit)
     job = awaited(computed.job)

@@ -12,7 +12,7 @@ from kilter_client.locate import locate
 from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
-from kilter_client.verbs import campaigns, jobs, keeping, robots, versions
+from kilter_client.verbs import campaigns, drifts, jobs, keeping, robots, versions
 from kilter_client.verbs import meshes as shapes
 
 if TYPE_CHECKING:
@@ -84,6 +84,7 @@ class Kilter:
     evaluate = waiting(jobs.evaluate)
     plan = waiting(jobs.plan)
     joint_parameters = waiting(jobs.joint_parameters)
+    drift = waiting(drifts.drift)
     check = waiting(jobs.check)
     submit = waiting(jobs.submit)
     job = waiting(jobs.job)

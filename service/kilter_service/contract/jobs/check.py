@@ -137,6 +137,13 @@ class JointParametersCheck(_Check):
     kind: Literal["joint_parameters"] = Field(description=KIND)
 
 
+class DriftCheck(_Check):
+    """What a check of an arm would do."""
+
+    kind: Literal["drift"] = Field(description=KIND)
+
+
 JobCheck = Annotated[
-    IdentifyCheck | GapCheck | EvaluateCheck | PlanCheck | JointParametersCheck, Field(discriminator="kind")
+    IdentifyCheck | GapCheck | EvaluateCheck | PlanCheck | JointParametersCheck | DriftCheck,
+    Field(discriminator="kind"),
 ]

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from kilter_service.contract.jobs.drift import DriftOptions, DriftResult
 from kilter_service.contract.jobs.evaluate import EvaluateOptions, EvaluateResult
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
 from kilter_service.contract.jobs.identify import IdentifyOptions, IdentifyResult
@@ -91,8 +92,16 @@ class NewJointParametersJob(_NewJob):
     options: JointParametersOptions = Field(JointParametersOptions(), description=OPTIONS)
 
 
+class NewDriftJob(_NewJob):
+    """Check whether an arm has moved since its version was made; names one campaign."""
+
+    kind: Literal["drift"] = Field(description=KIND)
+    options: DriftOptions = Field(DriftOptions(), description=OPTIONS)
+
+
 NewJob = Annotated[
-    NewIdentifyJob | NewGapJob | NewEvaluateJob | NewPlanJob | NewJointParametersJob, Field(discriminator="kind")
+    NewIdentifyJob | NewGapJob | NewEvaluateJob | NewPlanJob | NewJointParametersJob | NewDriftJob,
+    Field(discriminator="kind"),
 ]
 
 
@@ -175,7 +184,17 @@ class JointParametersJob(_Job):
     result: JointParametersResult | None = Field(description=RESULT)
 
 
-Job = Annotated[IdentifyJob | GapJob | EvaluateJob | PlanJob | JointParametersJob, Field(discriminator="kind")]
+class DriftJob(_Job):
+    """A check of an arm with what was asked and what came out."""
+
+    kind: Literal["drift"] = Field(description=KIND)
+    options: DriftOptions = Field(description="Options, as asked.")
+    result: DriftResult | None = Field(description=RESULT)
+
+
+Job = Annotated[
+    IdentifyJob | GapJob | EvaluateJob | PlanJob | JointParametersJob | DriftJob, Field(discriminator="kind")
+]
 
 
 class JobList(Listed):

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions
@@ -20,7 +21,7 @@ from kilter_service.errors import ServiceError
 PREFIX = "option."
 MODELS: Mapping[str, type[BaseModel]] = {
     "identify": IdentifyOptions, "gap": GapOptions, "evaluate": EvaluateOptions, "plan": PlanOptions,
-    "joint_parameters": JointParametersOptions,
+    "joint_parameters": JointParametersOptions, "drift": DriftOptions,
 }  # fmt: skip
 USUAL: Mapping[str, tuple[str, ...]] = {
     "identify": ("method", "level", "effects", "loss", "start"),
@@ -28,6 +29,7 @@ USUAL: Mapping[str, tuple[str, ...]] = {
     "evaluate": ("version", "refit", "metrics"),
     "plan": ("purpose", "count", "effects", "version", "payloads_kg"),
     "joint_parameters": ("propose", "resolution_deg", "count"),
+    "drift": ("version", "new_setup", "noise_mm"),
 }
 NUMBERS = {"number", "integer"}
 

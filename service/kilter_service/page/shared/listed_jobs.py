@@ -17,6 +17,7 @@ KINDS: Mapping[str, str] = {
     "evaluate": "Evaluate a version",
     "plan": "Plan poses",
     "joint_parameters": "Measure joints",
+    "drift": "Check for drift",
 }
 
 

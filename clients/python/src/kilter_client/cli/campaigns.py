@@ -121,7 +121,7 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    conditions = _conditions(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
+    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
     at = moment_of(measured_at)
     if campaign and (name or notes or conditions or at):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
@@ -160,12 +160,33 @@ def _stored(
             return _send(kilter, target, file, prepared, as_json)
 
 
-def _conditions(
+def sent_file(
+    robot: str,
+    file: Path,
+    device: str | None,
+    column_map: Path | None,
+    role: Role,
+    conditions: dict[str, Any],
+    name: str,
+    measured_at: str | None,
+    as_json: bool,
+) -> dict[str, Any]:
+    """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
+    prepared = _prepared(robot, file, device, column_map, _Points(None, None, None))
+    prepared = _understood(file, _looked_at(file, prepared, unchecked=False), as_json)
+    wanted = {
+        "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
+        "numbered": not name, "measured_at": moment_of(measured_at),
+    }  # fmt: skip
+    return _stored(robot, None, wanted, file, prepared, as_json)
+
+
+def conditions_of(
     payload_kg: float | None,
     payload_com_mm: str | None,
     temperature_c: float | None,
-    force: str | None,
-    moment: str | None,
+    force: str | None = None,
+    moment: str | None = None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
     told = {

@@ -76,3 +76,8 @@ JOINT_PARAMETERS = {
     "payload_com_mm": "Of a proposal: centre of these loads in the tool frame, mm; left out: the tool point.",
     "seed": "Seed of the choice, 0 or more.",
 }
+DRIFT = {
+    "version": "Id of the version to check against; left out: the active one.",
+    "noise_mm": "Standard deviation of a coordinate, mm, above 0; left out: what the version's fit found.",
+    "new_setup": 'Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen.',
+}

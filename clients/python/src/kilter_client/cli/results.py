@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from kilter_client.cli.drift_report import show_drift
 from kilter_client.cli.gap_report import show_gap
 from kilter_client.cli.identify_report import show_identification, show_parameters
 from kilter_client.cli.output import say
@@ -32,10 +33,12 @@ def show_job(job: dict[str, Any]) -> None:
         show_gap(result)
     elif job["kind"] == "plan" and result:
         show_plan(result)
+    elif job["kind"] == "drift" and result:
+        show_drift(result)
     else:
         show_result(result)
     version = result.get("version_id")
-    if version and job["kind"] != "evaluate":
+    if version and job["kind"] not in ("evaluate", "drift"):
         _show_made(version, result.get("objections") or [])
 
 

@@ -111,6 +111,15 @@ class ShownEvaluation(Shown):
         return f"{of}: {', '.join(shown) or 'no errors'}"
 
 
+class ShownDrift(Shown):
+    """Whether an arm has moved."""
+
+    sentence: str | None
+
+    def _line(self) -> str:
+        return self.sentence or "no verdict"
+
+
 class ShownPlan(Shown):
     """Poses to measure."""
 

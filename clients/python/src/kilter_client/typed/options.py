@@ -6,6 +6,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypedDict
 
 
+class DriftOptions(TypedDict, total=False):
+    """What can be asked of a check."""
+
+    new_setup: Sequence[Literal["base", "tool"]]
+    """Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate, mm, above 0; None: what the version's fit found."""
+    version: str | None
+    """Id of the version to check against; None: the active one."""
+
+
 class EvaluateOptions(TypedDict, total=False):
     """What can be asked of an evaluation."""
 

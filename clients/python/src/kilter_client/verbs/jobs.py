@@ -60,8 +60,8 @@ def identify(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    asked = _asked("identify", robot, campaigns, options, validation, name)
-    return cast("IdentifyResult", (yield from _run(asked, progress, timeout_s)))
+    wanted = asked("identify", robot, campaigns, options, validation, name)
+    return cast("IdentifyResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def gap(
@@ -85,8 +85,8 @@ def gap(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    asked = _asked("gap", robot, campaigns, options, validation, name, confirmation)
-    return cast("GapResult", (yield from _run(asked, progress, timeout_s)))
+    wanted = asked("gap", robot, campaigns, options, validation, name, confirmation)
+    return cast("GapResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def evaluate(
@@ -107,8 +107,8 @@ def evaluate(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    asked = _asked("evaluate", robot, campaigns, options, None, name)
-    return cast("EvaluateResult", (yield from _run(asked, progress, timeout_s)))
+    wanted = asked("evaluate", robot, campaigns, options, None, name)
+    return cast("EvaluateResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def plan(
@@ -127,8 +127,8 @@ def plan(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    asked = _asked("plan", robot, campaigns, options, None, name)
-    return cast("PlanResult", (yield from _run(asked, progress, timeout_s)))
+    wanted = asked("plan", robot, campaigns, options, None, name)
+    return cast("PlanResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def joint_parameters(
@@ -157,8 +157,8 @@ def joint_parameters(
         from kilter_files.rig.readings import read_readings
 
         chosen["readings"] = read_readings(Path(fspath(readings_file)))
-    asked = _asked("joint_parameters", robot, campaigns, chosen, validation, name)
-    return cast("JointParametersResult", (yield from _run(asked, progress, timeout_s)))
+    wanted = asked("joint_parameters", robot, campaigns, chosen, validation, name)
+    return cast("JointParametersResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def submit(
@@ -171,7 +171,7 @@ def submit(
     name: str = "",
     **options: Any,
 ) -> Steps[Record]:
-    """Submit a job without waiting for it: ``"identify"``, ``"gap"``, ``"evaluate"``, ``"plan"``, ``"joint_parameters"``.
+    """Submit a job without waiting for it: ``"identify"``, ``"gap"``, ``"evaluate"``, ``"plan"`` ...
 
     Returns the job, still queued; ``wait`` follows it. The rest is as in the verb of the kind.
 
@@ -179,8 +179,8 @@ def submit(
         OptionError: an option that does not exist or does not fit.
 
     """
-    asked = _asked(kind, robot, campaigns, options, validation, name, confirmation)
-    return _read((yield from calls.submit(str(asked["robot"]), asked)))
+    wanted = asked(kind, robot, campaigns, options, validation, name, confirmation)
+    return _read((yield from calls.submit(str(wanted["robot"]), wanted)))
 
 
 def check(
@@ -203,8 +203,8 @@ def check(
     """
     from kilter_client.typed.names import JOBS
 
-    asked = _asked(kind, robot, campaigns, options, validation, "", confirmation)
-    told = yield from calls.check(str(asked["robot"]), asked)
+    wanted = asked(kind, robot, campaigns, options, validation, "", confirmation)
+    told = yield from calls.check(str(wanted["robot"]), wanted)
     found: type[Record] = getattr(import_module("kilter_client.typed.checks"), f"{JOBS[kind].removesuffix('Job')}Check")
     return found.read(told)
 
@@ -249,7 +249,7 @@ def cancel(job: Thing, *, robot: str | None = None) -> Steps[Record]:
     return _read((yield from calls.cancel(reference("job", job), robot)))
 
 
-def _asked(
+def asked(
     kind: str,
     robot: Thing,
     campaigns: Thing | Sequence[Thing],
@@ -258,6 +258,7 @@ def _asked(
     name: str,
     confirmation: Thing | Sequence[Thing] = (),
 ) -> Document:
+    """Return the request for a job."""
     held_out = references("campaign", validation) if _names_campaigns(validation) else validation  # type: ignore[arg-type]
     chosen = {key: _option(key, value) for key, value in options.items()}
     used, again = references("campaign", campaigns), references("campaign", confirmation)
@@ -281,9 +282,10 @@ def _option(name: str, value: Any) -> Any:
     return value
 
 
-def _run(asked: Document, progress: Watching, timeout_s: float | None) -> Steps[Record]:
-    job = yield from calls.submit(str(asked["robot"]), asked)
-    return (yield from _waited(str(job["id"]), None, progress, timeout_s, f"{asked['kind']} {asked['robot']}"))
+def run(wanted: Document, progress: Watching, timeout_s: float | None) -> Steps[Record]:
+    """Submit a job, follow it to its end, and return its result."""
+    job = yield from calls.submit(str(wanted["robot"]), wanted)
+    return (yield from _waited(str(job["id"]), None, progress, timeout_s, f"{wanted['kind']} {wanted['robot']}"))
 
 
 def _waited(

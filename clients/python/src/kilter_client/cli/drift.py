@@ -1,0 +1,90 @@
+"""``kilter check``: send a few poses and say whether the arm has moved; the exit code says it to scripts."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli import arguments
+from kilter_client.cli.arguments import Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.campaigns import ColumnMap, Device, MeasuredAt, conditions_of, sent_file
+from kilter_client.cli.drift_report import EXIT_CODES
+from kilter_client.cli.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.option_texts import DRIFT
+from kilter_client.cli.output import emit, note
+from kilter_client.cli.progress import job_bar
+from kilter_client.cli.references import resolved, resolved_options
+from kilter_client.cli.results import show_job
+from kilter_client.errors import UsageError
+
+Rows = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Poses that were measured again, three or more.", metavar="FILE", exists=True, dir_okay=False,
+        show_default=False,
+    ),
+]  # fmt: skip
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter check ur10 today.csv --temperature-c 23.5")(check)
+
+
+def check(
+    robot: Robot,
+    file: Rows = None,
+    campaign: Annotated[
+        str | None,
+        typer.Option("--campaign", "-c", metavar="ID", help="Check with a campaign that is stored already."),
+    ] = None,
+    version: Annotated[str | None, typer.Option(help=DRIFT["version"])] = None,
+    new_setup: Annotated[str | None, typer.Option(metavar="base,tool", help=DRIFT["new_setup"])] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=DRIFT["noise_mm"])] = None,
+    device: Device = None,
+    column_map: ColumnMap = None,
+    payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point, kg.")] = None,
+    payload_com_mm: PayloadCentre = None,
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature of the arm, deg C.")] = None,
+    measured_at: MeasuredAt = None,
+    option: MoreOptions = None,
+    name: Annotated[str, typer.Option(help="Name of the campaign and of the job.")] = "",
+    no_wait: NoWait = False,
+    as_json: Json = False,
+) -> None:
+    """Say whether an arm has moved since its version was made: exit code 0 ok, 3 moved, 4 cannot tell.
+
+    The rows become a campaign with the role validation, which no fit takes unless it names it.
+    """
+    if (file is None) == (campaign is None):
+        raise UsageError("Give the FILE that was measured, or --campaign ID of one that is stored.")
+    chosen = arguments.options(option, version=version, noise_mm=noise_mm)
+    if new_setup is not None:
+        chosen["new_setup"] = arguments.split_names([new_setup])
+    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c)
+    if campaign is not None and (conditions or device or column_map or measured_at):
+        raise UsageError("--campaign checks with rows that have their device, conditions and date already.")
+    with Kilter() as kilter:
+        chosen = resolved_options(kilter, chosen, robot, as_json)
+        if file is None:
+            used = resolved(kilter, "campaign", str(campaign), robot, as_json, "--campaign")
+        else:
+            done = sent_file(robot, file, device, column_map, "validation", conditions, name, measured_at, as_json)
+            used = str(done["campaign_id"])
+        job = kilter.jobs.submit("drift", robot, [used], None, chosen, [], name)
+        if not no_wait:
+            with on_interrupt(partial(job_goes_on, job["id"])), job_bar("check", as_json) as progress:
+                note(f"job {job['id']}", as_json)
+                job = kilter.jobs.wait(job["id"], progress)
+    emit(job, as_json, show_job)
+    code = EXIT_CODES.get(_verdict(job), 0)
+    if code:
+        raise typer.Exit(code)
+
+
+def _verdict(job: dict[str, Any]) -> str:
+    return str((job.get("result") or {}).get("verdict"))

@@ -1,0 +1,43 @@
+"""The result of a check of an arm as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import number, show_rows
+
+EXIT_CODES = {"ok": 0, "moved": 3, "cannot_tell": 4}
+LISTED = 6  # causes of a table, the best first
+
+
+def show_drift(result: Mapping[str, Any]) -> None:
+    """Print the verdict, what to do, what was looked at, and what such rows can show."""
+    say(result["sentence"])
+    if result.get("remedy"):
+        say(f"  {result['remedy']}")
+    if result["verdict"] != "ok":
+        _show_causes(result)
+    rows = [(one["words"], f"{number(one['value'], 2)} {one['unit']}") for one in result.get("smallest") or ()]
+    if rows:
+        show_rows(("such rows show", "from a change of"), rows)
+    if result.get("unseen"):
+        say(f"they do not show: {', '.join(result['unseen'])}")
+    for warning in result.get("warnings") or ():
+        say(f"warning: {warning['message']}")
+
+
+def _show_causes(result: Mapping[str, Any]) -> None:
+    rows = [
+        (one["words"], _changes(one), number(one["gain"], 3), "refuted" if one["refuted"] else "may be")
+        for one in result["looked_at"][:LISTED]
+    ]
+    show_rows(("cause", "change", "explains", ""), rows)
+
+
+def _changes(cause: Mapping[str, Any]) -> str:
+    seen = [one for one in cause["numbers"] if one["u95"] is not None]
+    if len(cause["numbers"]) == 1:
+        return "".join(f"{number(one['change'], 3)} ± {number(one['u95'], 2)} {one['unit']}" for one in seen)
+    return ", ".join(f"{one['name']} {number(one['change'], 3)} {one['unit']}" for one in seen)

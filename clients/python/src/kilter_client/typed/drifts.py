@@ -1,0 +1,105 @@
+"""What the server answers about drifts, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownDrift
+from kilter_client.typed.fits import Remark
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ChangedNumber(Record):
+    """A number that changed."""
+
+    change: float
+    """By how much it changed."""
+    name: str
+    """`value`, or of a frame `x`, `y`, `z`, `rx`, `ry`, `rz` in the frame itself."""
+    u95: float | None
+    """Half width of its 95 % interval; None: the rows do not show this number."""
+    unit: str
+    """Its unit: deg, mm, deg/(N m), mm/N, ppm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftCause(Record):
+    """A cause that was looked at."""
+
+    bic: float | None
+    """What it leaves, with a price for its numbers; smaller is better."""
+    gain: float | None
+    """Chi-square that it explains."""
+    joint: int | None
+    """Joint, from 1; None: none."""
+    kind: str | None
+    """What changed."""
+    name: str
+    """`zero_3`, `sag_2`, `base`, `tool`, `scale`."""
+    numbers: Records[ChangedNumber]
+    """What changed, if this is the cause."""
+    refuted: bool | None
+    """Whether the best cause explains what this one leaves."""
+    words: str | None
+    """The cause as people say it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SmallestChange(Record):
+    """The smallest change of a cause that such rows show in 95 % of the checks."""
+
+    name: str
+    """Name of the cause."""
+    unit: str
+    """Its unit."""
+    value: float
+    """How small; of base and tool a shift in the direction that shows least."""
+    words: str
+    """The cause as people say it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftResult(ShownDrift, Record):
+    """Whether an arm has moved since its version was made, and by what."""
+
+    causes: Records[DriftCause]
+    """What explains the rows, best first; empty: nothing did."""
+    chi_square: float | None
+    """Squared whitened innovation."""
+    expected_mm: float | None
+    """Standard deviation of a coordinate, mm, by which the fit missed beyond that."""
+    false_alarm: float | None
+    """Chance of a false alarm at which it says `moved`."""
+    fitted_c: tuple[float, ...]
+    """Lowest and highest temperature, degrees Celsius, of the rows of the fit; None: not known."""
+    looked_at: Records[DriftCause]
+    """All causes that these rows show, best first."""
+    misfit_mm: float | None
+    """Root mean square of measured minus predicted, mm."""
+    new_setup: tuple[str, ...]
+    """Frames that were set up anew."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate that counted as noise, mm."""
+    numbers: int | None
+    """Numbers that it sums over."""
+    p_value: float | None
+    """Chance of so much from an arm that has not moved."""
+    poses: int | None
+    """Distinct poses that counted."""
+    remedy: str | None
+    """What to do, or what would settle it; None: nothing."""
+    sentence: str | None
+    """The same in words."""
+    smallest: Records[SmallestChange]
+    """The smallest changes that these rows show."""
+    temperature_c: float | None
+    """Mean temperature of the rows, degrees Celsius; None: not known."""
+    unseen: tuple[str, ...]
+    """Causes that move nothing that was measured, in words."""
+    verdict: str | None
+    """`ok`; `moved`: by the one cause; `cannot_tell`: it moved, by one of several or by none of these."""
+    version_id: str | None
+    """The version that was checked."""
+    warnings: Records[Remark]
+    """What to know before trusting the result."""

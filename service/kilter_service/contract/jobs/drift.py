@@ -1,0 +1,92 @@
+"""Jobs of kind ``drift``: whether an arm has moved since its version was made."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kilter_service.contract.fits import Remark
+from kilter_service.contract.jobs.shared import NoiseMm, Version
+from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
+
+CauseKind = Literal["zero", "sag", "base", "tool", "scale"]
+DriftVerdict = Literal["ok", "moved", "cannot_tell"]
+
+
+class DriftOptions(Asked):
+    """What can be asked of a check."""
+
+    version: Version = Field(None, description="Id of the version to check against; null: the active one.")
+    noise_mm: NoiseMm | None = Field(
+        None, description="Standard deviation of a coordinate, mm, above 0; null: what the version's fit found."
+    )
+    new_setup: Annotated[list[Literal["base", "tool"]], Field(max_length=2)] = Field(
+        [],
+        description='Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen.',
+    )
+
+
+class ChangedNumber(Stored):
+    """A number that changed."""
+
+    name: str = Field(description="`value`, or of a frame `x`, `y`, `z`, `rx`, `ry`, `rz` in the frame itself.")
+    unit: str = Field(description="Its unit: deg, mm, deg/(N m), mm/N, ppm.")
+    change: float = Field(description="By how much it changed.")
+    u95: float | None = Field(description="Half width of its 95 % interval; null: the rows do not show this number.")
+
+
+class DriftCause(Stored):
+    """A cause that was looked at."""
+
+    name: str = Field(description="`zero_3`, `sag_2`, `base`, `tool`, `scale`.")
+    kind: CauseKind | None = Field(None, description="What changed.")
+    joint: JointNumber | None = Field(None, description="Joint, from 1; null: none.")
+    words: str | None = Field(None, description="The cause as people say it.")
+    numbers: list[ChangedNumber] | None = Field(None, description="What changed, if this is the cause.")
+    gain: float | None = Field(None, description="Chi-square that it explains.")
+    bic: float | None = Field(None, description="What it leaves, with a price for its numbers; smaller is better.")
+    refuted: bool | None = Field(None, description="Whether the best cause explains what this one leaves.")
+
+
+class SmallestChange(Stored):
+    """The smallest change of a cause that such rows show in 95 % of the checks."""
+
+    name: str = Field(description="Name of the cause.")
+    words: str = Field(description="The cause as people say it.")
+    value: float = Field(description="How small; of base and tool a shift in the direction that shows least.")
+    unit: str = Field(description="Its unit.")
+
+
+class DriftResult(Stored):
+    """Whether an arm has moved since its version was made, and by what."""
+
+    version_id: str | None = Field(None, description="The version that was checked.")
+    verdict: DriftVerdict | None = Field(
+        None,
+        description="`ok`; `moved`: by the one cause; `cannot_tell`: it moved, by one of several or by none of these.",
+    )
+    sentence: str | None = Field(None, description="The same in words.")
+    remedy: str | None = Field(None, description="What to do, or what would settle it; null: nothing.")
+    causes: list[DriftCause] | None = Field(None, description="What explains the rows, best first; empty: nothing did.")
+    looked_at: list[DriftCause] | None = Field(None, description="All causes that these rows show, best first.")
+    p_value: float | None = Field(None, description="Chance of so much from an arm that has not moved.")
+    false_alarm: float | None = Field(None, description="Chance of a false alarm at which it says `moved`.")
+    chi_square: float | None = Field(None, description="Squared whitened innovation.")
+    numbers: int | None = Field(None, description="Numbers that it sums over.")
+    poses: int | None = Field(None, description="Distinct poses that counted.")
+    misfit_mm: Mm | None = Field(None, description="Root mean square of measured minus predicted, mm.")
+    noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate that counted as noise, mm.")
+    expected_mm: Mm | None = Field(
+        None, description="Standard deviation of a coordinate, mm, by which the fit missed beyond that."
+    )
+    smallest: list[SmallestChange] | None = Field(None, description="The smallest changes that these rows show.")
+    unseen: list[str] | None = Field(None, description="Causes that move nothing that was measured, in words.")
+    new_setup: list[str] | None = Field(None, description="Frames that were set up anew.")
+    temperature_c: Celsius | None = Field(
+        None, description="Mean temperature of the rows, degrees Celsius; null: not known."
+    )
+    fitted_c: tuple[Celsius, Celsius] | None = Field(
+        None, description="Lowest and highest temperature, degrees Celsius, of the rows of the fit; null: not known."
+    )
+    warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")

@@ -1,0 +1,1 @@
+"""Whether arms still are as their versions say: checks in words, and their history."""

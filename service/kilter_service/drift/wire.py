@@ -1,0 +1,126 @@
+"""What a check of an arm says, in words and in the units of the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kilter_service.wire import DEG, MM, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.watch import Check
+    from kilter_core.watch.causes import Cause
+    from kilter_core.watch.check import Judged
+
+PPM = 1e6
+FRAME = ("x", "y", "z", "rx", "ry", "rz")
+KINDS = {"zero": "zero of joint {}", "sag": "sag of joint {}", "base": "base", "tool": "tool", "scale": "scale"}
+MORE_POSES = "Measure more poses that differ in every joint, far from each other, and check again."
+MASTERING = (
+    "No measurement on the tool tells them apart. Look at the mastering marks of joint {joint} and at {place}, or measure "
+    "targets on {thing} with the instrument."
+)
+SEARCH = (
+    "Measure a campaign of 40 poses or more and search it (kilter gap --start VERSION): several things have changed, or one "
+    "that a check does not know."
+)
+MOVED = (
+    "Repair it and check again; or measure a campaign and identify a version anew. Until then the version corrects an arm "
+    "that is no longer there."
+)
+
+
+def cause_words(cause: Cause) -> str:
+    """Return a cause as people say it."""
+    return KINDS[cause.kind].format(cause.joint)
+
+
+def unit_of(cause: Cause, place: int = 0) -> tuple[str, float]:
+    """Return the unit of a number of a cause on the wire, and what converts SI to it."""
+    if cause.kind == "scale":
+        return "ppm", PPM
+    if cause.frame:
+        return ("mm", MM) if place < 3 else ("deg", DEG)
+    unit, factor = ("mm", MM) if cause.slides else ("deg", DEG)
+    if cause.kind == "sag":
+        return (f"{unit}/N" if cause.slides else f"{unit}/(N m)"), factor
+    return unit, factor
+
+
+def cause_document(one: Judged) -> dict[str, Any]:
+    """Return a cause as the contract has it."""
+    names = FRAME if one.cause.frame else ("value",)
+    numbers = []
+    for place, (name, change, sigma) in enumerate(zip(names, one.change, one.u95, strict=True)):
+        unit, factor = unit_of(one.cause, place)
+        u95 = float(sigma * factor) if np.isfinite(sigma) else None
+        numbers.append({"name": name, "unit": unit, "change": float(change * factor), "u95": u95})
+    return {
+        "name": one.cause.name, "kind": one.cause.kind, "joint": one.cause.joint, "words": cause_words(one.cause),
+        "numbers": numbers, "gain": one.gain, "bic": one.bic, "refuted": one.refuted,
+    }  # fmt: skip
+
+
+def smallest_documents(found: Check) -> list[dict[str, Any]]:
+    """Return the smallest changes that the rows show, in the order of the causes."""
+    causes = {one.cause.name: one.cause for one in found.judged}
+    out = []
+    for name, value in found.smallest.items():
+        unit, factor = unit_of(causes[name])
+        out.append({"name": name, "words": cause_words(causes[name]), "value": float(value * factor), "unit": unit})
+    return out
+
+
+def sentence(found: Check, since: str | None = None) -> str:
+    """Return the verdict in one sentence."""
+    if found.verdict == "ok":
+        return (
+            f"ok: {found.poses} poses agree with the version, {to_mm(found.misfit):.3g} mm rms. An arm that has not moved "
+            f"shows as much with a chance of {found.p_value:.2g}."
+        )
+    after = f" since {since}" if since else ""
+    chance = f" An arm that has not moved shows as much with a chance of {found.p_value:.1g}."
+    if found.verdict == "moved":
+        return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"
+    if not found.causes:
+        return f"cannot tell: it has moved{after}, and no single cause explains the rows.{chance}"
+    return f"cannot tell: {listed([by_how_much(one) for one in found.causes])}{after}.{chance}"
+
+
+def by_how_much(one: Judged) -> str:
+    """Return a cause with its change: `zero of joint 3 by 0.21 deg (0.19 to 0.23)`, `base by 1.2 mm and 0.05 deg`."""
+    words = cause_words(one.cause)
+    if not one.cause.frame:
+        unit, factor = unit_of(one.cause)
+        value, u95 = float(one.change[0] * factor), float(one.u95[0] * factor)
+        return f"{words} by {value:.3g} {unit} ({value - u95:.3g} to {value + u95:.3g})"
+    seen = np.isfinite(one.sigma)
+    parts = []
+    for places, factor, unit in ((slice(0, 3), MM, "mm"), (slice(3, 6), DEG, "deg")):
+        if seen[places].any():
+            parts.append(f"{float(np.linalg.norm(one.change[places][seen[places]])) * factor:.3g} {unit}")
+    return f"{words} by {' and '.join(parts)}" if parts else words
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return alternatives: `a`, `a or b`, `a, b or c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def remedy(found: Check) -> str | None:
+    """Return what to do about a verdict, or what would settle it."""
+    if found.verdict == "ok":
+        return None
+    if found.verdict == "moved":
+        return MOVED
+    if not found.causes:
+        return SEARCH
+    kinds = {one.cause.kind: one.cause for one in found.causes}
+    zeros = [one.cause.joint for one in found.causes if one.cause.kind == "zero"]
+    if "base" in kinds and zeros:
+        return MASTERING.format(joint=zeros[0], place="the bolts of the base", thing="the base")
+    if "tool" in kinds and zeros:
+        return MASTERING.format(joint=zeros[0], place="the bolts of the tool", thing="the flange")
+    return MORE_POSES

@@ -1,0 +1,33 @@
+"""What a version was fitted to, as far as a check of the arm asks: at which temperatures, and whether to the same rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from kilter_service.campaigns import store as campaigns
+from kilter_service.db import Session
+from kilter_service.errors import ServiceError
+from kilter_service.jobs.kind import FitOfVersion
+from kilter_service.versions import store as versions
+
+
+def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion:
+    """Return what a version, and those that it continues, were fitted to, against the campaigns that a job names."""
+    trained = [one for training in versions.trainings(session, version) for one in training.campaigns]
+    hashes = {sha256 for _, each in trained for sha256 in each}
+    shared = [c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of(session, c))]
+    seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
+    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared))
+
+
+def _temperatures(session: Session, campaign: str) -> Iterator[float]:
+    """Temperatures of a campaign: its lowest and highest row, else what was stated for the whole; none of a purged one."""
+    try:
+        stated = campaigns.get(session, campaign).conditions.get("temperature_c")
+    except ServiceError:
+        return
+    if any("temperature_c" in upload.columns for upload in campaigns.uploads_of(session, campaign)):
+        column = campaigns.table(session, campaign).column("temperature_c").to_numpy(zero_copy_only=False)
+        yield from (float(column.min()), float(column.max()))
+    elif stated is not None:
+        yield float(stated)

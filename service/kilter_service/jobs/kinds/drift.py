@@ -1,0 +1,116 @@
+"""Job kind ``drift``: whether an arm has moved since its version was made, by a few poses measured again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from kilter_core.errors import ObservationError, OptionError
+from kilter_service.contract.jobs.drift import DriftOptions
+from kilter_service.jobs.foresight import Foresight
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.jobs.plain import plain
+from kilter_service.wire import to_metres, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.observations import Observations
+    from kilter_core.watch import Check
+
+SETUPS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
+
+
+def check(options: DriftOptions) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        OptionError: a tool that was set up anew without its base.
+
+    """
+    if options.new_setup not in SETUPS:
+        raise OptionError(
+            f'options.new_setup is {options.new_setup}: give [], ["base"] or ["base", "tool"], for a job of kind drift.',
+            option="new_setup",
+        )
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Check the rows of the campaign against the version named, else the active one."""
+    progress(0.0, "comparing")
+    rows, known = _rows(job), _known(job)
+    found = checked(job, rows, known)
+    return JobOutput(plain(_document(job, rows, known, found)))
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Check, which takes no time, and say only what would be refused."""
+    found.learn_from(*job.campaigns.values())
+    with found.foreseen():
+        checked(job, _rows(job), _known(job))
+
+
+def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
+    """Return what the core says of the rows."""
+    from kilter_core.watch import check as check_arm
+
+    options: DriftOptions = job.options
+    assert job.calibration is not None
+    noise = None if options.noise_mm is None else to_metres(options.noise_mm)
+    return check_arm(
+        job.calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
+    )
+
+
+def _rows(job: JobInput) -> Observations:
+    ((campaign, rows),) = job.campaigns.items()
+    if campaign in job.fit.shared:
+        raise ObservationError(
+            f"The version was fitted to rows of campaign {campaign}: they agree with it whatever the arm does. Measure some "
+            "poses again, and check with them.",
+            code="rows_shared", campaign=campaign,
+        )  # fmt: skip
+    return rows
+
+
+def _known(job: JobInput) -> Predictive:
+    """What the version knows of itself."""
+    from kilter_core.identify.uncertainty.predictive import Predictive
+
+    if job.calibration is None:
+        raise OptionError(
+            "The robot has no active version to check against: activate one, or name it in options.version.",
+            option="version",
+        )
+    known = Predictive.from_document(job.covariance or {}, job.report)
+    if known is None:
+        raise OptionError(
+            f"Version {job.version_id} does not say how well it is known: identify one from measurements of the tool, and "
+            "check against that.",
+            option="version",
+        )
+    return known
+
+
+def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
+    from kilter_core.watch.check import FALSE_ALARM
+    from kilter_service.drift import wire
+
+    options: DriftOptions = job.options
+    documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
+    return {
+        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found),
+        "remedy": wire.remedy(found), "causes": [documents[one.cause.name] for one in found.causes],
+        "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": FALSE_ALARM,
+        "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
+        "misfit_mm": to_mm(found.misfit),
+        "noise_mm": to_mm(known.noise) if options.noise_mm is None else options.noise_mm,
+        "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
+        "unseen": [wire.cause_words(one) for one in found.unseen], "new_setup": list(found.new_setup),
+        "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
+        "fitted_c": job.fit.temperatures_c, "warnings": [],
+    }  # fmt: skip
+
+
+DRIFT = JobKind(
+    "drift", DriftOptions, check, run, version_option="version", takes_folds=False, against_fit=True,
+    most_campaigns=1, foresee=foresee,
+)  # fmt: skip

@@ -1,0 +1,146 @@
+"""`kilter check` and `k.drift` against a real server, on an arm of a simulator of its own that is moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import kilter as library
+from kilter_client import Kilter
+from kilter_client.cli import run
+from kilter_client.errors import KilterError, UsageError
+from tests.clients.test_cli import Command
+from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
+
+NOISE = 5e-5
+STEP = float(np.radians(0.21))
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Command:
+    return Command(capsys)
+
+
+def written(path: Path, arm: DriftingArm, poses: int, seed: int, **columns: float) -> Path:
+    """Measure random poses with an arm; further columns have one value in all rows."""
+    rng = np.random.default_rng(seed)
+    q = some_poses(poses, rng)
+    seen = arm.measured(q, rng, NOISE).position
+    assert seen is not None
+    names = [*(f"q{k}_deg" for k in range(1, 7)), "x_mm", "y_mm", "z_mm", *columns]
+    table = np.hstack([np.degrees(q), seen * 1e3, np.tile(list(columns.values()), (poses, 1))])
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.12g")
+    return path
+
+
+@pytest.fixture(scope="module")
+def arm() -> DriftingArm:
+    return some_arm(np.random.default_rng(3))
+
+
+@pytest.fixture
+def k(server: Path) -> Iterator[Kilter]:
+    with library.connect() as connected:
+        yield connected
+
+
+@pytest.fixture
+def calibrated(k: Kilter, arm: DriftingArm, tmp_path: Path, request: pytest.FixtureRequest) -> str:
+    """A robot that is corrected with a version of 60 poses at 22 deg C."""
+    name = f"watched-{request.node.name[:40]}"
+    k.add_robot({**arm.document(), "name": name})
+    sent = k.upload(name, written(tmp_path / "fit.csv", arm, 60, 1), temperature_c=22.0, name="fit", progress=False)
+    effects = [{"id": "axial_compliance", "joints": [2, 3]}]
+    fit = k.identify(name, sent, effects=effects, noise_mm=0.05, masses="as_stated", progress=False)
+    assert fit.version_id is not None
+    k.activate(fit.version_id, force=True, reason="a test")
+    return name
+
+
+def test_a_check_says_what_moved_and_its_exit_code_says_so_too(
+    calibrated: str, arm: DriftingArm, command: Command, tmp_path: Path
+) -> None:
+    still = written(tmp_path / "still.csv", arm, 6, 2)
+    assert "ok: 6 poses agree" in command("check", calibrated, still)
+    crashed = written(tmp_path / "crashed.csv", arm.after("zero_3", STEP), 6, 3)
+    said = command("check", calibrated, crashed, code=3)
+    assert "moved: zero of joint 3 by 0.2" in said
+    assert "such rows show" in said
+    job = command.json("check", calibrated, "--campaign", "crashed.csv", code=3)
+    (cause,) = job["result"]["causes"]
+    (number,) = cause["numbers"]
+    assert (cause["name"], cause["joint"], number["unit"]) == ("zero_3", 3, "deg")
+    assert number["change"] == pytest.approx(0.21, abs=2.0 * number["u95"])
+    assert job["result"]["p_value"] < 1e-6
+    turned = written(tmp_path / "turned.csv", arm.after("zero_1", STEP), 6, 4)
+    said = command("check", calibrated, turned, code=4)
+    assert "cannot tell:" in said
+    assert "mastering marks of joint 1" in said
+    roles = {one["name"]: one["role"] for one in command.json("campaigns", "list", calibrated)["campaigns"]}
+    assert roles == {"fit": "train", "still.csv": "validation", "crashed.csv": "validation", "turned.csv": "validation"}
+
+
+def test_the_library_checks_rows_and_campaigns(k: Kilter, calibrated: str, arm: DriftingArm, tmp_path: Path) -> None:
+    found = k.drift(calibrated, written(tmp_path / "sagging.csv", arm.after("sag_2", 4e-5), 6, 5), progress=False)
+    assert found.verdict == "moved"
+    assert [one.name for one in found.causes] == ["sag_2"]
+    assert repr(found).startswith("moved: sag of joint 2 by")
+    again = k.drift(calibrated, campaign="sagging.csv", progress=False)
+    assert again.sentence == found.sentence
+    moved = arm.after("base", 0.3)
+    anew = k.drift(calibrated, written(tmp_path / "anew.csv", moved, 6, 6), new_setup=["base"], progress=False)
+    assert anew.verdict == "ok"
+    assert "zero of joint 1" in anew.unseen
+    with pytest.raises(UsageError, match="campaign="):
+        k.drift(calibrated)
+    with pytest.raises(UsageError, match="has its own"):
+        k.drift(calibrated, campaign="anew.csv", temperature_c=20.0)
+
+
+def test_what_cannot_be_checked_is_refused_with_place_and_remedy(
+    calibrated: str, arm: DriftingArm, command: Command, tmp_path: Path, k: Kilter
+) -> None:
+    def refused(*arguments: Any, code: str) -> str:
+        told = command.json("check", *arguments, code=1)
+        assert told["code"] == code, told
+        return str(told["detail"])
+
+    two = written(tmp_path / "two.csv", arm, 2, 7)
+    assert "needs 3 distinct poses" in refused(calibrated, two, code="too_few_poses")
+    head, row, _ = two.read_text().splitlines()
+    (tmp_path / "one.csv").write_text("\n".join([head, *[row] * 5]) + "\n")
+    assert "the 5 rows repeat one pose" in refused(calibrated, tmp_path / "one.csv", code="too_few_poses")
+    assert "Measure some poses again" in refused(calibrated, "--campaign", "fit", code="rows_shared")
+    warm = written(tmp_path / "warm.csv", arm, 5, 8, temperature_c=45.0)
+    assert "Row 1 was measured at 45 deg C, and the version at 22 deg C" in refused(
+        calibrated, warm, code="another_temperature"
+    )
+    other = some_arm(np.random.default_rng(99))
+    foreign = written(tmp_path / "other.csv", other, 6, 9)
+    assert "of another robot" in refused(calibrated, foreign, code="rows_of_another_arm")
+    k.add_robot({**other.document(), "name": f"{calibrated}-other"})
+    sent = k.upload(f"{calibrated}-other", foreign, name="theirs", progress=False)
+    assert "is not of robot" in refused(calibrated, "--campaign", sent.campaign_id, code="campaigns_invalid")
+    assert "no active version" in refused(f"{calibrated}-other", "--campaign", "theirs", code="option_invalid")
+    assert 'give [], ["base"]' in refused(calibrated, two, "--new-setup", "tool", code="option_invalid")
+
+
+def test_a_wrong_command_line_is_told_so(calibrated: str, command: Command, tmp_path: Path, arm: DriftingArm) -> None:
+    assert "Give the FILE" in command("check", calibrated, code=2)
+    file = written(tmp_path / "still.csv", arm, 5, 10)
+    assert "Give the FILE" in command("check", calibrated, file, "--campaign", "fit", code=2)
+    assert "conditions and date already" in command(
+        "check", calibrated, "--campaign", "fit", "--temperature-c", "20", code=2
+    )
+    assert run(["check", "nobody", str(file)]) == 1
+
+
+def test_a_job_takes_one_campaign(calibrated: str, kilter: Kilter) -> None:
+    used = [str(one["id"]) for one in kilter.campaigns.list(calibrated)]
+    with pytest.raises(KilterError, match="2 campaigns"):
+        kilter.jobs.submit("drift", calibrated, used * 2)
+    assert kilter.jobs.check("drift", calibrated, used)["problems"][0]["code"] == "rows_shared"
