@@ -72,6 +72,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "no_active_version": (409, "The robot has no active version"),
     "rows_not_reached": (409, "Rows are not corrected to within what is stated"),
     "activation_refused": (409, "The version predicts worse than the one it would replace"),
+    "corrected_twice": (409, "The controller corrects the arm already"),
     "activation_overtaken": (409, "Other versions were activated meanwhile"),
     "nothing_to_roll_back": (409, "There is no earlier version to return to"),
     "audit_broken": (409, "The audit is not whole"),

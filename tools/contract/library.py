@@ -24,6 +24,7 @@ GROUPS = {
         "find_frame",
         "robot",
         "robots",
+        "set_controller_compensation",
         "today",
         "meshes",
         "set_mesh",

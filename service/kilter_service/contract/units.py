@@ -52,6 +52,11 @@ DRIVE = (
     "virtual work (rods); `controller`: only the motor of its own, which the controller moves along; `series`: gears of "
     "its own in series; null: nobody said, and the joint does not carry it."
 )
+ControllerCompensation = Literal["none", "factory", "kilter", "unknown"]
+COMPENSATION = (
+    "Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a "
+    "calibration that Kilter exported; `unknown`: nobody said."
+)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Id = Annotated[str, Field(max_length=64)]

@@ -76,6 +76,7 @@ class RobotRow(Row):
     source_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
     left_out: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
     remarks: Mapped[str] = mapped_column(default="", server_default="")
+    controller_compensation: Mapped[str] = mapped_column(String(16), default="unknown", server_default="unknown")
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 

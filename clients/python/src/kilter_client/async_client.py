@@ -55,6 +55,7 @@ class AsyncKilter:
     find_robot = awaited(described.find_robot)
     find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
+    set_controller_compensation = awaited(described.set_controller_compensation)
     today = awaited(described.today)
     robots = awaited(described.robots)
     meshes = awaited(shapes.meshes)

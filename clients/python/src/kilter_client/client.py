@@ -71,6 +71,7 @@ class Kilter:
     find_robot = waiting(robots.find_robot)
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
+    set_controller_compensation = waiting(robots.set_controller_compensation)
     today = waiting(robots.today)
     meshes = waiting(shapes.meshes)
     set_mesh = waiting(shapes.set_mesh)

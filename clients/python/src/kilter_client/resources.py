@@ -54,6 +54,10 @@ class Robots:
         """Return a robot with its joints, parameters and document."""
         return self._run(robots.one(name))
 
+    def compensation(self, name: str, compensation: str) -> Document:
+        """Say whether the controller of a robot corrects by itself: none, factory, kilter or unknown."""
+        return self._run(robots.compensate(name, compensation))
+
     def today(self, name: str) -> Document:
         """Return how good a robot is today, and what is missing in its active version."""
         return self._run(robots.today(name))
