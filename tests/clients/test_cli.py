@@ -71,7 +71,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "robot note", "robot compensation", "robot retire", "robot restore", "robot purge",
         *(f"{kind} {verb}" for kind in ("campaigns", "versions")
           for verb in ("list", "name", "note", "retire", "restore", "purge")),
-        "upload", "inspect", "match",
+        "instrument add", "instrument list", "upload", "inspect", "match",
         "sheet", "filter", "board", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),

@@ -31,7 +31,7 @@ GROUPS = {
         "set_urdf_meshes",
         "remove_mesh",
     ),
-    "Measurements": ("upload", "campaign", "campaigns", "suspicious"),
+    "Measurements": ("add_instrument", "instruments", "upload", "campaign", "campaigns", "suspicious"),
     "Jobs": (
         "identify",
         "gap",

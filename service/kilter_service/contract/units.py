@@ -28,6 +28,7 @@ def unit(symbol: str, **limits: Any) -> Any:
 
 Mm = Annotated[float, unit("mm")]
 Micrometres = Annotated[float, unit("um")]
+MicrometresPerMetre = Annotated[float, unit("um/m")]
 Metres = Annotated[float, unit("m")]
 Deg = Annotated[float, unit("deg")]
 Rad = Annotated[float, unit("rad")]

@@ -11,6 +11,7 @@ from kilter_client.locate import locate
 from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
+from kilter_client.verbs import instruments as gauges
 from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import keeping
 from kilter_client.verbs import meshes as shapes
@@ -62,6 +63,8 @@ class AsyncKilter:
     set_mesh = awaited(shapes.set_mesh)
     set_urdf_meshes = awaited(shapes.set_urdf_meshes)
     remove_mesh = awaited(shapes.remove_mesh)
+    add_instrument = awaited(gauges.add_instrument)
+    instruments = awaited(gauges.instruments)
     upload = awaited(measured.upload)
     campaign = awaited(measured.campaign)
     suspicious = awaited(measured.suspicious)

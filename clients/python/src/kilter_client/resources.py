@@ -109,6 +109,7 @@ class Campaigns(Kept):
         staged: bool = False,
         numbered: bool = False,
         measured_at: str | None = None,
+        instrument: str | None = None,
     ) -> Document:
         """Add a campaign to a robot; a ``staged`` one is seen and used by nobody before ``commit``.
 
@@ -123,6 +124,7 @@ class Campaigns(Kept):
             "staged": staged,
             "numbered": numbered,
             "measured_at": measured_at,
+            "instrument": instrument,
         }
         return self._run(campaigns.add(robot, wanted))
 
