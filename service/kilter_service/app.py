@@ -23,6 +23,7 @@ from kilter_service.docs_page import router as docs_page
 from kilter_service.frames.routes import router as frames
 from kilter_service.gate import Gate
 from kilter_service.health.routes import router as health
+from kilter_service.instruments.routes import router as instruments
 from kilter_service.jobs.fleet.routes import router as fleet_jobs
 from kilter_service.jobs.routes import router as jobs
 from kilter_service.kept.routes import router as references
@@ -49,7 +50,7 @@ SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from meas
 
 ROUTERS: tuple[APIRouter, ...] = (
     robots, today, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams, tokens,
-    audit, metrics,
+    audit, metrics, instruments,
 )  # fmt: skip
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 

@@ -68,10 +68,10 @@ COMMANDS = dict(leaves(typer.main.get_command(app)))
 def test_every_command_of_the_contract_is_there() -> None:
     assert {f"kilter {name}" for name in (
         "robot add", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list", "robot show",
-        "robot note", "robot retire", "robot restore", "robot purge",
+        "robot note", "robot compensation", "robot retire", "robot restore", "robot purge",
         *(f"{kind} {verb}" for kind in ("campaigns", "versions")
           for verb in ("list", "name", "note", "retire", "restore", "purge")),
-        "upload", "inspect", "match",
+        "instrument add", "instrument list", "upload", "inspect", "match",
         "sheet", "filter", "board", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "check", "joint-parameters",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),

@@ -135,7 +135,7 @@ class Lab:
 
 @pytest.fixture
 def lab(client: httpx.Client, database: Database) -> Lab:
-    client.post("/v1/robots", json=ur10().document()).raise_for_status()
+    client.post("/v1/robots", json={**ur10().document(), "controller_compensation": "none"}).raise_for_status()
     return Lab(client, database)
 
 

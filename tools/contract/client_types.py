@@ -14,7 +14,7 @@ Schema = Mapping[str, Any]
 MODULES: Mapping[str, Sequence[str]] = {
     "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame", "Mesh"),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
-    "campaigns": ("Campaign", "Uploaded"),
+    "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),

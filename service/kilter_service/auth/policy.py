@@ -51,6 +51,8 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots/{robot}": READ,
     "GET /v1/robots/{robot}/today": READ,
     "GET /v1/robots/{robot}/campaigns": READ,
+    "GET /v1/instruments": READ,
+    "POST /v1/instruments": SERVER,
     "GET /v1/robots/{robot}/versions": READ,
     "GET /v1/robots/{robot}/activations": READ,
     "GET /v1/robots/{robot}/meshes": READ,

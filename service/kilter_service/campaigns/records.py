@@ -31,5 +31,6 @@ class CampaignRecord:
     notes: str
     staged: bool
     measured_at: datetime | None
+    instrument: str | None
     created_at: datetime
     retired_at: datetime | None

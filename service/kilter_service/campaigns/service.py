@@ -13,12 +13,14 @@ from kilter_core.errors import ObservationError
 from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
+from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.rules import RowRules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.fits import Remark
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.instruments import store as instruments
 from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import retired
@@ -40,7 +42,7 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
     """Store a new campaign of a robot; an unfinished one from long ago is deleted meanwhile.
 
     Raises:
-        ServiceError: no such robot, a name that is taken or invalid, or a day in the future.
+        ServiceError: no such robot or instrument, a name that is taken or invalid, or a day in the future.
 
     """
     body = hash_of(campaign)
@@ -50,6 +52,8 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
         if known is not None:
             return known
         robot_id = robots.usable(session, robot).id
+        if campaign.instrument is not None:
+            instruments.get(session, campaign.instrument)
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
             store.discard(session, forgotten)
         campaign_id = store.add(session, robot_id, campaign)
@@ -123,7 +127,9 @@ def listed(
         read = store.listed(session, owner.id, staged, page, with_retired)
         found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
         uploads = store.uploads_of_all(session, [campaign.id for campaign in found])
-    return CampaignList(campaigns=[wire.campaign(one, owner.name, uploads[one.id]) for one in found], next=cursor)
+        used = instruments.of_names(session, {one.instrument for one in found if one.instrument})
+    shown_ones = [wire.campaign(one, owner.name, uploads[one.id], used) for one in found]
+    return CampaignList(campaigns=shown_ones, next=cursor)
 
 
 def upload(
@@ -153,7 +159,8 @@ def upload(
         store.add_upload(session, campaign_id, sha256, media, names, chunks)
         done = _uploaded(session, campaign_id, sha256, new=True)
         assert done is not None
-        return once.keep(session, sha256, done.model_copy(update={"warnings": _remarks(warnings)}))
+        said = [*shown(session, campaign_id).warnings, *_remarks(warnings)]
+        return once.keep(session, sha256, done.model_copy(update={"warnings": said}))
 
 
 def checked(database: Database, robot: str, path: Path, media: str) -> CheckedRows:
@@ -190,7 +197,12 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
 def shown(session: Session, campaign_id: str) -> Campaign:
     """Return a campaign as it is shown."""
     record = store.get(session, campaign_id)
-    return wire.campaign(record, robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id))
+    robot, uploads = robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id)
+    return wire.campaign(record, robot, uploads, instruments.of_names(session, _named(record)))
+
+
+def _named(record: CampaignRecord) -> list[str]:
+    return [] if record.instrument is None else [record.instrument]
 
 
 def _refuse_mixed_up(database: Database, campaign_id: str, parts: Parts) -> None:

@@ -63,6 +63,7 @@ def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
         notes=campaign.notes,
         staged=campaign.staged,
         measured_at=campaign.measured_at,
+        instrument=campaign.instrument,
     )
     session.add(row)
     return row.id
@@ -81,7 +82,7 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
 def _record(row: CampaignRow) -> CampaignRecord:
     return CampaignRecord(
         row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged,
-        row.measured_at, row.created_at, row.retired_at,
+        row.measured_at, row.instrument, row.created_at, row.retired_at,
     )  # fmt: skip
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import Campaign, Conditions, Role, StoredFile, Upload, Uploaded
+from kilter_service.contract.instruments import Instrument
+from kilter_service.instruments.validity import remarks
 
 
-def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]) -> Campaign:
+def campaign(
+    record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord], instruments: Mapping[str, Instrument]
+) -> Campaign:
     """Say all of a campaign of the robot of this name."""
+    used = instruments.get(record.instrument or "")
     role: Role = record.role  # type: ignore[assignment]  # checked when it was stored, and again by the model
     return Campaign(
         id=record.id,
@@ -21,6 +26,8 @@ def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]
         conditions=Conditions(**record.conditions),
         notes=record.notes,
         measured_at=record.measured_at,
+        instrument=record.instrument,
+        warnings=remarks(used, record.measured_at, record.created_at),
         staged=record.staged,
         created_at=record.created_at,
         retired_at=record.retired_at,

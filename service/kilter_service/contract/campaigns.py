@@ -9,7 +9,7 @@ from pydantic import AwareDatetime, Field
 
 from kilter_service.contract.fits import Remark
 from kilter_service.contract.references import RETIRED_AT
-from kilter_service.contract.units import Celsius, Listed, Load, Newton, NewtonMetre, PointMm, Strict
+from kilter_service.contract.units import Celsius, Listed, Load, Name, Newton, NewtonMetre, PointMm, Strict
 
 Role = Literal["train", "validation", "confirmation"]
 Text = Annotated[str, Field(max_length=200)]
@@ -44,6 +44,10 @@ class _Campaign(Strict):
     notes: Annotated[str, Field(max_length=20_000)] = Field("", description="Whatever else is worth knowing.")
     measured_at: AwareDatetime | None = Field(
         None, description="When its last row was measured, with the time zone; null: not stated."
+    )
+    instrument: Name | None = Field(
+        None,
+        description="Name of the instrument it was measured with, as stored (`/v1/instruments`); null: not stated.",
     )
     staged: bool = Field(
         False, description="Whether its parts come one by one, and it is hidden until they are all there."
@@ -82,6 +86,7 @@ class Campaign(_Campaign):
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
     rows: int = Field(description="Rows of all its uploads.")
     uploads: list[Upload] = Field(description="Files stored, oldest first.")
+    warnings: list[Remark] = Field([], description="What the instrument's certificate has against it.")
 
 
 class Parts(Strict):

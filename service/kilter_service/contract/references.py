@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from kilter_service.contract.units import Listed, Strict
+from kilter_service.contract.units import COMPENSATION, ControllerCompensation, Listed, Strict
 
 Kind = Literal["campaign", "version", "job"]
 By = Literal["id", "prefix", "name", "latest"]
@@ -36,9 +36,16 @@ class Change(Strict):
 
 
 class RobotChange(Strict):
-    """What people note on a robot; its name is its address and stays."""
+    """What people say of a robot; what is left out stays, and so does its name, which is its address."""
 
-    remarks: Notes = Field(description="What people noted on the robot, at most 20000 characters.")
+    remarks: Notes | None = Field(None, description="What people noted on the robot, at most 20000 characters.")
+    controller_compensation: ControllerCompensation | None = Field(None, description=COMPENSATION)
+
+    @model_validator(mode="after")
+    def _something(self) -> RobotChange:
+        if not self.model_fields_set:
+            raise ValueError("give remarks or controller_compensation")
+        return self
 
 
 class Tombstone(Strict):

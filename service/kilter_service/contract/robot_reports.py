@@ -8,7 +8,19 @@ from pydantic import Field, model_validator
 
 from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.robots import RobotDocument
-from kilter_service.contract.units import Deg, Direction, Drive, JointType, Listed, Mm, PointMm, Pose, Strict
+from kilter_service.contract.units import (
+    COMPENSATION,
+    ControllerCompensation,
+    Deg,
+    Direction,
+    Drive,
+    JointType,
+    Listed,
+    Mm,
+    PointMm,
+    Pose,
+    Strict,
+)
 
 DRIVES = "Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."
 KIND = "Whether the joint is revolute or prismatic."
@@ -43,6 +55,7 @@ class RobotSummary(Strict):
     versions: int = Field(description="How many versions it has.")
     active_version: str | None = Field(description="The version it is corrected with; null: none.")
     remarks: str = Field("", description="What people noted on the robot.")
+    controller_compensation: ControllerCompensation = Field("unknown", description=COMPENSATION)
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 
@@ -59,7 +72,9 @@ class RobotReport(RobotSummary):
     source_sha256: str = Field(
         description="SHA-256 of the posted document, of a URDF that of its text, 64 hexadecimal digits."
     )
-    document: RobotDocument = Field(description="The document as it was posted.")
+    document: RobotDocument = Field(
+        description="The document as it was posted, with what the controller is said to do now."
+    )
 
 
 class RobotList(Listed):

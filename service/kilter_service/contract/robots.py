@@ -8,9 +8,11 @@ from pydantic import Field
 
 from kilter_service.contract.complete_models import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
 from kilter_service.contract.units import (
+    COMPENSATION,
     DRIVE,
     MAX_ELEMENTS,
     MAX_JOINTS,
+    ControllerCompensation,
     Deg,
     Drive,
     JointType,
@@ -157,6 +159,9 @@ class _Robot(Strict):
         None, description="What it carries where a campaign or a path states no payload; null: nothing is known."
     )
     payload_sigma: PayloadSigma | None = Field(None, description="How well payloads are known; null: 10 % and 10 mm.")
+    controller_compensation: ControllerCompensation | None = Field(
+        None, description=f"{COMPENSATION} A setting of the robot, which no hash covers; null: `unknown`."
+    )
 
 
 class ChainRobot(_Robot):

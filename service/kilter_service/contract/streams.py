@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from kilter_service.contract.fits import Remark
 from kilter_service.contract.units import Strict
 
 Hex32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
@@ -44,3 +45,8 @@ class StreamSession(Strict):
     max_age_ms: float = Field(description="A setpoint that arrives later than this after it was sent is refused, ms.")
     max_joints: int = Field(description="Largest number of joints of a setpoint.")
     max_points: int = Field(description="Largest number of points of a chunk.")
+    warnings: list[Remark] = Field(
+        [],
+        description="What to know before the arm is driven, as that nobody said whether the "
+        "controller corrects by itself.",
+    )

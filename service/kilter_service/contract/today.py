@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
-from kilter_service.contract.units import Mm, Strict
+from kilter_service.contract.units import COMPENSATION, ControllerCompensation, Mm, Strict
 
 Source = Literal["evaluation", "held_out", "fitted"]
 
@@ -78,4 +78,5 @@ class Today(Strict):
         description="Campaigns since then that the version neither was fitted to nor evaluated on."
     )
     missing: SearchToday | None = Field(description="The newest gap search; null: nobody has looked.")
+    controller_compensation: ControllerCompensation = Field("unknown", description=COMPENSATION)
     sentences: list[str] = Field(description="The same in words, the most important first.")

@@ -28,6 +28,7 @@ def unit(symbol: str, **limits: Any) -> Any:
 
 Mm = Annotated[float, unit("mm")]
 Micrometres = Annotated[float, unit("um")]
+MicrometresPerMetre = Annotated[float, unit("um/m")]
 Metres = Annotated[float, unit("m")]
 Deg = Annotated[float, unit("deg")]
 Rad = Annotated[float, unit("rad")]
@@ -51,6 +52,11 @@ DRIVE = (
     "Who carries the load on an axis that follows a joint (mimic, parallelogram): `linkage`: the gear of that joint too, by "
     "virtual work (rods); `controller`: only the motor of its own, which the controller moves along; `series`: gears of "
     "its own in series; null: nobody said, and the joint does not carry it."
+)
+ControllerCompensation = Literal["none", "factory", "kilter", "unknown"]
+COMPENSATION = (
+    "Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a "
+    "calibration that Kilter exported; `unknown`: nobody said."
 )
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]

@@ -33,24 +33,35 @@ class DatabaseSource:
         return Database(self._url)
 
     def stamp(self) -> Hashable:
-        """Number that changes with every activation; None while a new database is still without its tables."""
+        """What changes with every activation and with what controllers correct; None while the database has no tables."""
         from kilter_service.db import revision
+        from kilter_service.robots import store as robots
+        from kilter_service.robots.compensation import CORRECTS
         from kilter_service.versions import store
 
         self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
         if not self._migrated:
             return None
         with self._database.reading() as session:
-            return store.active_stamp(session)
+            return store.active_stamp(session), robots.compensated(session, CORRECTS)
 
     def load(self) -> Mapping[str, Active]:
-        """Every robot's active version. One that cannot be compiled is logged and leaves the others alone."""
+        """Every robot's active version, but of those whose controllers correct: they would be corrected twice.
+
+        One that cannot be compiled is logged and leaves the others alone.
+        """
+        from kilter_service.robots import store as robots
+        from kilter_service.robots.compensation import CORRECTS
         from kilter_service.versions import store
 
         if not self._migrated:
             return {}
         with self._database.reading() as session:
-            found = [store.active_version(session, name) for name in store.robots_with_active(session)]
+            twice = robots.compensated(session, CORRECTS)
+            names = store.robots_with_active(session)
+            found = [store.active_version(session, name) for name in names if name not in twice]
+        for name in twice & set(names):
+            log.warning("setpoints of robot %s are not corrected: its controller corrects by itself", name)
         out = {}
         for version in found:
             if version is None:

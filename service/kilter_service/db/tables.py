@@ -76,6 +76,7 @@ class RobotRow(Row):
     source_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
     left_out: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
     remarks: Mapped[str] = mapped_column(default="", server_default="")
+    controller_compensation: Mapped[str] = mapped_column(String(16), default="unknown", server_default="unknown")
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
@@ -94,6 +95,7 @@ class CampaignRow(Row):
     created_at: Mapped[datetime] = mapped_column(default=now)
     staged: Mapped[bool] = mapped_column(default=False, server_default=false())
     measured_at: Mapped[datetime | None]
+    instrument: Mapped[str | None] = mapped_column(String(64))
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
@@ -332,6 +334,26 @@ class MeshRow(Row):
     triangles: Mapped[int]
     sha256: Mapped[str] = mapped_column(String(64))
     content: Mapped[bytes] = mapped_column(LargeBinary)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class InstrumentRow(Row):
+    """An instrument as one certificate describes it: its permissible error for a length, and until when that holds.
+
+    It is never changed or deleted: what was measured with it rests on it. Days are ISO 8601.
+    """
+
+    __tablename__ = "instruments"
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(32))
+    serial_number: Mapped[str] = mapped_column(String(200))
+    mpe_standard: Mapped[str] = mapped_column(String(32))
+    mpe_um: Mapped[float]
+    mpe_um_per_m: Mapped[float]
+    certificate: Mapped[str] = mapped_column(String(200))
+    certified_on: Mapped[str | None] = mapped_column(String(10))
+    valid_until: Mapped[str | None] = mapped_column(String(10))
+    notes: Mapped[str]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 

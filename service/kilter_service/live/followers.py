@@ -189,7 +189,7 @@ class Viewers:
         streams.sort(key=lambda stream: stream.condition == "silent")  # what moves is first
         since = self.session.place.since if self.session else None
         active = followed.known.active_version
-        return RobotShown(robot, reach, since, active, bypass(reach, active, streams), streams)
+        return RobotShown(robot, reach, since, active, bypass(reach, active, streams, followed.known.twice), streams)
 
 
 def _known(database: Database, robots: list[str]) -> dict[str, store.Known]:

@@ -31,4 +31,5 @@ def now(database: Database, settings: Settings, robot: str) -> RobotShown:
     place = place_in(settings.corrector_file)
     reach: Reach = "away" if not known.alive and place is None else "connecting"
     since = place.since if place else None
-    return RobotShown(robot, reach, since, known.active_version, bypass(reach, known.active_version, streams), streams)
+    why = bypass(reach, known.active_version, streams, known.twice)
+    return RobotShown(robot, reach, since, known.active_version, why, streams)

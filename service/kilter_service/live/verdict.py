@@ -7,8 +7,11 @@ from collections.abc import Sequence
 from kilter_service.live.shown import Reach, StreamShown
 
 
-def bypass(reach: Reach, active_version: str | None, streams: Sequence[StreamShown]) -> str:
-    """Return why setpoints are not corrected, empty when all that come are."""
+def bypass(reach: Reach, active_version: str | None, streams: Sequence[StreamShown], twice: str = "") -> str:
+    """Return why setpoints are not corrected, empty when all that come are.
+
+    ``twice`` says that the controller corrects by itself, empty where it does not.
+    """
     if reach == "away":
         return (
             "The corrector does not answer, so no setpoint is corrected. A controller that drives the arm now drives it "
@@ -17,6 +20,6 @@ def bypass(reach: Reach, active_version: str | None, streams: Sequence[StreamSho
     refused = [stream for stream in streams if stream.condition == "bypass"]
     if refused:
         said = " ".join(f"Stream {stream.name}: {stream.words}" for stream in refused)
-        remedy = " Activate a version." if active_version is None else ""
+        remedy = f" {twice}" if twice else " Activate a version." if active_version is None else ""
         return f"{said} The controller drives the arm uncorrected, or has stopped.{remedy}"
     return ""

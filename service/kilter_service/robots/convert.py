@@ -11,7 +11,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.model import Calibration
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.exporters.urdf_new import new_urdf
-from kilter_service.robots.documents import core_document
+from kilter_service.robots.documents import SETTINGS, core_document
 
 
 def convert(document: RobotDocument, to: str) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def convert(document: RobotDocument, to: str) -> dict[str, Any]:
     posted = document.model_dump(mode="json", exclude_none=True)
     robot = robot_from_document(core_document(posted).document)
     made = _urdf(robot) if to == "urdf" else robot_document(robot, to)
-    return made | ({"source": posted["source"]} if "source" in posted else {})
+    return made | {key: posted[key] for key in ("source", *SETTINGS) if key in posted}
 
 
 def _urdf(robot: Robot) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from kilter_core.errors import RobotError
 
+SETTINGS = ("controller_compensation",)  # what a document says beside the arm
 KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma", "load")
 
 
@@ -24,7 +25,7 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
 
     """
     if posted["convention"] != "urdf":
-        return CoreDocument(posted, [])
+        return CoreDocument(without_settings(posted), [])
     from kilter_service.importers.urdf import (
         chain_document,  # imports numpy and scipy: not at the start of the API process
     )
@@ -40,6 +41,11 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
     if result.held_joints:
         notes.append(f"joints outside the chain, held at zero: {', '.join(result.held_joints)}")
     return CoreDocument(document, notes)
+
+
+def without_settings(posted: dict[str, Any]) -> dict[str, Any]:
+    """Return what a document says of the arm: what is stored, and what its hash covers."""
+    return {key: value for key, value in posted.items() if key not in SETTINGS}
 
 
 def _with_drives(

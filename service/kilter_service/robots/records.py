@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from kilter_service.contract.units import ControllerCompensation
+
 
 @dataclass(frozen=True)
 class RobotRecord:
@@ -22,6 +24,7 @@ class RobotRecord:
     versions: int
     active_version: str | None
     remarks: str
+    controller_compensation: ControllerCompensation
     retired_at: datetime | None
     notes: list[str]
     sha256: str

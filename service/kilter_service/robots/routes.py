@@ -105,8 +105,8 @@ def get(robot: str, database: DatabaseOfApp) -> RobotReport:
 
 @router.patch("/{robot}")
 def remark(robot: str, wanted: RobotChange, database: DatabaseOfApp, _: Admin) -> RobotReport:
-    """Note something on a robot."""
-    return service.remark(database, robot, wanted.remarks)
+    """Note something on a robot, or whether its controller corrects by itself."""
+    return service.change(database, robot, wanted)
 
 
 @router.post("/{robot}/retire")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kilter_service.contract.references import Tombstone
+from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.db import Database
@@ -14,6 +14,7 @@ from kilter_service.references import store as references
 from kilter_service.references.records import TombstoneRecord
 from kilter_service.references.wire import tombstone
 from kilter_service.robots import store, wire
+from kilter_service.robots.documents import without_settings
 from kilter_service.robots.resolved import resolve
 
 if TYPE_CHECKING:
@@ -23,23 +24,31 @@ if TYPE_CHECKING:
 def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
     """Check and store a robot; the same document twice changes nothing. Returns the report and whether it is new.
 
+    Whether its controller corrects by itself stands beside the document: another answer makes no other robot.
+
     Raises:
         RobotError: the document cannot be an arm.
         ServiceError: the name is taken by another document.
 
     """
-    posted = document.model_dump(mode="json", exclude_none=True)
+    stated = document.controller_compensation
+    posted = without_settings(document.model_dump(mode="json", exclude_none=True))
     resolved = resolve(posted)
     with database.transaction() as session:
         found = store.find(session, document.name)
         new = found is None or found.document != posted
         if new:
-            store.add(session, document.name, posted, resolved)
+            store.add(session, document.name, posted, resolved, stated or "unknown")
     report = get(database, document.name)
     if report.sha256 != resolved.sha256:
         report.notes.append(
             "this document gives another arm today: the robot stays what it was when it was added. Add it under another "
             "name to have the new one"
+        )
+    if stated not in (None, report.controller_compensation):
+        report.notes.append(
+            f"controller_compensation stays {report.controller_compensation}, as it was set: change it with `kilter robot "
+            f"compensation {document.name} {stated}`"
         )
     return report, new
 
@@ -65,10 +74,13 @@ def listed(database: Database, page: Page, retired: bool = False) -> RobotList:
     return RobotList(robots=[wire.summary(record) for record in shown], next=cursor)
 
 
-def remark(database: Database, name: str, remarks: str) -> RobotReport:
-    """Note something on a robot."""
+def change(database: Database, name: str, wanted: RobotChange) -> RobotReport:
+    """Note something on a robot, or whether its controller corrects by itself; what is left out stays."""
     with database.transaction() as session:
-        store.remark(session, name, remarks)
+        if wanted.remarks is not None:
+            store.remark(session, name, wanted.remarks)
+        if wanted.controller_compensation is not None:
+            store.compensate(session, name, wanted.controller_compensation)
     return get(database, name)
 
 

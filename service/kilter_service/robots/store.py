@@ -13,6 +13,7 @@ from kilter_service.db.tables import ActivationRow, CampaignRow, RobotRow, Uploa
 from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 from kilter_service.references import retired
+from kilter_service.robots.compensation import compensation_in
 from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved
 
@@ -36,6 +37,7 @@ class StoredRobot(NamedTuple):
     sha256: str
     source_sha256: str
     notes: list[str]
+    controller_compensation: str = "unknown"
 
     def robot(self) -> Robot:
         """Build core's robot from the chain, whatever the document would be resolved to today.
@@ -56,8 +58,10 @@ class StoredRobot(NamedTuple):
         return robot_from_resolved(self.name, self.chain)
 
 
-def add(session: Session, name: str, document: dict[str, Any], resolved: Resolved) -> None:
-    """Store a robot with what it was resolved to.
+def add(
+    session: Session, name: str, document: dict[str, Any], resolved: Resolved, compensation: str = "unknown"
+) -> None:
+    """Store a robot with what it was resolved to, and whether its controller corrects by itself.
 
     Raises:
         ServiceError: the name is taken.
@@ -84,6 +88,7 @@ def add(session: Session, name: str, document: dict[str, Any], resolved: Resolve
             sha256=resolved.sha256,
             source_sha256=resolved.source_sha256,
             left_out=resolved.notes,
+            controller_compensation=compensation,
         )
     )
     session.flush()
@@ -99,8 +104,9 @@ def find(session: Session, name: str) -> StoredRobot | None:
 
 def _stored(row: RobotRow) -> StoredRobot:
     return StoredRobot(
-        row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out]
-    )
+        row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out],
+        row.controller_compensation,
+    )  # fmt: skip
 
 
 def get(session: Session, name: str) -> StoredRobot:
@@ -156,6 +162,22 @@ def refuse_retired_robot(session: Session, robot_id: int) -> None:
 def remark(session: Session, name: str, remarks: str) -> None:
     """Note something on a robot, replacing what was noted before."""
     _row(session, name).remarks = remarks
+
+
+def compensate(session: Session, name: str, compensation: str) -> None:
+    """Note whether the controller of a robot corrects by itself."""
+    _row(session, name).controller_compensation = compensation
+
+
+def compensation_of(session: Session, robot_id: int) -> str:
+    """Return whether the controller of a robot corrects by itself."""
+    return session.get_one(RobotRow, robot_id).controller_compensation
+
+
+def compensated(session: Session, values: Collection[str]) -> frozenset[str]:
+    """Return the names of the robots whose controllers correct in one of these ways."""
+    query = select(RobotRow.name).where(RobotRow.controller_compensation.in_(values))
+    return frozenset(session.execute(query).scalars())
 
 
 def _row(session: Session, name: str) -> RobotRow:
@@ -234,6 +256,7 @@ def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | 
         versions=versions,
         active_version=active_version,
         remarks=row.remarks,
+        controller_compensation=compensation_in(row.controller_compensation),
         retired_at=row.retired_at,
         notes=[str(note) for note in row.left_out],
         sha256=row.sha256,

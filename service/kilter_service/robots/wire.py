@@ -34,7 +34,9 @@ def report(record: RobotRecord, robot: Robot) -> RobotReport:
         drives=said_of_drives(robot),
         sha256=record.sha256,
         source_sha256=record.source_sha256,
-        document=DOCUMENT.validate_python(record.document),
+        document=DOCUMENT.validate_python(
+            {**record.document, "controller_compensation": record.controller_compensation}
+        ),
     )
 
 
@@ -47,6 +49,7 @@ def _told(record: RobotRecord) -> dict[str, Any]:
         "versions": record.versions,
         "active_version": record.active_version,
         "remarks": record.remarks,
+        "controller_compensation": record.controller_compensation,
         "retired_at": record.retired_at,
     }
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from kilter_service.caller import CALLER
+from kilter_service.contract.fits import Remark
 from kilter_service.contract.stream_messages import MAX_AGE_NS
 from kilter_service.contract.streams import NewStreamSession, StreamSession
 from kilter_service.db import Database, audited
 from kilter_service.db import Session as Opened
 from kilter_service.errors import ServiceError
+from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.settings import Settings
 from kilter_service.signing import sealed, store
@@ -28,12 +30,14 @@ def new_session(database: Database, settings: Settings, robot: str, wanted: NewS
     only when that is asked for; then the sessions of the others end.
 
     Raises:
-        ServiceError: there is no such robot, the token has ended, or somebody else holds the stream.
+        ServiceError: there is no such robot, its controller corrects already, the token has ended, or somebody else holds
+            the stream.
 
     """
     masters = masters_in(settings.stream_keys_file)
     with database.transaction() as opened:
-        robots.get(opened, robot)
+        compensated = robots.get(opened, robot).controller_compensation
+        compensation.refuse(robot, compensated)
         # Asked again here: changes follow one another, so a token that is revoked meanwhile has its sessions ended too.
         lifetime_s = min(wanted.lifetime_h * 3600.0, tokens.left_s(opened))
         session = masters.new_session(lifetime_s)
@@ -46,7 +50,7 @@ def new_session(database: Database, settings: Settings, robot: str, wanted: NewS
         audited.note(opened, store.THING, before, said)
         if others:
             _end(settings, [other.session for other in others])  # at last, for it cannot be taken back
-    secret = masters.all[-1].secret
+    secret, unknown = masters.all[-1].secret, compensation.remark(robot, compensated)
     return StreamSession(
         site=settings.site,
         robot=robot,
@@ -58,6 +62,7 @@ def new_session(database: Database, settings: Settings, robot: str, wanted: NewS
         max_age_ms=MAX_AGE_NS / 1e6,
         max_joints=MAX_JOINTS,
         max_points=MAX_POINTS,
+        warnings=[] if unknown is None else [Remark(**unknown.model_dump())],
     )
 
 

@@ -7,9 +7,12 @@ from typing import Any
 
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, SearchToday, Today
+from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.written import as_written
 from kilter_service.db import Database, Session
 from kilter_service.db.tables import now
+from kilter_service.robots import store as arms
+from kilter_service.robots.compensation import compensation_in, sentence
 from kilter_service.today import missing, sentences, store
 from kilter_service.today.store import Active, Evaluated, Measured
 from kilter_service.versions.own_errors import larger
@@ -25,7 +28,16 @@ def of_robot(database: Database, robot: str) -> Today:
         active = store.active(session, robots).get(key)
         found = store.newest_search(session, key)
         searched = None if found is None else missing.against(found, active)
-        return _all(session, robots, searched)[robots[key]]
+        compensation = compensation_in(arms.compensation_of(session, key))
+        known = _all(session, robots, searched)[robots[key]]
+        return _with_controller(known, compensation)
+
+
+def _with_controller(today: Today, compensation: ControllerCompensation) -> Today:
+    """What is said of a robot, with what its controller corrects by itself."""
+    said = sentence(today.robot, compensation)
+    sentences = [*today.sentences, said] if said else today.sentences
+    return today.model_copy(update={"controller_compensation": compensation, "sentences": sentences})
 
 
 def of_robots(database: Database) -> dict[str, Today]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 from kilter_service.versions.ability import CODE as CANNOT
@@ -40,7 +41,7 @@ def activate(
     left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
     able = ability(database, version_id, temperature_c)
     for _ in range(ATTEMPTS):
-        verdict = _with(judge(database, version_id), able, version_id)
+        verdict = _with_controller(database, _with(judge(database, version_id), able, version_id), version_id)
         if verdict.objections and not wish.force:
             raise _refusal(version_id, verdict, able)
         summary = _activated(database, version_id, actor, wish, verdict, expected)
@@ -68,6 +69,18 @@ def _with(verdict: Verdict, able: Ability, version_id: str) -> Verdict:
         return verdict
     others = [one for one in verdict.objections if one.code != CANNOT]
     return replace(verdict, objections=(*able.objections, *others), warnings=(*verdict.warnings, *able.remarks))
+
+
+def _with_controller(database: Database, verdict: Verdict, version_id: str) -> Verdict:
+    """A verdict with what the controller does by itself; of the version that is active already it is a warning."""
+    with database.reading() as session:
+        robot = robots.by_id(session, store.get(session, version_id).robot_id)
+    speaks_against = compensation.objection(robot.name, robot.controller_compensation)
+    unknown = compensation.remark(robot.name, robot.controller_compensation)
+    if speaks_against is not None and verdict.active != version_id:
+        return replace(verdict, objections=(*verdict.objections, speaks_against))
+    said = [one.model_dump() for one in (speaks_against, unknown) if one is not None]
+    return replace(verdict, warnings=(*verdict.warnings, *said))
 
 
 def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
@@ -136,8 +149,10 @@ def rollback(
         before = _before(session, robot_id, robot)
         store.activate(session, robot_id, before, ROLLBACK, actor)
         summary = wire.summary(store.get(session, before))
+        compensated = robots.compensation_of(session, robot_id)
     able = ability(database, before, temperature_c)  # after: nothing stands between a person and the way back
-    said = [{"code": one.code, "message": one.message} for one in able.objections]
+    controller = (compensation.objection(robot, compensated), compensation.remark(robot, compensated))
+    said = [one.model_dump() for one in (*able.objections, *controller) if one is not None]
     return ActivatedVersion(
         **summary.model_dump(),
         unsupported_effects=_left_out(database, before, temperature_c),

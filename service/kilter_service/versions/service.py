@@ -9,6 +9,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
 from kilter_service.db import Database
+from kilter_service.exporters.controller import said_of_controller
 from kilter_service.exporters.exportable import Exportable
 from kilter_service.exporters.registry import Exported, export
 from kilter_service.paging import Page, in_time
@@ -59,11 +60,12 @@ def activations(database: Database, robot: str, page: Page) -> ActivationList:
 
 
 def exported(database: Database, version_id: str, format_name: str) -> Exported:
-    """Return a version as a file of another tool's format."""
+    """Return a version as a file of another tool's format, and what to say of a controller that is given it."""
     with database.reading() as session:
         record = store.get(session, version_id)
         robot = robots.get(session, record.robot)
-    return export(format_name, Exportable(robot, wire.version(record), record.calibration))
+    found = export(format_name, Exportable(robot, wire.version(record), record.calibration))
+    return found._replace(notes=(*found.notes, *said_of_controller(format_name, robot)))
 
 
 def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:

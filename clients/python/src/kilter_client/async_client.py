@@ -11,8 +11,10 @@ from kilter_client.locate import locate
 from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
-from kilter_client.verbs import drifts, keeping
+from kilter_client.verbs import drifts
+from kilter_client.verbs import instruments as gauges
 from kilter_client.verbs import jobs as computed
+from kilter_client.verbs import keeping
 from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
@@ -55,12 +57,15 @@ class AsyncKilter:
     find_robot = awaited(described.find_robot)
     find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
+    set_controller_compensation = awaited(described.set_controller_compensation)
     today = awaited(described.today)
     robots = awaited(described.robots)
     meshes = awaited(shapes.meshes)
     set_mesh = awaited(shapes.set_mesh)
     set_urdf_meshes = awaited(shapes.set_urdf_meshes)
     remove_mesh = awaited(shapes.remove_mesh)
+    add_instrument = awaited(gauges.add_instrument)
+    instruments = awaited(gauges.instruments)
     upload = awaited(measured.upload)
     campaign = awaited(measured.campaign)
     suspicious = awaited(measured.suspicious)

@@ -12,7 +12,7 @@ from kilter_client.locate import locate
 from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
-from kilter_client.verbs import campaigns, drifts, jobs, keeping, robots, versions
+from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, robots, versions
 from kilter_client.verbs import meshes as shapes
 
 if TYPE_CHECKING:
@@ -71,11 +71,14 @@ class Kilter:
     find_robot = waiting(robots.find_robot)
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
+    set_controller_compensation = waiting(robots.set_controller_compensation)
     today = waiting(robots.today)
     meshes = waiting(shapes.meshes)
     set_mesh = waiting(shapes.set_mesh)
     set_urdf_meshes = waiting(shapes.set_urdf_meshes)
     remove_mesh = waiting(shapes.remove_mesh)
+    add_instrument = waiting(instruments.add_instrument)
+    instruments = waiting(instruments.instruments)
     upload = waiting(campaigns.upload)
     campaign = waiting(campaigns.campaign)
     suspicious = waiting(campaigns.suspicious)

@@ -70,6 +70,21 @@ def moment_of(given: datetime | date | str | None) -> str | None:
     return (at if at.tzinfo is not None else at.astimezone()).isoformat()
 
 
+def day_of(given: date | str | None) -> str | None:
+    """Read a day as ISO 8601.
+
+    Raises:
+        UsageError: it is not a day.
+
+    """
+    if given is None:
+        return None
+    try:
+        return (date.fromisoformat(given) if isinstance(given, str) else given).isoformat()[: len("2026-11-02")]
+    except ValueError:
+        raise UsageError(f"{given!r} is not a day: give it as 2026-11-02.") from None
+
+
 def name_of(data: Data) -> str:
     """Return what a campaign is called when nobody names it: the file's name."""
     return Path(fspath(data)).name if isinstance(data, str | PathLike) else "arrays"

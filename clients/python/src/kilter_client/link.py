@@ -253,6 +253,7 @@ class Link:
         if self._publisher.matching_status.matching:
             raise StreamError(
                 f"{self._where} knows no active version of a robot {robot!r}: activate one with `kilter activate`, "
-                "or correct the robot's name."
+                "or correct the robot's name. Where the robot's controller corrects by itself (`kilter robot show`), no "
+                "setpoint is corrected a second time."
             )
         raise StreamError(self._silent)

@@ -54,6 +54,10 @@ class Robots:
         """Return a robot with its joints, parameters and document."""
         return self._run(robots.one(name))
 
+    def compensation(self, name: str, compensation: str) -> Document:
+        """Say whether the controller of a robot corrects by itself: none, factory, kilter or unknown."""
+        return self._run(robots.compensate(name, compensation))
+
     def today(self, name: str) -> Document:
         """Return how good a robot is today, and what is missing in its active version."""
         return self._run(robots.today(name))
@@ -105,6 +109,7 @@ class Campaigns(Kept):
         staged: bool = False,
         numbered: bool = False,
         measured_at: str | None = None,
+        instrument: str | None = None,
     ) -> Document:
         """Add a campaign to a robot; a ``staged`` one is seen and used by nobody before ``commit``.
 
@@ -119,6 +124,7 @@ class Campaigns(Kept):
             "staged": staged,
             "numbered": numbered,
             "measured_at": measured_at,
+            "instrument": instrument,
         }
         return self._run(campaigns.add(robot, wanted))
 

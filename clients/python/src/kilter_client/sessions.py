@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Sequence
@@ -11,6 +12,8 @@ from typing import Any
 
 from kilter_client.corrector import StreamError
 from kilter_client.signing import LIFETIME_S, Session, from_document, on_this_machine
+
+log = logging.getLogger("kilter.stream")
 
 RENEW_AT = 0.5  # of its lifetime: as much is left to outlast an outage of the API
 UNANSWERED_S = 5.0  # a corrector that is there and answers nothing for so long does not know the session's secret
@@ -96,6 +99,8 @@ class Sessions:
             if isinstance(error, ConflictError) or self._signed or not all(map(_is_local, self._endpoints)):
                 raise StreamError(f"The API gives no session: {error}") from error
             return None
+        for warning in document.get("warnings") or ():
+            log.warning("%s", warning["message"])
         self._take_over = False  # once: whoever takes it over from this one later is not driven out by the next renewal
         return from_document(document)
 

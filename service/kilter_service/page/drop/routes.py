@@ -12,6 +12,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from kilter_service.auth.access import caller_of
 from kilter_service.bodies import spool_upload
 from kilter_service.errors import ServiceError
+from kilter_service.instruments import service as instruments
 from kilter_service.logins import service as logins
 from kilter_service.page.drop import reading, service
 from kilter_service.page.drop.drafts import Draft, Drafts
@@ -19,6 +20,7 @@ from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
 from kilter_service.page.shared.measured import seen
 from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
@@ -113,7 +115,7 @@ async def otherwise(robot: str, draft: str, request: Request, database: Database
 async def store(
     robot: str, draft: str, request: Request, database: DatabaseOfApp, sha256: Short, name: Short,
     role: Short = "train", device: Short = "", payload_kg: Short = "", temperature_c: Short = "", notes: Text = "",
-    measured_at: Short = "",
+    measured_at: Short = "", instrument: Short = "",
 ) -> Response:  # fmt: skip
     """Store the rows as a campaign."""
     found = _draft(request, robot, draft)
@@ -125,6 +127,7 @@ async def store(
         "notes": notes,
         "conditions": conditions,
         "measured_at": service.measured_at(measured_at),
+        "instrument": instrument or None,
     }
     stored = await compute(request, service.store, database, found, campaign, sha256)
     return redirect(request, f"{root_of(request)}/campaigns/{stored.id}{_after(found)}")
@@ -148,7 +151,8 @@ def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: st
     shown = None if draft.facts is None else seen(draft.facts, draft.understood.get("lines") or ())
     return render(
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
-        problem=problem, here=_place(request, draft), **service.form_of(draft, kinds),
+        instruments=instruments.listed(database, Page()).instruments, problem=problem,
+        here=_place(request, draft), **service.form_of(draft, kinds),
     )  # fmt: skip
 
 

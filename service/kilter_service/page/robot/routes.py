@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import MESH, spool_upload
 from kilter_service.contract.meshes import MeshUnit
+from kilter_service.contract.references import RobotChange
+from kilter_service.contract.units import ControllerCompensation
 from kilter_service.limits import MAX_MESH_MB
 from kilter_service.meshes import service as meshes
 from kilter_service.page.robot import scene, service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import render
+from kilter_service.robots import service as robots
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
@@ -32,6 +35,15 @@ def overview(
     """Show how good a robot is, what corrects it, and what to do next."""
     shown = service.of(database, settings, robot, version or None, campaign or None)
     return render(request, "robot/overview.html", shown=shown)
+
+
+@router.post("/robots/{robot}/compensation")
+def compensation(
+    robot: str, database: DatabaseOfApp, _: Admin, compensation: Annotated[ControllerCompensation, Form()]
+) -> Response:
+    """Say whether the controller corrects by itself."""
+    robots.change(database, robot, RobotChange(controller_compensation=compensation))
+    return Response(status_code=204, headers=ANEW)
 
 
 @router.get("/robots/{robot}/worst")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
@@ -21,6 +21,7 @@ from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
+from kilter_service.robots.compensation import WORDS, sentence
 from kilter_service.settings import Settings
 from kilter_service.suspicious import service as suspicious
 from kilter_service.today import service as today
@@ -47,8 +48,14 @@ class Shown:
     campaign: Campaign | None
     meshes: Sequence[Mesh]
     suspicious: Sequence[SuspiciousRows]
+    controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
     most_mb: int = MAX_MESH_MB
     most_triangles: int = MAX_TRIANGLES
+
+    @property
+    def controller(self) -> str:
+        """What follows from what the controller does by itself; empty where nothing does."""
+        return sentence(self.robot.name, self.robot.controller_compensation)
 
     @property
     def links(self) -> list[str]:
@@ -78,7 +85,7 @@ def of(database: Database, settings: Settings, name: str, version: str | None, c
         accuracy=accuracy_today(now),
         activation=log[0] if log else None,
         candidate=next((one for one in made if not one.active), None) if made and not made[0].active else None,
-        correcting=corrector(database, settings).of(name, robot.active_version),
+        correcting=corrector(database, settings).of(name, robot.active_version, robot.controller_compensation),
         latest=newest[0] if newest else None,
         campaigns=measured,
         versions=made,

@@ -9,6 +9,7 @@ from typing import Any
 from kilter_service.db import Database
 from kilter_service.health import service as health
 from kilter_service.observability import service as observability
+from kilter_service.robots.compensation import CORRECTS, WORDS
 from kilter_service.settings import Settings
 
 
@@ -29,8 +30,11 @@ class Corrector:
     detail: str
     streams: Sequence[Mapping[str, Any]]
 
-    def of(self, robot: str, active: str | None) -> Correcting:
-        """Say what it does for a robot, whose active version is given."""
+    def of(self, robot: str, active: str | None, compensation: str = "unknown") -> Correcting:
+        """Say what it does for a robot, whose active version is given, and what its controller does by itself."""
+        if compensation in CORRECTS:
+            said = f"The controller {WORDS[compensation]}, so its setpoints are not corrected a second time."
+            return Correcting("by the controller", "faint", said)
         if self.detail.startswith(health.STARTING):
             return Correcting("starting", "warn", f"The corrector {self.detail}: setpoints are not corrected yet.")
         if not self.runs:

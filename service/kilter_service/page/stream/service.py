@@ -39,5 +39,6 @@ def view(database: Database, settings: Settings, robot: str) -> StreamView:
     entries = versions.activations(database, robot, Page(limit=1)).activations
     place = place_in(settings.corrector_file)
     endpoint = place.endpoint if place else settings.zenoh_listen
-    correcting = corrector(database, settings).of(robot, robots.get(database, robot).active_version)
+    arm = robots.get(database, robot)
+    correcting = corrector(database, settings).of(robot, arm.active_version, arm.controller_compensation)
     return StreamView(shown, entries[0] if entries else None, WHY, endpoint, correcting)

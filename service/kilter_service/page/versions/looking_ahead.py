@@ -13,6 +13,7 @@ from kilter_service.db import Database
 from kilter_service.exporters.registry import FORMATS
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.robots import service as robots
+from kilter_service.robots.compensation import sentence
 from kilter_service.versions import activation, service
 from kilter_service.versions.expected import tag_of_robot
 
@@ -40,7 +41,8 @@ REFUSED = {
 class Ahead:
     """A version that may be activated, beside the one that is active; ``etag`` is the state that this was looked at in.
 
-    ``preview`` None could not be computed; ``failed`` says so.
+    ``preview`` None could not be computed; ``failed`` says so. ``controller`` is what follows from what the controller
+    does by itself, empty where nothing does.
     """
 
     version: Version
@@ -52,6 +54,7 @@ class Ahead:
     where: Sequence[tuple[str, str]]
     refused: Sequence[tuple[int, str]]
     etag: str
+    controller: str
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ def of(database: Database, version_id: str, temperature_c: float | None) -> Ahea
         found, accuracy_of(found.metrics), active, None if active is None else accuracy_of(active.metrics), preview, failed,
         [(joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}") for joint, value, unit in angles],
         [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()], etag,
+        sentence(found.robot, robot.controller_compensation),
     )  # fmt: skip
 
 

@@ -18,7 +18,11 @@ UPLOAD_TIMEOUT_S = 600.0
 
 def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
     """Add a campaign to a robot; what is false or not stated is not sent, so that an earlier server takes it."""
-    body = {key: value for key, value in wanted.items() if value or key not in ("staged", "numbered", "measured_at")}
+    body = {
+        key: value
+        for key, value in wanted.items()
+        if value or key not in ("staged", "numbered", "measured_at", "instrument")
+    }
     return post(address("robots", robot, "campaigns"), body, once())
 
 

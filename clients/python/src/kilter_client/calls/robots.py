@@ -71,6 +71,11 @@ def note(name: str, remarks: str) -> Steps[Document]:
     return patch(address("robots", name), {"remarks": remarks})
 
 
+def compensate(name: str, compensation: str) -> Steps[Document]:
+    """Say whether the controller of a robot corrects by itself."""
+    return patch(address("robots", name), {"controller_compensation": compensation})
+
+
 def do(name: str, what: str) -> Steps[Document]:
     """Retire, restore, purge or roll back a robot."""
     return post(address("robots", name, what))

@@ -123,6 +123,8 @@ def _robots(one: dict[str, Any]) -> str:
 def _show_session(document: dict[str, Any]) -> None:
     for name in ("site", "robot", "stream", "session", "key", "announcement_key"):
         say(f"{name}: {document[name]}")
+    for warning in document.get("warnings") or ():
+        note(f"warning: {warning['message']}")
     note(f"It ends at {document['expires_at']}. The keys are shown this once only.")
 
 

@@ -55,6 +55,7 @@ IntoCampaign = Annotated[
     str | None,
     typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`) instead of making one."),
 ]
+InstrumentName = Annotated[str | None, typer.Option(metavar="NAME", help="The instrument: `kilter instrument list`.")]
 ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
 ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
 
@@ -107,6 +108,7 @@ def upload(
     tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     measured_at: MeasuredAt = None,
+    instrument: InstrumentName = None,
     dry_run: Annotated[
         bool,
         typer.Option(
@@ -123,7 +125,7 @@ def upload(
     """
     conditions = conditions_of(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
     at = moment_of(measured_at)
-    if campaign and (name or notes or conditions or at):
+    if campaign and (name or notes or conditions or at or instrument):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
     prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
@@ -140,8 +142,8 @@ def upload(
         "conditions": conditions,
         "notes": notes,
         "numbered": name is None,
-        "measured_at": at,
     }
+    wanted |= {"measured_at": at, "instrument": instrument}
     done = _stored(robot, campaign, wanted, file, prepared, as_json)
     for text in _odd(done):
         note(f"  Warning: {text}", as_json)

@@ -30,6 +30,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "ballbar-join": Entry("joins", "Join a ball bar's log with the joint log."),
         "tilt-join": Entry("joins", "Join an inclinometer's log with the joint log."),
         "plan": Entry("analyse", "Plan poses to measure."),
+        "instrument": Entry("instruments", "Add and list instruments and their certificates."),
         "suspicious": Entry("suspicious", "Name the rows of a campaign that look wrong."),
         "columns": Entry("lists", "List the columns of measurements and their units."),
         "formats": Entry("lists", "List the files that can be read."),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,22 @@ from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 
+CONTROLLERS = {
+    "none": "does not correct it by itself",
+    "factory": "corrects it by its maker's calibration",
+    "kilter": "corrects it by a calibration that Kilter exported",
+}
+
+
+class Compensation(StrEnum):
+    """How a controller corrects by itself."""
+
+    none = "none"
+    factory = "factory"
+    kilter = "kilter"
+    unknown = "unknown"
+
+
 robot = typer.Typer(help="Describe robots.", no_args_is_help=True, rich_markup_mode=None, cls=Group)
 
 
@@ -34,10 +51,18 @@ def register(app: typer.Typer) -> None:
 @takes_a_robot
 def add(
     source: RobotSource,
+    controller_compensation: Annotated[
+        Compensation | None,
+        typer.Option(
+            help="Whether the controller corrects the arm by itself; unknown where neither this nor FILE says."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Add a robot from robot.json, another tool's file, or a preset."""
     document = source.document()
+    if controller_compensation is not None:
+        document = {**document, "controller_compensation": controller_compensation.value}
     with Kilter() as kilter:
         emit(kilter.robots.add(document), as_json, _show)
 
@@ -85,6 +110,22 @@ def convert(
     emit(found, as_json, say_document if output is None else lambda _: None)
 
 
+@robot.command(epilog="Example: kilter robot compensation ur10 none")
+def compensation(
+    robot: Robot,
+    compensation: Annotated[
+        Compensation, typer.Argument(metavar="none|factory|kilter|unknown", help="How it corrects.", show_default=False)
+    ],
+    as_json: Json = False,
+) -> None:
+    """Say whether the controller corrects the arm by itself, so that nothing is corrected twice.
+
+    none; factory: by its maker's calibration; kilter: by a calibration that Kilter exported.
+    """
+    with Kilter() as kilter:
+        emit(kilter.robots.compensation(robot, compensation.value), as_json, lambda found: say(_controller(found)))
+
+
 @robot.command("list", epilog="Example: kilter robot list")
 def list_(retired: Retired = False, as_json: Json = False) -> None:
     """List the robots."""
@@ -118,6 +159,7 @@ def _show(document: dict[str, Any]) -> None:
         for number, joint in enumerate(document.get("joints", ()), 1)
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
+    say(_controller(document))
     say(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
     load = (document.get("document") or {}).get("load")
     if load:
@@ -127,6 +169,16 @@ def _show(document: dict[str, Any]) -> None:
         say(f"remarks: {document['remarks']}")
     for remark in document.get("notes", ()):
         say(f"note: {remark}")
+
+
+def _controller(document: dict[str, Any]) -> str:
+    found = str(document.get("controller_compensation") or "unknown")
+    if found != "unknown":
+        return f"The controller of {document['name']} {CONTROLLERS.get(found, found)}."
+    return (
+        f"Does the controller of {document['name']} correct the arm by itself? Nobody said: look it up, and say "
+        f"`kilter robot compensation {document['name']} none`, factory or kilter."
+    )
 
 
 def _limits(joint: dict[str, Any]) -> str:
@@ -145,7 +197,8 @@ def _show_list(document: dict[str, Any]) -> None:
             str(r["campaigns"]),
             str(r["versions"]),
             r.get("active_version") or "none",
+            r.get("controller_compensation") or "unknown",
         )
         for r in document["robots"]
     ]
-    show_rows(("robot", "convention", "campaigns", "versions", "active"), rows)
+    show_rows(("robot", "convention", "campaigns", "versions", "active", "controller"), rows)

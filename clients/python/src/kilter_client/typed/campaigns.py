@@ -53,6 +53,8 @@ class Campaign(ShownCampaign, Record):
     """What it was measured with; `pencil`, `sheet` and `ballbar` have a frame of their own every time."""
     id: str
     """Id of the campaign, `cmp_` and 16 hexadecimal digits."""
+    instrument: str | None
+    """Name of the instrument it was measured with, as stored (`/v1/instruments`); None: not stated."""
     measured_at: str | None
     """When its last row was measured, with the time zone; None: not stated."""
     name: str
@@ -71,6 +73,8 @@ class Campaign(ShownCampaign, Record):
     """Whether its parts come one by one, and it is hidden until they are all there."""
     uploads: Records[Upload]
     """Files stored, oldest first."""
+    warnings: Records[Remark]
+    """What the instrument's certificate has against it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -91,3 +95,31 @@ class Uploaded(ShownUpload, Record):
     """Rows the campaign has now."""
     warnings: Records[Remark]
     """What looks odd in the rows and may be right: they are stored."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Instrument(Record):
+    """A stored instrument."""
+
+    certificate: str
+    """Number of its calibration certificate; empty: none."""
+    certified_on: str | None
+    """Day of the certificate; None: not stated."""
+    created_at: str
+    """When it was added."""
+    kind: str
+    """What it is; `arm_cmm`: an articulated arm with a probe."""
+    mpe_standard: str
+    """What states its permissible error: ISO 10360-10 (laser trackers), ISO 10360-12 (articulated arms), or other, for instance its maker."""
+    mpe_um: float
+    """Maximum permissible error at length 0, micrometres: A of A + B L."""
+    mpe_um_per_m: float
+    """What it grows by per length, micrometres per metre: B of A + B L."""
+    name: str
+    """Name of the instrument with this certificate, unique on the server: letters, digits, `_`, `.` and `-`."""
+    notes: str
+    """Whatever else is worth knowing."""
+    serial_number: str
+    """Serial number, as on its plate."""
+    valid_until: str | None
+    """Last day on which it holds; None: not stated."""

@@ -71,6 +71,7 @@ MODULE_OF = {
     "IdentifyResult": "identifications",
     "Identity": "others",
     "Influence": "identifications",
+    "Instrument": "campaigns",
     "Iso9283": "evaluations",
     "JobError": "server",
     "JobProblem": "checks",

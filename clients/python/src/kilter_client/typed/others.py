@@ -266,6 +266,8 @@ class StreamSession(Record):
     """Site in the keys of the stream."""
     stream: str
     """Name of the stream."""
+    warnings: Records[Remark]
+    """What to know before the arm is driven, as that nobody said whether the controller corrects by itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

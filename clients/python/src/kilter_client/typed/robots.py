@@ -34,12 +34,14 @@ class RobotReport(Record):
     """The version it is corrected with; None: none."""
     campaigns: int
     """How many campaigns it has."""
+    controller_compensation: str
+    """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
     convention: str
     """Convention of the document it was posted as."""
     created_at: str
     """When it was added."""
     posted: Mapping[str, Any]
-    """The document as it was posted."""
+    """The document as it was posted, with what the controller is said to do now."""
     drives: tuple[str, ...]
     """Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."""
     joints: Records[JointSummary]
@@ -70,6 +72,8 @@ class RobotSummary(Record):
     """The version it is corrected with; None: none."""
     campaigns: int
     """How many campaigns it has."""
+    controller_compensation: str
+    """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
     convention: str
     """Convention of the document it was posted as."""
     created_at: str

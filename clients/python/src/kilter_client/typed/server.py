@@ -175,6 +175,8 @@ class Today(Record):
 
     changed: bool
     """Whether today's mean error is larger than that by more than chance explains."""
+    controller_compensation: str
+    """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
     larger_by_mm: float | None
     """By how much, mm; None: not larger."""
     missing: SearchToday | None

@@ -41,6 +41,7 @@ def upload(
     tool_moment_nm: Sequence[float] | None = None,
     notes: str = "",
     measured_at: datetime | date | str | None = None,
+    instrument: str | None = None,
     campaign: Thing | None = None,
     progress: Watching = True,
 ) -> Steps[Uploaded]:
@@ -61,6 +62,7 @@ def upload(
         tool_moment_nm: moment on the tool point in its frame, N m.
         notes: anything else worth knowing.
         measured_at: when the last row was measured, as ``"2026-11-02T14:30"``, in this machine's zone where none is given.
+        instrument: name of the instrument it was measured with (``k.add_instrument``).
         campaign: add to this campaign instead of making one.
         progress: True for a bar, False for none, or a function of the fraction sent and the stage.
 
@@ -76,13 +78,17 @@ def upload(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
-    if campaign is not None and (name or notes or conditions or measured_at):
+    if campaign is not None and (name or notes or conditions or measured_at or instrument):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
     wanted: Document = {"name": name or name_of(data), "device": device or "", "role": role, "notes": notes}
-    wanted |= {"conditions": conditions, "numbered": name is None, "measured_at": moment_of(measured_at)}
+    wanted |= {"conditions": conditions, "numbered": name is None, "instrument": instrument} | _when(measured_at)
     into = None if campaign is None else reference("campaign", campaign)
-    prepared = rows_of(data, columns, device, column_map)
-    return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, prepared, progress)))
+    rows = rows_of(data, columns, device, column_map)
+    return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, rows, progress)))
+
+
+def _when(measured_at: datetime | date | str | None) -> Document:
+    return {"measured_at": moment_of(measured_at)}
 
 
 def _conditions(**told: Any) -> dict[str, Any]:

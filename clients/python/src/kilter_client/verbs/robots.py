@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from kilter_client.calls import robots as calls
 from kilter_client.errors import UsageError
@@ -17,6 +17,8 @@ from kilter_client.verbs.things import Thing, reference
 if TYPE_CHECKING:
     from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
     from kilter_client.typed.server import Today
+
+Compensation = Literal["none", "factory", "kilter", "unknown"]
 
 
 def add_robot(
@@ -30,6 +32,7 @@ def add_robot(
     model: str | None = None,
     turned: Sequence[str] = (),
     follows: Sequence[str] = (),
+    controller_compensation: Compensation | None = None,
 ) -> Steps[RobotReport]:
     """Add a robot from a file (JSON, URDF, a table, another tool's), from a document, or from a preset.
 
@@ -46,6 +49,8 @@ def add_robot(
         turned: joints that the controller counts in the opposite direction.
         follows: pairs ``"j3=j2"`` of joints of which the first is read against the horizontal; ``"j3=j2:linkage"``
             says who carries the load of that axis (linkage, controller or series).
+        controller_compensation: whether the controller corrects by itself: ``"none"``, ``"factory"`` (its maker's
+            calibration), ``"kilter"`` (a calibration that Kilter exported) or ``"unknown"``, which it is where nobody says.
 
     Raises:
         UsageError: neither or both of ``source`` and ``preset``, or something is missing that the file does not say.
@@ -56,7 +61,25 @@ def add_robot(
     from kilter_client.typed.robots import RobotReport
 
     document = _document(source, preset, name, _Described(convention, base_link, tip_link, model, turned, follows))
+    if controller_compensation is not None:
+        document = {**document, "controller_compensation": controller_compensation}
     return RobotReport.read((yield from calls.add(document)))
+
+
+def set_controller_compensation(robot: Thing, compensation: Compensation) -> Steps[RobotReport]:
+    """Say whether the controller of a robot corrects by itself: nothing is corrected twice.
+
+    Args:
+        robot: the robot, or its name.
+        compensation: ``"none"``, ``"factory"``, ``"kilter"`` or ``"unknown"``.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    from kilter_client.typed.robots import RobotReport
+
+    return RobotReport.read((yield from calls.compensate(reference("robot", robot), compensation)))
 
 
 def check_robot(

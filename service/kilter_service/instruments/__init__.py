@@ -1,0 +1,1 @@
+"""Instruments, their permissible errors and certificates."""

@@ -1,0 +1,86 @@
+"""Rows of instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from sqlalchemy import select
+
+from kilter_service.contract.instruments import Instrument, NewInstrument
+from kilter_service.db import Session
+from kilter_service.db.tables import InstrumentRow
+from kilter_service.errors import ServiceError
+from kilter_service.paging import Page
+
+
+def add(session: Session, new: NewInstrument) -> bool:
+    """Store an instrument; the same one twice changes nothing. Returns whether it is new.
+
+    Raises:
+        ServiceError: the name is taken by another one.
+
+    """
+    found = session.get(InstrumentRow, new.name)
+    if found is None:
+        session.add(InstrumentRow(**_values(new)))
+        session.flush()
+        return True
+    if NewInstrument(**_told(found)) != new:
+        raise ServiceError(
+            f"There is already another instrument {new.name!r}, or the same with another certificate: what was measured with "
+            f"it keeps that. Add this one under another name, as {new.name}-2.",
+            code="instrument_exists",
+            instrument=new.name,
+        )
+    return False
+
+
+def get(session: Session, name: str) -> Instrument:
+    """Return the instrument of a name.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    found = of_names(session, [name]).get(name)
+    if found is None:
+        names = session.execute(select(InstrumentRow.name).order_by(InstrumentRow.name)).scalars().all()
+        known = (
+            f"There are: {', '.join(names)}." if names else "There is none yet: add it with `kilter instrument add`."
+        )
+        raise ServiceError(f"There is no instrument {name!r}. {known}", code="instrument_not_found", instrument=name)
+    return found
+
+
+def of_names(session: Session, names: Collection[str]) -> dict[str, Instrument]:
+    """Return the instruments of these names that there are."""
+    if not names:
+        return {}
+    rows = session.execute(select(InstrumentRow).where(InstrumentRow.name.in_(names))).scalars()
+    return {row.name: _instrument(row) for row in rows}
+
+
+def listed(session: Session, page: Page) -> list[Instrument]:
+    """Return instruments by name, one more than the page shows."""
+    query = select(InstrumentRow).order_by(InstrumentRow.name).limit(page.fetched)
+    if page.name is not None:
+        query = query.where(InstrumentRow.name > page.name)
+    return [_instrument(row) for row in session.execute(query).scalars()]
+
+
+def _values(new: NewInstrument) -> dict[str, Any]:
+    days = {name: None if day is None else day.isoformat() for name, day in _days(new).items()}
+    return new.model_dump() | days
+
+
+def _days(new: NewInstrument) -> dict[str, Any]:
+    return {"certified_on": new.certified_on, "valid_until": new.valid_until}
+
+
+def _told(row: InstrumentRow) -> dict[str, Any]:
+    return {name: getattr(row, name) for name in NewInstrument.model_fields}
+
+
+def _instrument(row: InstrumentRow) -> Instrument:
+    return Instrument(**_told(row), created_at=row.created_at)

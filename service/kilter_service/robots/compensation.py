@@ -1,0 +1,70 @@
+"""What a controller that corrects by itself means for Kilter's corrections: applied on top of it, they move the arm wrongly."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from kilter_service.contract.units import ControllerCompensation
+from kilter_service.contract.versions import Objection
+from kilter_service.errors import ServiceError
+
+TWICE, UNKNOWN = "corrected_twice", "compensation_unknown"
+VALUES: tuple[ControllerCompensation, ...] = get_args(ControllerCompensation)
+CORRECTS: frozenset[str] = frozenset({"factory", "kilter"})
+WORDS: dict[str, str] = {
+    "none": "does not correct by itself",
+    "factory": "corrects by its maker's calibration",
+    "kilter": "corrects by a calibration that Kilter exported",
+    "unknown": "whether it corrects by itself is not known",
+}
+_REMEDY = {
+    "factory": "Switch that off in the controller",
+    "kilter": "Take that calibration out of the controller",
+}
+
+
+def compensation_in(text: str) -> ControllerCompensation:
+    """Read what is stored; what a later release wrote is unknown here."""
+    return next((value for value in VALUES if value == text), "unknown")
+
+
+def objection(robot: str, compensation: str) -> Objection | None:
+    """What speaks against correcting a robot: its controller does so already."""
+    if compensation not in CORRECTS:
+        return None
+    message = (
+        f"The controller of {robot} {WORDS[compensation]}: a correction by Kilter would come on top of it, and the arm would "
+        f"be corrected twice. {_REMEDY[compensation]} and say so with `kilter robot compensation {robot} none`, or leave the "
+        "correction to the controller."
+    )
+    return Objection(code=TWICE, message=message)
+
+
+def remark(robot: str, compensation: str) -> Objection | None:
+    """A warning where nobody said whether the controller corrects by itself."""
+    if compensation != "unknown":
+        return None
+    message = (
+        f"Whether the controller of {robot} corrects by itself is not known. If it does (an absolute-accuracy option that is "
+        "switched on, a factory calibration), the arm would be corrected twice. Look it up, and say "
+        f"`kilter robot compensation {robot} none`, factory or kilter."
+    )
+    return Objection(code=UNKNOWN, message=message)
+
+
+def refuse(robot: str, compensation: str) -> None:
+    """Refuse to correct a robot whose controller does so already.
+
+    Raises:
+        ServiceError: it does.
+
+    """
+    found = objection(robot, compensation)
+    if found is not None:
+        raise ServiceError(found.message, code=TWICE, robot=robot, controller_compensation=compensation)
+
+
+def sentence(robot: str, compensation: str) -> str:
+    """Say what the controller does, and what follows; empty where nothing does."""
+    found = objection(robot, compensation) or remark(robot, compensation)
+    return "" if found is None else found.message
