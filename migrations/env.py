@@ -9,9 +9,9 @@ from sqlalchemy import inspect
 
 from kilter_service.db.database import open_engine
 from kilter_service.db.revision import HEAD
+from kilter_service.db.row import Instant, Row
 from kilter_service.db.sealed import complete
 from kilter_service.db.seals import sealer
-from kilter_service.db.tables import Instant, Row
 from kilter_service.settings import Settings
 
 

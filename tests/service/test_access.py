@@ -18,7 +18,8 @@ from kilter_service.app import create_app
 from kilter_service.auth.policy import RULES
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
-from kilter_service.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow
 from kilter_service.routing import GuardedRoute
 from kilter_service.settings import Settings
 from kilter_service.versions import store

@@ -18,7 +18,8 @@ import pytest
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database, revision
-from kilter_service.db.tables import HeartbeatRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import HeartbeatRow
 from kilter_service.errors import ServiceError
 from kilter_service.health import pulse as pulses
 from kilter_service.health import service, store

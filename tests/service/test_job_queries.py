@@ -10,7 +10,8 @@ import pytest
 from sqlalchemy import event, insert, text
 
 from kilter_service.db import Database, Session
-from kilter_service.db.tables import JobRow, RobotRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import JobRow, RobotRow
 from kilter_service.jobs import store
 from kilter_service.jobs.lease import store as lease
 from kilter_service.paging import Page

@@ -10,7 +10,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
 from kilter_service.db import Database, revision
-from kilter_service.db.tables import Row
+from kilter_service.db.row import Row
 from kilter_service.versions import store
 
 

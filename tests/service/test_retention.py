@@ -11,7 +11,8 @@ import pytest
 
 from kilter_service.backup import service as backup
 from kilter_service.db import Database
-from kilter_service.db.tables import FleetJobRow, FleetRobotRow, JobRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import FleetJobRow, FleetRobotRow, JobRow
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.retention import service
 from kilter_service.settings import Settings

@@ -19,7 +19,8 @@ from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.backup import service
 from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow, Row
+from kilter_service.db.row import Row
+from kilter_service.db.tables import JobRow, RobotRow
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, ready, served

@@ -19,7 +19,8 @@ from sqlalchemy import func, select
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database, revision
-from kilter_service.db.tables import HeartbeatRow, JobRow, VersionRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import HeartbeatRow, JobRow, VersionRow
 from kilter_service.jobs import worker as workers
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim

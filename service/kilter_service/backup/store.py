@@ -17,6 +17,7 @@ from kilter_service.backup.findings import Findings
 from kilter_service.caller import on_behalf
 from kilter_service.db import Database, Session, seal_check
 from kilter_service.db.audited import note
+from kilter_service.db.row import Row
 from kilter_service.db.sealed import anew, keyed_by
 from kilter_service.db.seals import Sealer
 from kilter_service.db.tables import (
@@ -24,7 +25,6 @@ from kilter_service.db.tables import (
     ChunkRow,
     MeshRow,
     RobotRow,
-    Row,
     SealedTableRow,
     SealRow,
     UploadRow,

@@ -8,7 +8,7 @@ from kilter_service.campaigns.service import shown
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.db import Database, Session
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.references import store as references
 from kilter_service.references.records import TombstoneRecord

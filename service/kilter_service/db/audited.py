@@ -16,7 +16,8 @@ from sqlalchemy import ClauseElement, event, insert, inspect, select
 from sqlalchemy.orm import ORMExecuteState, Session, sessionmaker
 
 from kilter_service.caller import CALLER, Caller
-from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, LoginRow, Row
+from kilter_service.db.row import Row
+from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, LoginRow
 
 log = logging.getLogger("kilter.audit")
 

@@ -11,8 +11,9 @@ from sqlalchemy.types import JSON
 
 from kilter_service.db import seals
 from kilter_service.db.audited import TOLD
+from kilter_service.db.row import Row
 from kilter_service.db.seals import MODULUS, TABLES, Digests, Sealer
-from kilter_service.db.tables import AuditRow, Row, SealedTableRow, SealRow
+from kilter_service.db.tables import AuditRow, SealedTableRow, SealRow
 from kilter_service.errors import ServiceError
 
 PENDING = "kilter_seals"

@@ -18,7 +18,8 @@ from typing import Any
 from sqlalchemy import Column, Table
 from sqlalchemy.dialects import sqlite
 
-from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, Row, SealedTableRow, SealRow
+from kilter_service.db.row import Row
+from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, SealedTableRow, SealRow
 from kilter_service.errors import ServiceError
 
 # The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import (
     JSON,
     Connection,
-    DateTime,
-    Dialect,
     ForeignKey,
     Index,
     LargeBinary,
     String,
     Text,
-    TypeDecorator,
     UniqueConstraint,
     event,
     false,
@@ -24,39 +21,9 @@ from sqlalchemy import (
     select,
     text,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, Mapper, mapped_column
+from sqlalchemy.orm import Mapped, Mapper, mapped_column
 
-MOMENT = timedelta(microseconds=1)  # by which the databases tell times apart
-
-
-def now() -> datetime:
-    """Return the time in UTC."""
-    return datetime.now(UTC)
-
-
-class Instant(TypeDecorator[datetime]):
-    """A time in UTC; SQLite forgets the zone, this puts it back."""
-
-    impl = DateTime(timezone=True)
-    cache_ok = True
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        """Write a time as UTC."""
-        return value.astimezone(UTC) if value is not None and value.tzinfo is not None else value
-
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        """Read a time as UTC."""
-        return value.replace(tzinfo=UTC) if value is not None and value.tzinfo is None else value
-
-
-class Row(DeclarativeBase):
-    """Base of all rows."""
-
-    type_annotation_map = {  # noqa: RUF012 (SQLAlchemy reads it)
-        datetime: Instant,
-        dict[str, Any]: JSON(none_as_null=True),
-        list[Any]: JSON,
-    }
+from kilter_service.db.row import MOMENT, Row, now
 
 
 class RobotRow(Row):

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import select
 
 from kilter_service.db import Session
-from kilter_service.db.tables import HeartbeatRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import HeartbeatRow
 
 
 class Heartbeat(NamedTuple):

@@ -15,10 +15,11 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, NewJob
 from kilter_service.contract.versions import Objection
 from kilter_service.db import Session
-from kilter_service.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
+from kilter_service.ended_jobs import store as ended
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
-from kilter_service.jobs.ended import store as ended
 from kilter_service.jobs.fit_of_version import fit_of
 from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned

@@ -11,7 +11,7 @@ import secrets
 from datetime import timedelta
 
 from kilter_service.db import Database, audited
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.logins import store
 from kilter_service.tokens.service import hash_of

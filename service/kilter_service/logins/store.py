@@ -7,7 +7,8 @@ from datetime import datetime
 from sqlalchemy import delete, select
 
 from kilter_service.db import Session
-from kilter_service.db.tables import LoginRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import LoginRow
 
 
 def add(session: Session, sha256: str, token_sha256: str, expires_at: datetime) -> None:

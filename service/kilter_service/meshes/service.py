@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
 from kilter_service.db import Database
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.meshes import store
 from kilter_service.meshes.reading import triangles

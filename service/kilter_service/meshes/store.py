@@ -5,7 +5,8 @@ from __future__ import annotations
 from sqlalchemy import select
 
 from kilter_service.db import Session
-from kilter_service.db.tables import MeshRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import MeshRow
 from kilter_service.errors import ServiceError
 from kilter_service.meshes.records import MeshRecord
 

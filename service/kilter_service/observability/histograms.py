@@ -8,7 +8,7 @@ from typing import Any
 from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.utils import floatToGoString
 
-from kilter_service.jobs.ended.store import AT_MOST_MS
+from kilter_service.ended_jobs.store import AT_MOST_MS
 from kilter_service.observability.store import Ended
 
 JOB_EDGES_S = {edge: edge * 1e-3 for edge in AT_MOST_MS}

@@ -9,8 +9,9 @@ from typing import Any
 from sqlalchemy import func, select
 
 from kilter_service.db import Session
-from kilter_service.db.tables import EndedJobsRow, HeartbeatRow, JobRow, now
-from kilter_service.jobs.ended.store import NEVER_RAN
+from kilter_service.db.row import now
+from kilter_service.db.tables import EndedJobsRow, HeartbeatRow, JobRow
+from kilter_service.ended_jobs.store import NEVER_RAN
 
 
 @dataclass(frozen=True)

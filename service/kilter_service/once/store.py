@@ -8,7 +8,8 @@ from typing import Any
 from sqlalchemy import delete
 
 from kilter_service.db import Session
-from kilter_service.db.tables import AnsweredRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import AnsweredRow
 
 KEPT_FOR = timedelta(days=7)
 

@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from kilter_service.contract.fits import stayed
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 
 NONE = "–"
 DIGITS = 3  # of a number whose uncertainty is not known

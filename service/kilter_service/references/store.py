@@ -12,7 +12,8 @@ from sqlalchemy import ColumnElement, Select, and_, or_, select
 from kilter_service.caller import allowed_robots, may_see
 from kilter_service.contract.references import Kind
 from kilter_service.db import Session
-from kilter_service.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 from kilter_service.references.records import TombstoneRecord, Whose

@@ -8,7 +8,7 @@ from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.db import Database
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.paging import Page
 from kilter_service.references import store as references
 from kilter_service.references.records import TombstoneRecord

@@ -10,7 +10,7 @@ from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, SearchT
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.written import as_written
 from kilter_service.db import Database, Session
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import compensation_in, sentence
 from kilter_service.today import missing, sentences, store

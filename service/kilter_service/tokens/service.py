@@ -10,7 +10,7 @@ from datetime import timedelta
 from kilter_service.caller import ADMIN, ANYBODY
 from kilter_service.contract.tokens import MadeToken, NewToken, Token, TokenList
 from kilter_service.db import Database
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.paging import Page, in_time
 from kilter_service.tokens import store

@@ -11,7 +11,8 @@ from sqlalchemy import and_, or_, select
 from kilter_service.caller import CALLER
 from kilter_service.contract.tokens import Role
 from kilter_service.db import Session
-from kilter_service.db.tables import TokenRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import TokenRow
 from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 from kilter_service.tokens.records import TokenRecord

@@ -5,7 +5,7 @@ from __future__ import annotations
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import Version
 from kilter_service.db import Database
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.references import store as references
 from kilter_service.references.records import TombstoneRecord

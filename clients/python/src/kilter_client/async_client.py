@@ -11,10 +11,9 @@ from kilter_client.locate import locate
 from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
-from kilter_client.verbs import drifts
+from kilter_client.verbs import drifts, keeping
 from kilter_client.verbs import instruments as gauges
 from kilter_client.verbs import jobs as computed
-from kilter_client.verbs import keeping
 from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made

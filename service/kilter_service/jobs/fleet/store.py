@@ -12,7 +12,8 @@ from kilter_service.caller import allowed_robots
 from kilter_service.contract.jobs.fleet import NewFleetJob
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.db import Session
-from kilter_service.db.tables import FleetJobRow, FleetRobotRow, JobRow, RobotRow, VersionRow, now
+from kilter_service.db.row import now
+from kilter_service.db.tables import FleetJobRow, FleetRobotRow, JobRow, RobotRow, VersionRow
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.fleet.records import FleetRecord, FleetRobotRecord, Planned, StateCount

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from kilter_service.caller import on_behalf
 from kilter_service.db import Database
 from kilter_service.db.failures import in_words
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.retention import store
 
