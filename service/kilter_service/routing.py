@@ -32,7 +32,7 @@ class GuardedRoute(APIRoute):
         answer: Handler = super().get_route_handler()
         takes_file = "requestBody" in (self.openapi_extra or {})
         # Views of the page are opened with whatever other sites append to a link; they pass over what they do not know.
-        strict = self.path.startswith("/v1/")
+        strict = self.path.startswith(("/v1/", "/metrics"))
         known = frozenset(
             field.alias for field in get_flat_params(self.dependant) if isinstance(field.field_info, Query)
         )

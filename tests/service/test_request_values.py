@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import unicodedata
 from typing import Any
 
@@ -101,3 +102,20 @@ def test_a_parameter_that_no_address_has_is_refused_with_what_was_meant(
     refused(shared_client.post(f"/v1/robots/{robot}/correct?versoin=ver_1", json=rows), "did you mean version?")
     refused(shared_client.get("/v1/health/live?x=1"), "query.x is not a parameter of this address; it takes none.")
     assert shared_client.get(f"/robots/{robot}?from=newsletter").status_code == 200
+
+
+def test_every_address_refuses_a_parameter_that_it_does_not_have(shared_client: httpx.Client) -> None:
+    """Whatever the method, and before anything is looked for or done: names in the address are made up."""
+    described = shared_client.get("/openapi.json").json()["paths"]
+    asked = [
+        (method.upper(), re.sub(r"\{\w+\}", "nobody", path), {one["name"] for one in what.get("parameters", ())})
+        for path, methods in described.items()
+        for method, what in methods.items()
+    ]
+    assert len(asked) > 60
+    assert {path.split("/")[1] for _, path, _ in asked} == {"v1", "metrics"}
+    for method, path, known in asked:
+        assert "kilt" not in known
+        answer = shared_client.request(method, path, params={"kilt": "1"})
+        assert answer.status_code == 422, (method, path, answer.text)
+        assert "query.kilt is not a parameter of this address" in answer.json()["detail"], (method, path)
