@@ -66,6 +66,7 @@ class Gates(Stored):
     inclusion: bool | None = Field(None, description="It returns on resampled poses.")
     negative_control: bool | None = Field(None, description="It vanishes when its labels are shuffled.")
     confirmation: bool | None = Field(None, description="A confirmation does not contradict it.")
+    sensor: bool | None = Field(None, description="A sensor at the place shows it; null: none is there.")
 
 
 class Evidence(Stored):
@@ -85,6 +86,7 @@ class Evidence(Stored):
     seen: float | None = Field(None, description="1 when the rows show it.")
     inclusion: float | None = Field(None, description="Share of resamples on which it returns, 0 to 1.")
     negative_control: float | None = Field(None, description="Share of shuffles in which it was still named, 0 to 1.")
+    sensor: float | None = Field(None, description="Standard deviations in which a sensor at the place shows it.")
     confirmation: float | None = Field(None, description="Standard deviations between the two amplitudes.")
     confirmation_p: float | None = Field(None, description="p-value of no amplitude in the confirmation.")
 

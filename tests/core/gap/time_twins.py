@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,12 +25,30 @@ BASE, TOOL = np.array([0.3, -0.2, 0.1]), np.array([0.05, 0.03, 0.12])
 
 @dataclass(frozen=True)
 class Twin:
-    """A campaign and its truth: the last row before what happened, from 1, and how far the station or tool moved, m."""
+    """A campaign and its truth: the last row before what happened, from 1, and how far the station or tool moved, m.
+
+    ``turned (N, 3)`` rad is what the station rotated by, ``zeros (N, 6)`` what the joints turned by beyond their readings.
+    """
 
     rows: Observations
     row: int = 0
     joint: int = 0
     moved: float = 0.0
+    turned: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    zeros: Floats = field(default_factory=lambda: np.zeros((0, 6)))
+
+    def with_inclinometer(self, follows: float = 1.0, noise_rad: float = 2e-6) -> Observations:
+        """The rows beside an inclinometer on the base that reads this share of its tilt."""
+        reading = np.full((len(self.rows), 7, 3), np.nan)
+        rng = np.random.default_rng(5)
+        reading[:, 6, :2] = 3e-4 + follows * self.turned[:, :2] + noise_rad * rng.normal(size=(len(self.rows), 2))
+        return replace(self.rows, tilt=reading)
+
+    def with_link_encoders(self, follows: float = 1.0, noise_rad: float = 2e-6) -> Observations:
+        """The rows beside encoders on the links that read this share of what the joints turned by beyond their readings."""
+        rng = np.random.default_rng(6)
+        reading = self.rows.q + follows * self.zeros + noise_rad * rng.normal(size=self.rows.q.shape)
+        return replace(self.rows, link_q=reading)
 
 
 def robot() -> Robot:
@@ -109,4 +127,4 @@ def twin(kind: str, seed: int, size: float = 1.0, poses: int = 60, revisits: int
     points = np.einsum("nij,nj->ni", turned(angle), points) + shift + BASE
     seen = points + NOISE_M * rng.normal(size=points.shape)
     columns: dict[str, Any] = {"t": t, "temperature_c": warm + 0.02 * rng.normal(size=n)} if clock else {}
-    return Twin(Observations(q=q, position=seen, pose_id=pose, **columns), after, joint, moved)
+    return Twin(Observations(q=q, position=seen, pose_id=pose, **columns), after, joint, moved, angle, dq)

@@ -8,7 +8,7 @@ from typing import Any
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.effects.physical import PhysicalClass, Separator
+from kilter_core.effects.physical import STATION, PhysicalClass, Separator
 from kilter_core.gap.evidence.likeness import Alias
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.search.candidates import Candidate
@@ -43,6 +43,12 @@ class Claim:
         """Whether what it follows may have gone along with something else, which then is what acts."""
         return _followed(self.evidence)
 
+    @property
+    def refuted(self) -> bool:
+        """Whether a sensor at the place speaks against it; where revisits bear out a motion, the instrument may have moved."""
+        moved = self.physical.id == STATION.id and not self.followed
+        return any(e.against for e in self.evidence) and not moved
+
     @staticmethod
     def of(
         candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool
@@ -56,15 +62,15 @@ class Claim:
         evidence, label = _needed(evidence), physical.at(candidate.joints)
         if _followed(evidence):
             label += physical.went
-        unordered = next((e.told for e in evidence if e.separator is Separator.ORDER and not e.met), None)
+        doubts = [_doubt(e) for e in evidence if e.against or (e.separator is Separator.ORDER and not e.met)]
         kin = (e.id for e in EFFECTS.values() if e.physical.id == physical.id and not e.empirical)
         about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled)
         names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
         member = next((a.member for a in rivals if a.member), "")
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
-        if unordered is not None:
-            return Claim(CLASS, f"{member or label} ({unordered}; {REMEDY})", *about)
+        if doubts:
+            return Claim(CLASS, f"{member or label} ({'; '.join(doubts)})", *about)
         if member:
             return Claim(CLASS, member, *about)
         if not settled or not all(e.met for e in evidence):
@@ -89,6 +95,10 @@ class Claim:
                 "outside": list(self.physical.outside),
             },
         }  # fmt: skip
+
+
+def _doubt(evidence: Separated) -> str:
+    return f"{evidence.told}; {REMEDY}" if evidence.separator is Separator.ORDER else evidence.told
 
 
 def _followed(evidence: Sequence[Separated]) -> bool:

@@ -163,7 +163,7 @@ class _Asked:
         value, sigma, freedom, predicted = slope
         about = float(predicted @ self.law @ covariance @ self.law.T @ predicted) / float(predicted @ predicted) ** 2
         chance = t_distribution.sf(value / sigma, freedom)
-        return self._told(amount, value, float(np.hypot(sigma, np.sqrt(about))), chance, True)
+        return self._told(predicted, value, float(np.hypot(sigma, np.sqrt(about))), chance, True)
 
     def by_themselves(self) -> Revisits | None:
         """Whether the differences have any such law in them (likelihood ratio), and the size that the whole fit has."""
@@ -175,12 +175,15 @@ class _Asked:
             return None
         taken, total = float(np.sum((u.T @ self.left) ** 2)), float(self.left @ self.left)
         ratio = taken / u.shape[1] / max((total - taken) / free, 1e-300)
-        return self._told(amount, slope[0], slope[1], float(f_distribution.sf(ratio, u.shape[1], free)), False)
+        return self._told(slope[3], slope[0], slope[1], float(f_distribution.sf(ratio, u.shape[1], free)), False)
 
-    def _told(self, amount: Floats, slope: float, sigma: float, chance: float, held_out: bool) -> Revisits:
-        poses = len(self.contrasts.blocks)
+    def _told(self, predicted: Floats, slope: float, sigma: float, chance: float, held_out: bool) -> Revisits:
+        settings, blocks = self.search.problem.settings, self.contrasts.blocks
+        size = settings.whitener.shape[-1]
+        visits = np.concatenate([rows[::size] // size for rows, _ in blocks])
+        moved = settings.source.rms(settings.whitening.back(predicted)[visits])
         alone = float(norm.isf(np.clip(chance, 1e-300, 1.0 - 1e-15)))
-        return Revisits(poses, self._size(amount), slope, sigma, alone, held_out)
+        return Revisits(len(blocks), moved, slope, sigma, alone, held_out)
 
     def _slope(self, amount: Floats) -> tuple[float, float, float, Floats] | None:
         """What is seen over what is predicted, its standard deviation by the scatter left, the freedom of that."""
@@ -209,15 +212,6 @@ class _Asked:
         """Amounts (K,) of unit columns by all data."""
         solved = dict(zip(self.search.columns, self.search.problem.gram.solve(self.search.columns), strict=True))
         return np.array([solved[k] for k in self.columns])
-
-    def _size(self, amount: Floats) -> float:
-        """By how much these amounts move the visits of a pose about their mean, rms (m or rad)."""
-        problem, columns = self.search.problem, list(self.columns)
-        source = problem.settings.source
-        moved = source.without_geometry().linear(problem.values, None, columns).W @ (amount * problem.scale[columns])
-        size = moved.shape[1]
-        apart = [moved[v] - moved[v].mean(axis=0) for v in (rows[::size] // size for rows, _ in self.contrasts.blocks)]
-        return source.rms(np.concatenate(apart))
 
 
 def _reversals(problem: LinearizedProblem) -> Floats:

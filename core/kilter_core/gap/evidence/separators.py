@@ -15,6 +15,7 @@ import numpy as np
 from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.order import order_of
 from kilter_core.gap.evidence.revisits import revisits
+from kilter_core.gap.evidence.sensors import sensed, with_sigma
 from kilter_core.gap.evidence.smooth import TURN
 from kilter_core.gap.search.bases import orthonormal
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -32,12 +33,16 @@ EACH_SIDE = 4  # visits from each side
 
 @dataclass(frozen=True)
 class Separated:
-    """Whether a piece of evidence separates the name from its class, the number that says so, and what is ``told`` of it."""
+    """Whether a piece of evidence separates the name from its class, the number that says so, and what is ``told`` of it.
+
+    ``against`` says that it refutes the name.
+    """
 
     separator: Separator
     met: bool
     number: float | None = None
     told: str = ""
+    against: bool = False
 
 
 def separated(search: SearchResult, place: int) -> tuple[Separated, ...]:
@@ -45,7 +50,11 @@ def separated(search: SearchResult, place: int) -> tuple[Separated, ...]:
     candidate = search.selector.scorer.candidates[place]
     robot = search.problem.settings.source.model.robot
     wanted = dict.fromkeys(s for effect in candidate.effects for s in effect.separators(robot))
-    return tuple(TESTS[one](search, place) for one in wanted)
+    found = tuple(TESTS[one](search, place) for one in wanted)
+    if Separator.SENSOR in wanted:
+        return found
+    asked = _sensor(search, place)  # no name waits for a sensor that is not there, and none stands against one that is
+    return (*found, asked) if asked.met or asked.against else found
 
 
 def _turns(search: SearchResult, place: int) -> Separated:
@@ -96,7 +105,7 @@ def _order(search: SearchResult, place: int) -> Separated:
     if seen is not None:
         unit, scale = ("deg", 180.0 / np.pi) if settings.source.unit == "rad" else ("mm", 1e3)
         size = seen.predicted * scale
-        vary = f"{seen.poses} poses revisited at other times vary by {seen.slope * size:.2g} ± {seen.sigma * size:.1g} {unit}"
+        vary = f"{seen.poses} poses revisited at other times vary by {with_sigma(seen.slope * size, seen.sigma * size)} {unit}"
         whose = "the other poses predict" if seen.held_out else "the law says"
         if seen.alone > ALONE and seen.apart < ALIKE:
             return Separated(Separator.ORDER, True, seen.alone, f"{vary}, and {whose} {size:.2g} {unit}")
@@ -110,12 +119,11 @@ def _order(search: SearchResult, place: int) -> Separated:
 
 
 def _sensor(search: SearchResult, place: int) -> Separated:
-    rows, candidate = search.problem.settings.source.observations, search.selector.scorer.candidates[place]
-    read = rows.tilt if candidate.joints is None else rows.link_q
-    if read is None:
+    """What a link encoder at the joint, or an inclinometer on the base, reads of it."""
+    seen = sensed(search, place)
+    if seen is None or not (seen.shown or seen.refuted):
         return Separated(Separator.SENSOR, False)
-    own = read if candidate.joints is None else read[:, list(candidate.joints)]
-    return Separated(Separator.SENSOR, bool(np.all(np.any(np.isfinite(own), axis=0))))
+    return Separated(Separator.SENSOR, seen.shown, seen.slope / seen.sigma, seen.told, seen.refuted)
 
 
 def _beside(search: SearchResult, place: int, separator: Separator, without: Observations) -> Separated:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, correlation
 from kilter_core.gap.evidence.claim import MEMBER, Claim
@@ -95,6 +96,8 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, library: Libr
         gates["confirmation"] = not replication.contradicted
     robot = search.problem.settings.source.model.robot
     claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled)
+    if _sensed(evidence) is not None:
+        gates["sensor"] = not claim.refuted
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
 
 
@@ -132,11 +135,18 @@ def _numbers(
         "inclusion": evidence.inclusion[1 if class_ else 0],
         "negative_control": None if evidence.control is None else evidence.control.survived,
     }
+    if (sensor := _sensed(evidence)) is not None:
+        numbers["sensor"] = sensor
     return (
         numbers
         if replication is None
         else numbers | {"confirmation": replication.apart, "confirmation_p": replication.p_value}
     )
+
+
+def _sensed(evidence: Evidence) -> float | None:
+    """Standard deviations in which a sensor at the place shows it, None where none could."""
+    return next((e.number for e in evidence.separated if e.separator is Separator.SENSOR and e.told), None)
 
 
 def nearest_shape(search: SearchResult, place: int) -> float | None:

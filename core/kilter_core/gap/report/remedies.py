@@ -18,6 +18,8 @@ REMEDIES = {
     "seen": "No parameter of it differs from zero by itself: measure more poses at its joints.",
     "inclusion": "Other poses of the same kind would not always name it: measure more poses.",
     "negative_control": "Its name comes back where labels are shuffled: vary what it depends on independently of the pose.",
+    "sensor": "A sensor at the place does not show it: something else moved, or went with what this follows. Look at "
+    "the instrument, and at the sensor's place, sign and unit.",
     "confirmation": "The confirmation shows another amplitude: look what changed between the campaigns.",
 }
 

@@ -70,6 +70,10 @@ GATES: Mapping[str, tuple[str, Say]] = {
         "It vanishes when its labels are shuffled",
         lambda e: _of(e.negative_control, lambda v: f"still named in {percent(v)} of the shuffles"),
     ),
+    "sensor": (
+        "A sensor at the place shows it",
+        lambda e: _of(e.sensor, lambda v: f"in {number(v, 2)} standard deviations"),
+    ),
     "confirmation": (
         "The confirmation does not contradict it",
         lambda e: _of(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),

@@ -283,6 +283,8 @@ class Evidence(Record):
     """Standard deviations beyond what is plausible; below 0: within."""
     seen: float | None
     """1 when the rows show it."""
+    sensor: float | None
+    """Standard deviations in which a sensor at the place shows it."""
     shadowed: float | None
     """Largest correlation with an unknown curve that was needed too."""
     unseen_poses: float | None
@@ -313,6 +315,8 @@ class Gates(Record):
     """Its amplitude is physically plausible."""
     seen: bool | None
     """The rows show it."""
+    sensor: bool | None
+    """A sensor at the place shows it; None: none is there."""
     unseen_poses: bool | None
     """Poses that took no part in choosing judged it."""
 
