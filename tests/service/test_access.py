@@ -38,7 +38,8 @@ NEEDED = {
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals
         GET /v1/campaigns/{campaign}/suspicious
         GET /v1/robots/{robot}/urdf-shapes
-        GET /v1/versions/{version}/export GET /metrics GET /v1/fleet-jobs GET /v1/fleet-jobs/{fleet_job}""",
+        GET /v1/versions/{version}/export GET /metrics GET /v1/fleet-jobs GET /v1/fleet-jobs/{fleet_job}
+        GET /v1/instruments""",
     "operator": """POST /v1/robots/check POST /v1/robots/convert POST /v1/robots/from-circles POST /v1/frames
         POST /v1/robots/{robot}/correct POST /v1/robots/{robot}/campaigns PATCH /v1/campaigns/{campaign}
         POST /v1/campaigns/{campaign}/commit POST /v1/campaigns/{campaign}/observations
@@ -51,7 +52,8 @@ NEEDED = {
     "admin": """POST /v1/robots PATCH /v1/robots/{robot} DELETE /v1/robots/{robot} POST /v1/robots/{robot}/retire
         POST /v1/robots/{robot}/restore POST /v1/robots/{robot}/purge POST /v1/campaigns/{campaign}/purge
         POST /v1/versions/{version}/purge GET /v1/tokens POST /v1/tokens DELETE /v1/tokens/{token} GET /v1/audit
-        PUT /v1/robots/{robot}/meshes/{link} DELETE /v1/robots/{robot}/meshes/{link}""",
+        PUT /v1/robots/{robot}/meshes/{link} DELETE /v1/robots/{robot}/meshes/{link}
+        POST /v1/instruments""",
 }
 ROLES = ("viewer", "operator", "admin")
 WHOLE_SERVER = ("GET /v1/tokens", "POST /v1/tokens", "DELETE /v1/tokens/{token}", "GET /v1/audit", "GET /metrics")

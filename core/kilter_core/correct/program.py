@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from kilter_core.arm.chain import Axis, Chain, Element
 from kilter_core.arm.loads.slopes import with_masses, with_payload
-from kilter_core.arm.robot import Joint, Payload, Robot
+from kilter_core.arm.robot import Joint, Link, Payload, Robot
 from kilter_core.arm.run_time import Conditions, RunTimeForm
 from kilter_core.correct.collapse import (
     chains_of,
@@ -66,7 +66,8 @@ class CorrectionOptions:
     version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
     robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
     uncorrected. ``base_tilt`` rad is what the inclinometer on the base reads about its x and y, the same for a measured
-    tilt. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
+    tilt. ``link_masses`` hang on the links beyond their own, of each joint kg and place m in the frame of its link.
+    ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
     1 / (pi filter_hz) seconds. ``iterations`` bound the work on a setpoint of a stream, ``row_iterations`` that on a row
     by itself. A point further off than ``reached_m`` is flagged, as is a tool rotated by more than ``turned_rad`` on an arm
     that could rotate it.
@@ -78,6 +79,7 @@ class CorrectionOptions:
     payload_com: tuple[float, float, float] | None = None
     temperature_c: float | None = None
     base_tilt: tuple[float, float] | None = None
+    link_masses: tuple[tuple[float, ...], ...] = ()
     largest_rad: float = math.radians(1.0)
     largest_m: float = 0.005
     farthest_m: float = 0.005
@@ -302,6 +304,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     form, supported, unsupported, loaded = _at_run_time(model, values, conditions)
     chains = chains_of(calibration, model, values)
     weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())
+    weighed = _with_more(weighed, options.link_masses)
     loads = chains.nominal
     if model.load_chain is not None:
         loads = collapse_constants(weighed, nominal_values(weighed), np.eye(4), weighed.T_tool)
@@ -319,6 +322,14 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))
     return CorrectionProgram(np.vstack([*parts, *mount, scalars]), n, m, first, supported, unsupported)
+
+
+def _with_more(robot: Robot, masses: tuple[tuple[float, ...], ...]) -> Robot:
+    """The robot with more masses on its links: loads are linear in them, so that bodies of their own do."""
+    more = [
+        Link(robot.chain.primary[j], kg, np.array(place)) for j, (kg, *place) in enumerate(masses) if kg != 0.0
+    ]  # fmt: skip
+    return replace(robot, links=(*robot.links, *more)) if more else robot
 
 
 def _with_limits(rows: Floats, robot: Robot, options: CorrectionOptions) -> Floats:

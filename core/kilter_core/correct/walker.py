@@ -26,7 +26,7 @@ Stretches = Sequence[tuple[slice, CorrectionProgram]]  # rows under one load and
 _REMOVED, _LEFT = slice(layout.REMOVED, layout.REMOVED + 3), slice(layout.LEFT, layout.LEFT + 3)
 
 MOST_CONDITIONS = 200
-MOST_TILTS = 2000  # a tilt may be another in every row
+MOST_STATED = 2000  # where a tilt of the base or masses on links are stated, which may be others in every row
 SLICE = 64
 
 
@@ -273,28 +273,32 @@ def _named(rows: Observations, band: float) -> Floats:
 
 def _stretches(calibration: Calibration, rows: Observations, options: CorrectionOptions) -> Stretches:
     """Rows under one load, temperature and tilt of the base, each stretch with its program."""
-    tilted = any("base_tilt_x" in effect.needs for effect in calibration.model.effects)
-    tilts = (rows.base_tilt_x, rows.base_tilt_y) if tilted else (None, None)
+    read = frozenset[str]().union(*(effect.needs for effect in calibration.model.effects))
+    tilts = (rows.base_tilt_x, rows.base_tilt_y) if "base_tilt_x" in read else (None, None)
+    masses = rows.link_mass if "moments" in read and rows.link_mass is not None else np.zeros((len(rows), 0, 4))
     payload_com = np.zeros((len(rows), 3)) if rows.payload_com is None else rows.payload_com
-    columns = (rows.payload_kg, *payload_com.T, rows.temperature_c, *tilts)
+    columns = (rows.payload_kg, *payload_com.T, rows.temperature_c, *tilts, *masses.reshape(len(rows), -1).T)
     conditions = np.column_stack([np.full(len(rows), math.nan) if one is None else one for one in columns])
     same = (conditions[1:] == conditions[:-1]) | (np.isnan(conditions[1:]) & np.isnan(conditions[:-1]))
     starts = [0, *(np.flatnonzero(~same.all(axis=1)) + 1).tolist()]
-    most = MOST_TILTS if tilted else MOST_CONDITIONS
+    stated = tilts[0] is not None or masses.size > 0
+    most = MOST_STATED if stated else MOST_CONDITIONS
     if len(starts) > most:
-        what = "Payload, temperature or tilt of the base" if tilted else "Payload or temperature"
+        what = "Payload, temperature, tilt of the base or masses on links" if stated else "Payload or temperature"
         raise ObservationError(
             f"{what} changes {len(starts) - 1} times: a trajectory may do so {most - 1} times. "
             "Round them, or split the trajectory."
         )
     programs = []
     for start in starts:
-        payload, x, y, z, temperature, *tilt = conditions[start].tolist()
+        payload, x, y, z, temperature, *tilt = conditions[start, :7].tolist()
         here = options if math.isnan(payload) else replace(options, payload_kg=payload, payload_com=(x, y, z))
         if not math.isnan(temperature):
             here = replace(here, temperature_c=temperature)
         if not math.isnan(sum(tilt)):
             here = replace(here, base_tilt=(tilt[0], tilt[1]))
+        if masses.size:
+            here = replace(here, link_masses=tuple(map(tuple, masses[start].tolist())))
         programs.append(compile_program(calibration, here))
     slices = [slice(start, end) for start, end in zip(starts, [*starts[1:], len(rows)], strict=True)]
     return list(zip(slices, programs, strict=True))

@@ -60,7 +60,8 @@ class Observations(Conditions):
     ``bar (N,)`` the number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none;
     ``bar_length (N,)`` m that the bar reads. ``tilt (N, n, 3)`` what each joint rotated about x, y and z of its frame
     beyond its command, up to a constant, as inclinometers read it, NaN where none did; ``tilt (N, n + 1, 3)`` where one
-    sits on the base, which comes last.
+    sits on the base, which comes last. ``link_mass (N, n, 4)`` is a mass kg that hangs on each link beyond what the robot
+    states and its place m in the frame of the link, and ``link_wrench (N, n, 6)`` a force N and moment N·m on it.
     """
 
     q: Floats
@@ -79,6 +80,8 @@ class Observations(Conditions):
     bar: Ints | None = None
     bar_length: Floats | None = None
     tilt: Floats | None = None
+    link_mass: Floats | None = None
+    link_wrench: Floats | None = None
 
     def __post_init__(self) -> None:
         for name, value in self._present().items():
@@ -157,6 +160,11 @@ class Observations(Conditions):
         return replace(self, base_tilt_x=x, base_tilt_y=y, tilt=None if np.isnan(links).all() else links)
 
     @property
+    def loads_on_links_vary(self) -> bool:
+        """Whether rows differ in what hangs on the links or pulls at them."""
+        return any(one is not None and bool(np.any(np.ptp(one, axis=0))) for one in (self.link_mass, self.link_wrench))
+
+    @property
     def tool_seen(self) -> NDArray[np.bool_]:
         """Rows (N,) that say where the tool was; all of them where none has an instrument for it."""
         values = self.markers if self.markers is not None else self.position
@@ -178,7 +186,8 @@ class Observations(Conditions):
         """Number what repeats must share beside the pose, shape (N,): pose, approach, payload, session and contact."""
         columns = [self.pose_groups().astype(np.float64)[:, None]]
         contact = (self.socket, self.plane, self.bar)
-        beside = (self.direction, self.payload_kg, self.payload_com, self.session, self.setup, *contact)
+        loads = (self.payload_kg, self.payload_com, self.link_mass, self.link_wrench)
+        beside = (self.direction, *loads, self.session, self.setup, *contact)
         columns += [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
         return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
 

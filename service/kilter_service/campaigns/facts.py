@@ -183,6 +183,14 @@ MEANINGS: Mapping[str, str] = {
 }  # fmt: skip
 
 
+def _load(part: str, number: str) -> str:
+    """Say in words what a load on a link is."""
+    if part == "kg":
+        return f"mass on link {number} beyond its own"
+    what = {"f": "force along", "m": "moment about"}.get(part[0], "place of the mass along") if len(part) > 1 else ""
+    return f"{what or 'place of the mass along'} {part[-1]}, on link {number}"
+
+
 def meaning(column: Column) -> str:
     """Say in words what a column is."""
     number = "" if column.number is None else str(column.number + 1)
@@ -192,6 +200,8 @@ def meaning(column: Column) -> str:
         return f"marker {number} along {column.quantity[-1]}"
     if column.quantity.startswith("tilt_"):
         return f"inclination of {'the base' if number == '0' else f'link {number}'} about {column.quantity[-1]}"
+    if column.quantity.startswith("load_"):
+        return _load(column.quantity.removeprefix("load_"), number)
     kinds = {
         "s": "deviation of the position along",
         "f": "force along",

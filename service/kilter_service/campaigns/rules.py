@@ -106,7 +106,7 @@ class RowRules:
             self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
         if column.quantity == "dir":
             self._refuse(np.abs(cells) > 1, column.name, "is not -1, 0 or 1", cells)
-        if column.quantity == "payload":
+        if column.quantity in ("payload", "load_kg"):
             self._refuse(cells < 0, column.name, "is negative", cells)
         if column.quantity in ("sx", "sy", "sz"):
             self._check_position(column)

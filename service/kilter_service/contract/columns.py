@@ -42,6 +42,18 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
 # read.
 TILT_UNITS = ANGLES
 TILTS = ("tilt_x", "tilt_y", "tilt_z")
+# Loads on links, by joint: `load3_kg` at `load3_x_mm` ... in the frame of the link, `load3_fx_n` ..., `load3_mx_nm` ...
+LOAD_UNITS: dict[str, dict[str, float]] = {
+    "load_kg": {"": 1.0},
+    **{f"load_{axis}": LENGTHS for axis in "xyz"},
+    **{f"load_f{axis}": {"n": 1.0} for axis in "xyz"},
+    **{f"load_m{axis}": {"nm": 1.0} for axis in "xyz"},
+}
+LOAD_PARTS = (
+    ("load_kg", "load_x", "load_y", "load_z"),
+    ("load_fx", "load_fy", "load_fz"),
+    ("load_mx", "load_my", "load_mz"),
+)
 BASE = -1  # number of a column of the base: behind those of the joints
 PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz", "phi", "theta", "psi")  # of the tool
 CONTACTS = ("socket_id", "plane_id", "bar_id")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import ObservationError
-from kilter_service.contract.columns import PAYLOAD_CENTRE
+from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 from kilter_service.tables import reading
 from kilter_service.tables.columns import Column, read_columns
@@ -28,6 +28,7 @@ QUANTITIES = frozenset(
         "temperature",
         "base_tilt_x",
         "base_tilt_y",
+        *LOAD_PARTS[0],
         "session",
         "pose_id",
         "row",
@@ -46,9 +47,9 @@ def read_trajectory(
     """
     columns = read_columns(reading.column_names(path, media), kinds)
     for column in columns:
-        if column.quantity in ("fx", "mx"):
+        if column.quantity in ("fx", "mx", "load_fx", "load_mx"):
             raise ObservationError(
-                f"Column {column.name!r}: a correction does not know forces on the tool yet to come, only the payload. Leave "
+                f"Column {column.name!r}: a correction does not know forces yet to come, only masses. Leave "
                 "the column out; what the force bends stays uncorrected.",
                 column=column.name,
             )

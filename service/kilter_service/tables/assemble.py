@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import CONDITIONS, Observations
-from kilter_service.contract.columns import BASE, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
+from kilter_service.contract.columns import BASE, LOAD_PARTS, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
 from kilter_service.tables.columns import Column
 
 if TYPE_CHECKING:
@@ -51,6 +51,8 @@ def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[st
     fields["wrench"] = _wrench(si, conditions, table.num_rows)
     fields["rotation"] = _rotation(si)
     fields["tilt"] = _tilt(si, table.num_rows)
+    fields["link_mass"] = _on_links(si, table.num_rows, (LOAD_PARTS[0],))
+    fields["link_wrench"] = _on_links(si, table.num_rows, LOAD_PARTS[1:])
     fields["markers"] = _markers(si)
     return Observations(**_filled(fields, conditions, table.num_rows))
 
@@ -111,6 +113,18 @@ def _tilt(si: dict[tuple[str, int | None], Floats], rows: int) -> Floats | None:
     out = np.full((rows, places, len(TILTS)), np.nan)
     for axis, place in given:
         out[:, place, axis] = si[TILTS[axis], place]
+    return out
+
+
+def _on_links(si: dict[tuple[str, int | None], Floats], rows: int, groups: Sequence[Sequence[str]]) -> Floats | None:
+    """Loads (N, n, parts) on links, zero where none is stated; None without any."""
+    parts = [part for group in groups for part in group]
+    given = [(parts.index(q), number) for q, number in si if q in parts and number is not None]
+    if not given:
+        return None
+    out = np.zeros((rows, sum(q == "q" for q, _ in si), len(parts)))
+    for part, link in given:
+        out[:, link, part] = si[parts[part], link]
     return out
 
 

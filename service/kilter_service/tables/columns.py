@@ -14,6 +14,8 @@ from kilter_service.contract.columns import (
     CONTACTS,
     JOINT_UNITS,
     LENGTHS,
+    LOAD_PARTS,
+    LOAD_UNITS,
     PLAIN_UNITS,
     TILT_UNITS,
     TILTS,
@@ -23,6 +25,7 @@ from kilter_service.limits import MAX_COLUMNS, MAX_NAME
 
 _JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
 _TILT = re.compile(r"tilt(0|[1-9][0-9]?)([xyz])(?:_(\w+))?")
+_LOAD = re.compile(r"load([1-9][0-9]?)_(kg|[xyz]|[fm][xyz])(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")
 _PLAIN = re.compile(rf"({'|'.join(sorted(PLAIN_UNITS, key=len, reverse=True))})(?:_(\w+))?")
 
@@ -109,6 +112,10 @@ def _read(name: str, kinds: Sequence[str]) -> Column:
         _of_joint(name, number, kinds)
         place = number - 1 if number else BASE
         return Column(name, f"tilt_{match[2]}", place, _factor(name, stem, match[3] or "", TILT_UNITS))
+    if match := _LOAD.fullmatch(name):
+        _of_joint(name, int(match[1]), kinds)
+        stem, quantity = f"load{match[1]}_{match[2]}", f"load_{match[2]}"
+        return Column(name, quantity, int(match[1]) - 1, _factor(name, stem, match[3] or "", LOAD_UNITS[quantity]))
     if match := _MARKER.fullmatch(name):
         factor = _factor(name, f"m{match[1]}{match[2]}", match[3] or "", LENGTHS)
         return Column(name, f"marker_{match[2]}", int(match[1]) - 1, factor)
@@ -150,6 +157,9 @@ def _complete(columns: dict[tuple[str, int | None], Column], kinds: Sequence[str
                 raise refuse(f"Column {missing!r} is missing: give it for all {len(kinds)} joints.", missing)
     for group in TOGETHER:
         _whole(group, [part for part in group if part in present])
+    for group, link in {(group, link) for q, link in columns for group in LOAD_PARTS if q in group}:
+        parts = [f"load{(link or 0) + 1}{part.removeprefix('load')}" for part in group]
+        _whole(parts, [name for name, part in zip(parts, group, strict=True) if (part, link) in columns])
     for marker in {number for quantity, number in columns if quantity.startswith("marker_")}:
         parts = [f"m{(marker or 0) + 1}{axis}" for axis in "xyz"]
         _whole(parts, [part for part, axis in zip(parts, "xyz", strict=True) if (f"marker_{axis}", marker) in columns])

@@ -17,6 +17,7 @@ from kilter_core.arm.loads.wrenches import axial_loads, joint_loads, loads_of
 from kilter_core.errors import RobotError
 from kilter_core.observations import Observations
 from tests.core.palletiser import palletiser, said
+from tests.core.truth import Body
 
 Floats = np.ndarray
 
@@ -43,6 +44,17 @@ def test_the_gear_of_a_linkage_carries_all_axes_by_virtual_work(ratio: float) ->
     kg, com = np.full(len(q), 7.0), np.tile(place, (len(q), 1))
     ours = axial_loads(robot, joint_loads(robot, q, payload_kg=kg, payload_com=com))
     truth = np.array([by_energy(arm, row, (7.0, place)) for row in q])
+    np.testing.assert_allclose(ours, truth, atol=2e-6 * np.abs(truth).max(), rtol=0)
+
+
+def test_masses_on_the_links_of_a_linkage_are_carried_by_virtual_work_too() -> None:
+    arm = palletiser(-1.0)
+    robot = robot_from_document(said(arm, "linkage"))
+    q, rng = np.random.default_rng(3).uniform(-1.2, 1.2, (8, arm.n)), np.random.default_rng(4)
+    mass = np.concatenate([rng.uniform(1.0, 5.0, (1, arm.n, 1)), rng.uniform(-0.2, 0.2, (1, arm.n, 3))], axis=2)
+    ours = axial_loads(robot, joint_loads(robot, q, link_mass=np.tile(mass, (8, 1, 1))))
+    more = tuple(Body(j, kg, np.array(place)) for j, (kg, *place) in enumerate(mass[0]))
+    truth = np.array([by_energy(replace(arm, bodies=(*arm.bodies, *more)), row) for row in q])
     np.testing.assert_allclose(ours, truth, atol=2e-6 * np.abs(truth).max(), rtol=0)
 
 

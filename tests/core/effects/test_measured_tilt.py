@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_core.correct.walker import MOST_TILTS, correct_trajectory
+from kilter_core.correct.walker import MOST_STATED, correct_trajectory
 from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError
 from kilter_core.gap import GapOptions, find_gap
@@ -161,9 +161,9 @@ def test_a_row_that_states_its_tilt_is_corrected_for_it() -> None:
 
 def test_the_tilt_changes_as_often_as_is_said_and_only_where_it_is_read() -> None:
     made = RobotModel(robot(), (make_effect("measured_tilt", zero_x_rad=0.0, zero_y_rad=0.0),))
-    q = np.zeros((MOST_TILTS + 1, 4))
+    q = np.zeros((MOST_STATED + 1, 4))
     rows = Observations(q, base_tilt_x=np.arange(len(q)) * 1e-7, base_tilt_y=np.zeros(len(q)))
-    with pytest.raises(ObservationError, match="tilt of the base changes"):
+    with pytest.raises(ObservationError, match="tilt of the base or masses on links changes"):
         correct_trajectory(Calibration(made, made.values0()), rows)
     plain = RobotModel(robot())
     assert (correct_trajectory(Calibration(plain, plain.values0()), rows).status == 0).all()

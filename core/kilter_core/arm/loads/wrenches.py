@@ -13,6 +13,7 @@ import numpy as np
 
 from kilter_core.arm.chain import axis_frame
 from kilter_core.arm.kernels.newton_euler import load_wrenches
+from kilter_core.arm.loads.on_links import OnLinks
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
@@ -47,6 +48,8 @@ def joint_loads(
     payload_kg: Floats | None = None,
     payload_com: Floats | None = None,
     external: Floats | None = None,
+    link_mass: Floats | None = None,
+    link_wrench: Floats | None = None,
 ) -> Loads:
     """Load wrenches on joints, link ends and base.
 
@@ -58,6 +61,9 @@ def joint_loads(
         payload_kg: point mass (N,) kg.
         payload_com: its place (N, 3) m in the tool frame; the tool point when None.
         external: force and moment (N, 6) on the tool point in the tool frame.
+        link_mass: masses (N, n, 4) that hang on the links beyond their own, kg and place m in the frame of the link; they
+            weigh, whatever the arm's motion does to them is left out.
+        link_wrench: force and moment (N, n, 6) on the links, about the origins and in the axes of their frames.
 
     Source: thesis eq. 4.21 and 5.14, corrected (forces rotated into one frame, load sign).
 
@@ -65,11 +71,21 @@ def joint_loads(
     chain = robot.chain
     given = (qd, qdd, payload_kg, payload_com, external)
     loads = _wrenches(robot, chain.program.primary, chain.program.joint_frame, q, *given)
+    on_links = None if link_mass is None and link_wrench is None else OnLinks.of(robot, q, link_mass, link_wrench)
+    if on_links is not None:
+        own = chain.program.primary, chain.program.joint_frame
+        loads = replace(
+            loads, joints=loads.joints + on_links.on_axes(*own), ends=loads.ends + on_links.on_ends(*own),
+            base=loads.base + on_links.on_base(),
+        )  # fmt: skip
     if not chain.linked:
         return loads
     followers = np.array(chain.linked, dtype=np.int64)
     frames = np.stack([axis_frame(chain.elements[k].axis) for k in chain.linked])
-    return replace(loads, linked=through_linkages(robot, _wrenches(robot, followers, frames, q, *given).joints))
+    found = _wrenches(robot, followers, frames, q, *given).joints
+    if on_links is not None:
+        found = found + on_links.on_axes(followers, frames)
+    return replace(loads, linked=through_linkages(robot, found))
 
 
 def through_linkages(robot: Robot, wrenches: Floats) -> Floats:
@@ -118,9 +134,10 @@ def _wrenches(
 
 
 def loads_of(robot: Robot, o: Observations) -> Loads:
-    """Load wrenches of rows under their own conditions: motion, payload and the wrench on the tool."""
+    """Load wrenches of rows under their own conditions: motion, payload, the wrench on the tool, and loads on links."""
     return joint_loads(
-        robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench
+        robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench,
+        link_mass=o.link_mass, link_wrench=o.link_wrench,
     )  # fmt: skip
 
 

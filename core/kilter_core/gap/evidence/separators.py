@@ -81,9 +81,11 @@ def _sides(search: SearchResult, place: int) -> Separated:
 
 def _loads(search: SearchResult, place: int) -> Separated:
     rows = search.problem.settings.source.observations
-    if rows.payload_kg is None or np.ptp(rows.payload_kg) == 0.0:
-        return Separated(Separator.LOADS, False)
-    return _beside(search, place, Separator.LOADS, replace(rows, payload_kg=np.zeros(len(rows))))
+    if rows.payload_kg is not None and np.ptp(rows.payload_kg) > 0.0:
+        return _beside(search, place, Separator.LOADS, replace(rows, payload_kg=np.zeros(len(rows))))
+    if rows.loads_on_links_vary:
+        return _beside(search, place, Separator.LOADS, replace(rows, link_mass=None, link_wrench=None))
+    return Separated(Separator.LOADS, False)
 
 
 def _temperature(search: SearchResult, place: int) -> Separated:

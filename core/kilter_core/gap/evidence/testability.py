@@ -184,7 +184,8 @@ def _constant(c: Candidate, rows: Observations) -> str:
             return "every pose was approached from one side"
     if "temperature_c" in needs and rows.temperature_c is not None and np.ptp(rows.temperature_c) < 0.1:
         return "the temperature was constant"
-    if "moments" in needs and (rows.payload_kg is None or math.isclose(float(np.ptp(rows.payload_kg)), 0.0)):
+    one_payload = rows.payload_kg is None or math.isclose(float(np.ptp(rows.payload_kg)), 0.0)
+    if "moments" in needs and one_payload and not rows.loads_on_links_vary:
         return "one load only"
     if "session" in needs and rows.session is not None and np.ptp(rows.session) == 0:
         return "one session only"

@@ -135,7 +135,8 @@ def test_contract_columns_agree_with_the_service() -> None:
     kinds = ["revolute", "prismatic"]
     tail = ["q1_rad", "q2_mm"]
     for names in (["x_m", "y_m", "z_m"], ["m1x_mm", "m1y_mm", "m1z_mm"], ["tau1_nm", "tau2_n"], ["dir1", "dir2"],
-                  ["base_tilt_x_deg", "base_tilt_y_rad"],
+                  ["base_tilt_x_deg", "base_tilt_y_rad"], ["load2_kg", "load2_x_mm", "load2_y_mm", "load2_z_mm"],
+                  ["load1_fx_n", "load1_fy_n", "load1_fz_n"], ["load2_mx_nm", "load2_my_nm", "load2_mz_nm"],
                   ["t_s", "payload_kg", "temperature_c", "session", "pose_id"], ["qd1_rad_s", "qd2_mm_s"],
                   ["qdd1_deg_s2", "qdd2_m_s2"], ["link1_deg", "link2_m"], ["sx_mm", "sy_mm", "sz_mm"]):  # fmt: skip
         read_columns(tail + names, kinds)

@@ -138,6 +138,14 @@ COLUMNS: list[dict[str, str]] = [
         "columns": "fx_n, fy_n, fz_n and mx_nm, my_nm, mz_nm",
         "meaning": "force and moment on the tool point, in the tool frame (those of a process or a hanging cable). One of the two groups is enough",
     },
+    {
+        "columns": "load3_kg, load3_x_mm …",
+        "meaning": "a mass on the link of joint 3 beyond what the robot states, and its place. The place is in the frame in which the robot states centres of mass; both may differ from row to row.",
+    },
+    {
+        "columns": "load3_fx_n …, load3_mx_nm …",
+        "meaning": "force and moment on the link of joint 3, about the origin and in the axes of the same frame. One of the two groups is enough",
+    },
     {"columns": "temperature_c", "meaning": "temperature"},
     {
         "columns": "base_tilt_x_deg, base_tilt_y_deg",
