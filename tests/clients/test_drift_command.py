@@ -144,3 +144,37 @@ def test_a_job_takes_one_campaign(calibrated: str, kilter: Kilter) -> None:
     with pytest.raises(KilterError, match="2 campaigns"):
         kilter.jobs.submit("drift", calibrated, used * 2)
     assert kilter.jobs.check("drift", calibrated, used)["problems"][0]["code"] == "rows_shared"
+
+
+def test_a_check_is_planned_and_says_beforehand_what_it_will_show(
+    calibrated: str, command: Command, tmp_path: Path, arm: DriftingArm
+) -> None:
+    file = tmp_path / "check.csv"
+    said = command("plan", "check", calibrated, "--poses", "5", "--anywhere", "-o", file)
+    assert "5 poses for check" in said
+    assert "zero of joint 2" in said
+    assert "in 95 % of the checks" in said
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    q = np.radians(np.stack([table[f"q{k}_deg"] for k in range(1, 7)], axis=1))
+    assert q.shape == (5, 6)
+    told = command.json("plan", "check", calibrated, "--anywhere", "--keep-out", "100,-2000,-2000,2000,2000,400")
+    assert told["result"]["false_alarm"] == pytest.approx(1e-3)
+    assert {one["name"] for one in told["result"]["smallest"]} >= {"zero_1", "sag_2", "base", "tool", "scale"}
+    said = command("plan", "check", calibrated, "--keep-out", "1,2,3,0,0,0", code=2)
+    assert "--keep-out 1,2,3,0,0,0: give the lowest corner first" in said
+    said = command("plan", "check", calibrated, "--without-joints", "9", code=1)
+    assert "--without-joints has joint 9: the robot has 6" in said
+    said = command(
+        "plan", calibrated, "--purpose", "identify", "--count", "3", "--option", "without_joints=[1]", code=1
+    )
+    assert "goes with purpose check" in said
+
+
+def test_a_reflector_on_an_axis_is_refused_before_anybody_measures(
+    k: Kilter, arm: DriftingArm, command: Command
+) -> None:
+    document = {**arm.document(), "name": "on-the-axis"}
+    k.add_robot({**document, "tool": {**document["tool"], "x_mm": 0, "y_mm": 0}})
+    told = command.json("plan", "check", "on-the-axis", code=1)
+    assert told["code"] == "tool_on_axis"
+    assert "off the axis of joint 6" in told["detail"]

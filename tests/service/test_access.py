@@ -56,7 +56,14 @@ NEEDED = {
         POST /v1/instruments""",
 }
 ROLES = ("viewer", "operator", "admin")
-WHOLE_SERVER = ("GET /v1/tokens", "POST /v1/tokens", "DELETE /v1/tokens/{token}", "GET /v1/audit", "GET /metrics")
+WHOLE_SERVER = (
+    "GET /v1/tokens",
+    "POST /v1/tokens",
+    "DELETE /v1/tokens/{token}",
+    "GET /v1/audit",
+    "GET /metrics",
+    "POST /v1/instruments",
+)
 
 
 def routes(role: str) -> list[str]:

@@ -3,10 +3,11 @@ function job = plan(robot, campaigns, varargin)
 %   job = kilter.plan('arm', {}, 'purpose', 'iso9283', 'count', 30)
 %   Further pairs are the job's options. JOB.result holds the result; a job that fails is an error kilter:CODE.
 %     purpose              iso9283: cube and planes of the standard; identify: poses that determine the parameters
-%                          best; separate: poses that tell two effects apart.
+%                          best; separate: poses that tell two effects apart; check: the few poses that best show
+%                          whether the arm has moved.
 %     method               Of identify: d_optimal or the poses of iso9283; of iso9283: five_poses or two_poses for
 %                          its cycles.
-%     count                Poses, 1 to 2000, or cycles; left out: 118, 60 or 12 poses by purpose, 30 cycles.
+%     count                Poses, 1 to 2000, or cycles; left out: 118, 60, 12 or 5 poses by purpose, 30 cycles.
 %     effects              Of identify: effects to see; of separate: the two, or one to tell from geometry; left out:
 %                          what the gap search that made the version left undecided.
 %     seed                 Seed of the choice, 0 or more.
@@ -14,6 +15,9 @@ function job = plan(robot, campaigns, varargin)
 %     version              Id of the version to plan with; left out: the nominal robot.
 %     box_mm               Lowest and highest corner, mm, of a box the tool stays in, in the frame of the
 %                          measurements.
+%     keep_out_mm          Lowest and highest corners, mm, of boxes that no line between joints and tool enters, in
+%                          the frame of the measurements.
+%     without_joints       Of check: joints, from 1, whose zeros need not be seen.
 %     floor_mm             Height in the robot's base frame, mm, that no joint and no tool point goes below.
 %     within               Where poses may be: where the robot was driven before, or anywhere in its limits.
 %     payloads_kg          Loads at hand, kg, 0 to 1000; used where an effect feels them.

@@ -32,7 +32,8 @@ class Region:
     robot, where it was in earlier campaigns; none when those do not bound it. ``floor`` is a height m, along the vertical
     in the robot's base frame, that none of these points goes below, those aside that
     no joint raises. ``box (2, 3)`` m in the frame of the measurements
-    holds the tool of ``start``.
+    holds the tool of ``start``. ``keep_out (k, 2, 3)`` m in that frame are boxes that no line between consecutive of these
+    points enters.
     """
 
     start: Calibration
@@ -41,6 +42,7 @@ class Region:
     hulls: tuple[Hull, ...] = ()
     floor: float | None = None
     box: Floats | None = None
+    keep_out: Floats | None = None
 
     @staticmethod
     def of(start: Calibration, driven: Floats | None = None) -> Region:
@@ -71,6 +73,10 @@ class Region:
         """Return the part of the region whose tool is in a box."""
         return replace(self, box=box)
 
+    def outside(self, keep_out: Floats | None) -> Region:
+        """Return the part of the region whose arm keeps out of boxes (k, 2, 3)."""
+        return replace(self, keep_out=keep_out)
+
     def holds(self, q: Floats) -> Bools:
         """Which joint vectors (N, n) are in it."""
         inside = np.asarray(((q >= self.low) & (q <= self.high)).all(axis=1)) & self.clear(q)
@@ -81,13 +87,17 @@ class Region:
         return inside
 
     def clear(self, q: Floats) -> Bools:
-        """Which joint vectors (N, n), wherever they are otherwise, keep to the floor and the box."""
+        """Which joint vectors (N, n), wherever they are otherwise, keep to the floor and the box and out of others."""
         inside = np.ones(len(q), dtype=bool)
         if self.floor is not None:
             inside &= (self._heights(q)[:, self._rising] >= self.floor).all(axis=1)
         if self.box is not None:
             tool = self.start.predict(Observations(q)).position
             inside &= ((tool >= self.box[0]) & (tool <= self.box[1])).all(axis=1)
+        if self.keep_out is not None:
+            T = self.start.model.T_base
+            points = arm_points(self.start.robot, q) @ T[:3, :3].T + T[:3, 3]
+            inside &= ~np.any([entering(points, box) for box in self.keep_out], axis=0)
         return inside
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
@@ -128,6 +138,7 @@ class Region:
         parts += ["where the arm was driven before"] if self.hulls else []
         parts += [f"above {1e3 * self.floor:g} mm"] if self.floor is not None else []
         parts += ["with the tool in the box"] if self.box is not None else []
+        parts += ["out of the zones to keep out of"] if self.keep_out is not None else []
         return ", ".join(parts)
 
 
@@ -162,6 +173,18 @@ class Hull:
         off = np.linalg.norm(apart - along @ self.axes.T, axis=1) <= BESIDE_M
         faces = along @ self.half[:, :-1].T + self.half[:, -1]
         return np.asarray(off & (faces <= BESIDE_M).all(axis=1))
+
+
+def entering(points: Floats, box: Floats) -> Bools:
+    """Which of the lines through points (N, m, 3), each to the next, enter a box (2, 3)."""
+    begin, way = points[:, :-1], np.diff(points, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (box[:, None, None, :] - begin) / way  # of the part of each line that is between the faces of an axis
+    still = way == 0.0
+    between = (begin >= box[0]) & (begin <= box[1])
+    first = np.where(still, np.where(between, -np.inf, np.inf), ends.min(axis=0)).max(axis=2)
+    last = np.where(still, np.where(between, np.inf, -np.inf), ends.max(axis=0)).min(axis=2)
+    return np.asarray((np.maximum(first, 0.0) <= np.minimum(last, 1.0)).any(axis=1))
 
 
 def arm_points(robot: Robot, q: Floats) -> Floats:

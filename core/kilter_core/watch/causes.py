@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.arm.frames import increment
 from kilter_core.arm.loads.wrenches import axial_loads, loads_of
-from kilter_core.model import Calibration
+from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from kilter_core.watch.innovation import Innovation
@@ -21,7 +21,7 @@ Frame = Literal["base", "tool"]
 
 SEEN = 1e-6  # of the largest singular value: a direction below it moves no measured point
 TOLD = 0.999  # of a number of a frame that the rows must tell apart from its others
-FAINTEST = 1e-9  # of its load a joint must carry to sag, N·m or N
+LOADED = 0.05  # of the largest load on a joint of its kind that a joint must carry to sag
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def columns_of(
     innovation: Innovation, calibration: Calibration, new_setup: tuple[Frame, ...] = ()
 ) -> tuple[Floats, list[Column]]:
     """What frames that were set up anew take up, an orthonormal basis (R, r), and the other causes beside it."""
-    made = [(cause, innovation.white(J)) for cause, J in _derivatives(innovation, calibration)]
+    caused = derivatives(calibration, innovation.measurement.observations, innovation.prediction)
+    made = [(cause, innovation.white(J)) for cause, J in caused]
     anew = [white for cause, white in made if cause.kind in new_setup]
     nuisance = _span(np.hstack(anew), None) if anew else np.zeros((len(innovation.r), 0))
     blind = _blind(made)
@@ -119,16 +120,18 @@ def after(
     return replace(calibration, model=model.in_frames(frames["base"], frames["tool"])), rows, 1.0
 
 
-def _derivatives(innovation: Innovation, calibration: Calibration) -> Iterator[tuple[Cause, Floats]]:
-    rows, model = innovation.measurement.observations, calibration.model
+def derivatives(calibration: Calibration, rows: Observations, prediction: Prediction) -> Iterator[tuple[Cause, Floats]]:
+    """Every cause with the displacement (N, 6, K) of the tool, position and rotation vector, by its numbers."""
+    model = calibration.model
     motions = model.joint_jacobian(rows, calibration.values)[1]
     loads = _loads(calibration, rows)
-    for k, joint in enumerate(calibration.robot.joints):
-        slides = joint.kind != "revolute"
-        yield Cause("zero", k + 1, slides), motions[:, :, [k]]
-        if np.abs(loads[:, k]).max() > FAINTEST * max(1.0, float(np.abs(loads).max())):
-            yield Cause("sag", k + 1, slides), motions[:, :, [k]] * loads[:, k, None, None]
-    position, rotation = innovation.prediction.position, innovation.prediction.rotation
+    slides = np.array([joint.kind != "revolute" for joint in calibration.robot.joints])
+    for k, sliding in enumerate(slides.tolist()):
+        yield Cause("zero", k + 1, sliding), motions[:, :, [k]]
+        alike = float(np.abs(loads[:, slides == sliding]).max())
+        if alike and np.abs(loads[:, k]).max() > LOADED * alike:
+            yield Cause("sag", k + 1, sliding), motions[:, :, [k]] * loads[:, k, None, None]
+    position, rotation = prediction.position, prediction.rotation
     T = model.T_base
     yield Cause("base"), _twists(np.broadcast_to(T[:3, :3], rotation.shape), position - T[:3, 3])
     yield Cause("tool"), _twists(rotation, np.zeros_like(position))

@@ -217,19 +217,22 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
     found = [
         Judged(
             one.cause, _gain(r, one.span), one.span.shape[1], value, one.change(r), one.deviations(),
-            _refuted(r, one, best),
+            _refuted(r, one, best, REFUTED / len(linear.columns)),
         )
         for one, value in zip(linear.columns, bic, strict=True)
     ]  # fmt: skip
     return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
 
 
-def _refuted(r: Floats, column: Column, best: Column) -> bool:
-    """Whether the best cause explains what this one leaves, more than chance does; one that contains it never is."""
+def _refuted(r: Floats, column: Column, best: Column, chance: float) -> bool:
+    """Whether the best cause explains what this one leaves, more than chance does; one that contains it never is.
+
+    The best is the best of all, so that each has its share of the chance.
+    """
     left = best.span - column.span @ (column.span.T @ best.span)
     U, s, _ = np.linalg.svd(left, full_matrices=False)
     more = U[:, s > 1e-5]
-    return bool(more.shape[1] and _chance(_gain(r, more), more.shape[1]) < REFUTED)
+    return bool(more.shape[1] and _chance(_gain(r, more), more.shape[1]) < chance)
 
 
 def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
@@ -250,11 +253,11 @@ def _smallest(linear: _Linear) -> dict[str, float]:
         shown = one.white[:, :3] if one.cause.frame else one.white
         least = float(np.linalg.svd(shown, compute_uv=False)[-1])
         if least > SEEN_LEAST * float(np.linalg.norm(shown)):
-            out[one.cause.name] = float(np.sqrt(_needed(one.span.shape[1], len(linear.columns)))) / least
+            out[one.cause.name] = float(np.sqrt(needed(one.span.shape[1], len(linear.columns)))) / least
     return out
 
 
-def _needed(rank: int, causes: int) -> float:
+def needed(rank: int, causes: int) -> float:
     """Noncentrality with which the likelihood ratio of a cause of some rank is seen, one of so many."""
     threshold = chdtri(rank, FALSE_ALARM / (2.0 * causes))
     return float(chndtrinc(threshold, rank, 1.0 - POWER))

@@ -7,12 +7,13 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field
 
 from kilter_service.contract.fits import Remark
+from kilter_service.contract.jobs.drift import SmallestChange
 from kilter_service.contract.jobs.shared import Effects, NoiseMm, Seed, Version
-from kilter_service.contract.units import Asked, Kg, Mm, PointMm, Stored
+from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
 
 MAX_POSES = 2000
 HEAVIEST_KG = 1000.0
-Purpose = Literal["iso9283", "identify", "separate"]
+Purpose = Literal["iso9283", "identify", "separate", "check"]
 Corner = Annotated[PointMm, Field(strict=False)]
 Within = Literal["campaigns", "limits"]
 
@@ -22,7 +23,7 @@ class PlanOptions(Asked):
 
     purpose: Purpose = Field(
         description="`iso9283`: cube and planes of the standard; `identify`: poses that determine the parameters best; "
-        "`separate`: poses that tell two effects apart."
+        "`separate`: poses that tell two effects apart; `check`: the few poses that best show whether the arm has moved."
     )
     method: Literal["d_optimal", "iso9283", "five_poses", "two_poses"] = Field(
         "d_optimal",
@@ -30,7 +31,7 @@ class PlanOptions(Asked):
         "its cycles.",
     )
     count: Annotated[int, Field(ge=1, le=MAX_POSES)] | None = Field(
-        None, description="Poses, 1 to 2000, or cycles; null: 118, 60 or 12 poses by purpose, 30 cycles."
+        None, description="Poses, 1 to 2000, or cycles; null: 118, 60, 12 or 5 poses by purpose, 30 cycles."
     )
     effects: Effects = Field(
         [],
@@ -44,6 +45,14 @@ class PlanOptions(Asked):
     version: Version = Field(None, description="Id of the version to plan with; null: the nominal robot.")
     box_mm: Annotated[tuple[Corner, Corner], Field(strict=False)] | None = Field(
         None, description="Lowest and highest corner, mm, of a box the tool stays in, in the frame of the measurements."
+    )
+    keep_out_mm: Annotated[list[Annotated[tuple[Corner, Corner], Field(strict=False)]], Field(max_length=100)] = Field(
+        [],
+        description="Lowest and highest corners, mm, of boxes that no line between joints and tool enters, in the frame of "
+        "the measurements.",
+    )
+    without_joints: Annotated[list[JointNumber], Field(max_length=MAX_JOINTS)] = Field(
+        [], description="Of `check`: joints, from 1, whose zeros need not be seen."
     )
     floor_mm: Mm | None = Field(
         None, description="Height in the robot's base frame, mm, that no joint and no tool point goes below."
@@ -97,5 +106,12 @@ class PlanResult(Stored):
     separates: list[str] | None = Field(None, description="The two that the poses tell apart.")
     correlation: float | None = Field(None, description="Correlation of their signatures so far, 0 to 1.")
     proposals: list[Proposal] | None = Field(None, description="The poses, by what to change before them.")
+    false_alarm: float | None = Field(
+        None, description="Of `check`: chance of a false alarm at which it will say `moved`."
+    )
+    smallest: list[SmallestChange] | None = Field(
+        None, description="Of `check`: the smallest changes that these poses show in 95 % of the checks."
+    )
+    unseen: list[str] | None = Field(None, description="Of `check`: what these poses do not show, in words.")
     within: str | None = Field(None, description="Where poses were looked for.")
     warnings: list[Remark] | None = Field(None, description="What to know before driving them.")

@@ -31,7 +31,8 @@ UNCHECKED = {
 }
 CYCLES = {"five_poses": (5, 4, 3, 2, 1), "two_poses": (2, 4)}  # P5 to P1 for AP, RP and vAP; P2 and P4 for AD and RD
 CYCLES_DEMANDED = 30
-COUNTS = {"iso9283": 118, "identify": 60, "separate": 12}
+COUNTS = {"iso9283": 118, "identify": 60, "separate": 12, "check": 5}
+FEWEST_CHECKED = 3
 IMAGINED = Lack(
     "measurements",
     "No campaign is named: a first one of random poses is imagined, and what it would see may not be what you measured.",
@@ -52,6 +53,15 @@ def check(options: PlanOptions) -> None:
 
     """
     _box(options)
+    _keep_out(options)
+    if options.without_joints and options.purpose != "check":
+        raise OptionError(
+            "options.without_joints goes with purpose check: give both, or none.", option="without_joints"
+        )
+    if options.purpose == "check" and options.count is not None and options.count < FEWEST_CHECKED:
+        raise OptionError(
+            f"options.count is {options.count}: a check needs {FEWEST_CHECKED} poses, better five.", option="count"
+        )
     if options.method in CYCLES and options.purpose != "iso9283":
         raise OptionError(
             f"options.method is {options.method!r}: it is a cycle of ISO 9283, give purpose iso9283.", option="method"
@@ -69,7 +79,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     """Plan with the version named, else the nominal robot."""
     progress(0.0, "choosing poses")
     plans: dict[str, Callable[[JobInput, Progress], dict[str, Any]]]
-    plans = {"iso9283": _iso, "identify": _identify, "separate": _separate}
+    plans = {"iso9283": _iso, "identify": _identify, "separate": _separate, "check": _check}
     purpose = job.options.purpose
     made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
     return JobOutput(plain({**made, "within": _within(job), "warnings": [UNCHECKED]}))
@@ -80,13 +90,48 @@ def foresee(job: JobInput, found: Foresight) -> None:
     options: PlanOptions = job.options
     found.learn_from(*job.campaigns.values())
     with found.foreseen():
-        run(replace(job, options=options.model_copy(update={"count": 1})), lambda fraction, stage: None)
-        found.limited.append("A single pose was planned, to see whether there is room for poses.")
+        few = FEWEST_CHECKED if options.purpose == "check" else 1
+        run(replace(job, options=options.model_copy(update={"count": few})), lambda fraction, stage: None)
+        planned = "Three poses were" if options.purpose == "check" else "A single pose was"
+        found.limited.append(f"{planned} planned, to see whether there is room for poses.")
         if options.purpose == "separate" and not job.campaigns:
             found.missing.append(IMAGINED)
         loaded = [effect.id for effect in _made(job) if "moments" in effect.needs] if options.effects else []
         if loaded and not options.payloads_kg:
             found.missing.append(Lack(f"second payload for {', '.join(loaded)}", *NO_PAYLOADS))
+
+
+def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
+    """The few poses of a check, with what they will show."""
+    import numpy as np
+
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.watch import check_poses
+    from kilter_core.watch.check import FALSE_ALARM
+    from kilter_service.drift import wire
+
+    options: PlanOptions = job.options
+    beyond = [joint for joint in options.without_joints if joint > job.robot.n_joints]
+    if beyond:
+        raise OptionError(
+            f"options.without_joints has joint {beyond[0]}: the robot has {job.robot.n_joints}.",
+            option="without_joints",
+        )
+    known = Predictive.from_document(job.covariance or {}, job.report)
+    if known is None:
+        known = Predictive((), np.zeros((0, 0)), 0.0, to_metres(NOISE_MM))
+    noise = None if options.noise_mm is None else to_metres(options.noise_mm)
+    if noise is None and known.noise == 0.0 and known.inadequacy == 0.0:
+        noise = to_metres(NOISE_MM)
+    plan = check_poses(
+        _begin(job), known, _count(job), _region(job), noise=noise, without=options.without_joints, seed=options.seed,
+        progress=progress,
+    )  # fmt: skip
+    shown = {
+        "false_alarm": FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
+        "unseen": [wire.cause_words(one) for one in plan.found.unseen],
+    }  # fmt: skip
+    return {**document_of(job.robot, [Pose(row) for row in plan.q]), **shown}
 
 
 def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | None]]:
@@ -168,12 +213,15 @@ def _region(job: JobInput) -> Region:
 
     region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
     floor = job.options.floor_mm
-    return region.above(None if floor is None else to_metres(floor)).within(_box(job.options))
+    region = region.above(None if floor is None else to_metres(floor)).within(_box(job.options))
+    return region.outside(_keep_out(job.options))
 
 
 def _room(job: JobInput) -> Region | None:
-    """The floor and the box alone, for the poses of the standard; None without either."""
-    return None if job.options.floor_mm is None and job.options.box_mm is None else _region(job)
+    """The floor, the box and the zones to keep out of alone, for the poses of the standard; None without any."""
+    options: PlanOptions = job.options
+    bounded = options.floor_mm is not None or options.box_mm is not None or options.keep_out_mm
+    return _region(job) if bounded else None
 
 
 def _box(options: PlanOptions) -> Floats | None:
@@ -182,13 +230,26 @@ def _box(options: PlanOptions) -> Floats | None:
 
     if options.box_mm is None:
         return None
-    box = to_metres(np.array(options.box_mm, dtype=np.float64))
-    if not (box[0] < box[1]).all():
+    return _corners(np.array(options.box_mm, dtype=np.float64), "box_mm")
+
+
+def _keep_out(options: PlanOptions) -> Floats | None:
+    """Lowest and highest corners (k, 2, 3) m of the option ``keep_out_mm``; None without any."""
+    import numpy as np
+
+    if not options.keep_out_mm:
+        return None
+    boxes = [np.array(box, dtype=np.float64) for box in options.keep_out_mm]
+    return np.stack([_corners(box, f"keep_out_mm.{k}") for k, box in enumerate(boxes)])
+
+
+def _corners(box_mm: Floats, option: str) -> Floats:
+    if not (box_mm[0] < box_mm[1]).all():
         raise OptionError(
-            "options.box_mm holds the lowest and the highest corner, as [[-200, 100, 0], [200, 400, 300]].",
-            option="box_mm",
+            f"options.{option} holds the lowest and the highest corner, as [[-200, 100, 0], [200, 400, 300]].",
+            option=option,
         )
-    return box
+    return to_metres(box_mm)
 
 
 def _made(job: JobInput) -> list[Effect]:

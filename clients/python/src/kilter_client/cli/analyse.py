@@ -1,4 +1,4 @@
-"""``kilter identify | gap | evaluate | plan``: ask for a job and show its result."""
+"""``kilter identify | gap | evaluate``: ask for a job and show its result."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ from kilter_client.cli.arguments import (
     Json,
     MoreOptions,
     NoWait,
-    PayloadCentre,
     Robot,
     ValidationText,
 )
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.job_check import finish_check
-from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
+from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import resolved_all, resolved_options
@@ -56,9 +55,6 @@ def register(app: typer.Typer) -> None:
         gap
     )
     app.command(epilog="Example: kilter evaluate ur10 --campaign cmp_2a --version ver_7c --refit base,tool")(evaluate)
-    app.command(
-        epilog="Example: kilter plan ur10 --purpose separate --effects backlash,eccentricity --count 12 -o poses.csv"
-    )(plan)
 
 
 def identify(
@@ -194,78 +190,6 @@ def evaluate(
     if refit is not None:
         chosen["refit"] = arguments.split_names([refit])
     run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json, name=name)
-
-
-def plan(
-    robot: Robot,
-    campaign: CampaignIds = None,
-    purpose: Annotated[str | None, typer.Option(help=PLAN["purpose"])] = None,
-    count: Annotated[int | None, typer.Option(min=1, help=PLAN["count"])] = None,
-    effects: Annotated[
-        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"] + AT_JOINTS)
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
-    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
-    floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
-    box: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"]),
-    ] = None,
-    anywhere: Annotated[
-        bool, typer.Option("--anywhere", help="Also where the robot was never driven: only its limits count.")
-    ] = False,
-    payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
-    payload_com_mm: PayloadCentre = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write the poses as CSV, with loads and directions where they matter.",
-            dir_okay=False,
-        ),
-    ] = None,
-    option: MoreOptions = None,
-    name: JobName = "",
-    no_wait: NoWait = False,
-    as_json: Json = False,
-) -> None:
-    """Plan poses to measure: for ISO 9283, to identify well, or to distinguish two effects."""
-    needs_result(no_wait, output=output)
-    chosen = arguments.options(
-        option,
-        purpose=purpose,
-        count=count,
-        effects=arguments.effects(effects),
-        seed=seed,
-        version=start,
-        noise_mm=noise_mm,
-        floor_mm=floor_mm,
-        box_mm=_corners(box),
-        within="limits" if anywhere else None,
-        payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
-        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
-    )
-
-    def files(job: dict[str, Any]) -> None:
-        if output is not None:
-            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
-
-    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
-
-
-def _corners(text: str | None) -> list[list[float]] | None:
-    """Understand --box."""
-    if text is None:
-        return None
-    given = arguments.numbers("--box", text)
-    if len(given) != 6:
-        raise UsageError(f"--box {text}: give six numbers, the lowest and the highest corner in mm.")
-    if not all(low < high for low, high in zip(given[:3], given[3:], strict=True)):
-        raise UsageError(f"--box {text}: give the lowest corner first, for example -200,100,0,200,400,300 (mm).")
-    return [given[:3], given[3:]]
 
 
 def needs_result(no_wait: bool, **files: Path | None) -> None:

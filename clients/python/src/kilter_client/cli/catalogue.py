@@ -29,7 +29,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "sheet-join": Entry("sheet", "Join a drawn sheet and the height with the joint log."),
         "ballbar-join": Entry("joins", "Join a ball bar's log with the joint log."),
         "tilt-join": Entry("joins", "Join an inclinometer's log with the joint log."),
-        "plan": Entry("analyse", "Plan poses to measure."),
+        "plan": Entry("plans", "Plan poses to measure, or those of a check."),
         "instrument": Entry("instruments", "Add and list instruments and their certificates."),
         "suspicious": Entry("suspicious", "Name the rows of a campaign that look wrong."),
         "columns": Entry("lists", "List the columns of measurements and their units."),

@@ -19,13 +19,21 @@ def show_drift(result: Mapping[str, Any]) -> None:
         say(f"  {result['remedy']}")
     if result["verdict"] != "ok":
         _show_causes(result)
+    show_smallest(result)
+    for warning in result.get("warnings") or ():
+        say(f"warning: {warning['message']}")
+
+
+def show_smallest(result: Mapping[str, Any]) -> None:
+    """Print which changes rows show in 95 % of the checks, and which they do not."""
     rows = [(one["words"], f"{number(one['value'], 2)} {one['unit']}") for one in result.get("smallest") or ()]
     if rows:
         show_rows(("such rows show", "from a change of"), rows)
+        say(
+            f"in 95 % of the checks; an arm that has not moved alarms in {number(result['false_alarm'])} of them at most"
+        )
     if result.get("unseen"):
         say(f"they do not show: {', '.join(result['unseen'])}")
-    for warning in result.get("warnings") or ():
-        say(f"warning: {warning['message']}")
 
 
 def _show_causes(result: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.drift_report import show_drift
+from kilter_client.cli.drift_report import show_drift, show_smallest
 from kilter_client.cli.gap_report import show_gap
 from kilter_client.cli.identify_report import show_identification, show_parameters
 from kilter_client.cli.output import say
@@ -57,6 +57,7 @@ def show_plan(result: Mapping[str, Any]) -> None:
     say(f"{result['count']} poses for {result['purpose']}")
     if result.get("separates"):
         say(f"{' and '.join(result['separates'])} correlate by {number(result['correlation'], 3)} in these data")
+    show_smallest(result)
     for proposal in result.get("proposals") or ():
         worth = number(proposal["information_factor"], 3)
         say(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownDrift
 from kilter_client.typed.fits import Remark
+from kilter_client.typed.plans import SmallestChange
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -42,20 +43,6 @@ class DriftCause(Record):
     refuted: bool | None
     """Whether the best cause explains what this one leaves."""
     words: str | None
-    """The cause as people say it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SmallestChange(Record):
-    """The smallest change of a cause that such rows show in 95 % of the checks."""
-
-    name: str
-    """Name of the cause."""
-    unit: str
-    """Its unit."""
-    value: float
-    """How small; of base and tool a shift in the direction that shows least."""
-    words: str
     """The cause as people say it."""
 
 

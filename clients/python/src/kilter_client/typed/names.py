@@ -141,7 +141,7 @@ MODULE_OF = {
     "Separation": "searches",
     "SetAside": "identifications",
     "ShuffledEffect": "search_numbers",
-    "SmallestChange": "drifts",
+    "SmallestChange": "plans",
     "StageErrors": "fits",
     "StreamSession": "others",
     "SuspiciousRow": "others",

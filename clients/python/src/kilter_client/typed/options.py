@@ -149,11 +149,13 @@ class PlanOptions(TypedDict, total=False):
     box_mm: Sequence[Sequence[float]] | None
     """Lowest and highest corner, mm, of a box the tool stays in, in the frame of the measurements."""
     count: int | None
-    """Poses, 1 to 2000, or cycles; None: 118, 60 or 12 poses by purpose, 30 cycles."""
+    """Poses, 1 to 2000, or cycles; None: 118, 60, 12 or 5 poses by purpose, 30 cycles."""
     effects: Sequence[str | Mapping[str, Any]]
     """Of `identify`: effects to see; of `separate`: the two, or one to tell from geometry; empty: what the gap search that made the version left undecided."""
     floor_mm: float | None
     """Height in the robot's base frame, mm, that no joint and no tool point goes below."""
+    keep_out_mm: Sequence[Sequence[Sequence[float]]]
+    """Lowest and highest corners, mm, of boxes that no line between joints and tool enters, in the frame of the measurements."""
     method: Literal["d_optimal", "iso9283", "five_poses", "two_poses"]
     """Of `identify`: `d_optimal` or the poses of `iso9283`; of `iso9283`: `five_poses` or `two_poses` for its cycles."""
     noise_mm: float | None
@@ -162,11 +164,13 @@ class PlanOptions(TypedDict, total=False):
     """Centre of these loads in the tool frame, mm; None: the tool point."""
     payloads_kg: Sequence[float]
     """Loads at hand, kg, 0 to 1000; used where an effect feels them."""
-    purpose: Literal["iso9283", "identify", "separate"]
-    """`iso9283`: cube and planes of the standard; `identify`: poses that determine the parameters best; `separate`: poses that tell two effects apart."""
+    purpose: Literal["iso9283", "identify", "separate", "check"]
+    """`iso9283`: cube and planes of the standard; `identify`: poses that determine the parameters best; `separate`: poses that tell two effects apart; `check`: the few poses that best show whether the arm has moved."""
     seed: int
     """Seed of the choice, 0 or more."""
     version: str | None
     """Id of the version to plan with; None: the nominal robot."""
     within: Literal["campaigns", "limits"]
     """Where poses may be: where the robot was driven before, or anywhere in its limits."""
+    without_joints: Sequence[int]
+    """Of `check`: joints, from 1, whose zeros need not be seen."""

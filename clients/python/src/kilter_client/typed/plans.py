@@ -46,6 +46,20 @@ class Proposal(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SmallestChange(Record):
+    """The smallest change of a cause that such rows show in 95 % of the checks."""
+
+    name: str
+    """Name of the cause."""
+    unit: str
+    """Its unit."""
+    value: float
+    """How small; of base and tool a shift in the direction that shows least."""
+    words: str
+    """The cause as people say it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PlanResult(ShownPlan, Record):
     """Poses to measure. Collisions are not checked."""
 
@@ -59,6 +73,8 @@ class PlanResult(ShownPlan, Record):
     """Cycles of the standard's poses."""
     cycles_demanded: int | None
     """Cycles that the standard demands."""
+    false_alarm: float | None
+    """Of `check`: chance of a false alarm at which it will say `moved`."""
     poses: Records[PlannedPose]
     """The poses, in the order of a short path."""
     proposals: Records[Proposal]
@@ -67,8 +83,12 @@ class PlanResult(ShownPlan, Record):
     """What the poses are for."""
     separates: tuple[str, ...]
     """The two that the poses tell apart."""
+    smallest: Records[SmallestChange]
+    """Of `check`: the smallest changes that these poses show in 95 % of the checks."""
     start: str | None
     """The version it was planned with; None: the nominal robot."""
+    unseen: tuple[str, ...]
+    """Of `check`: what these poses do not show, in words."""
     warnings: Records[Remark]
     """What to know before driving them."""
     within: str | None

@@ -1,0 +1,151 @@
+"""``kilter plan``: poses to measure, and the few poses of a check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client.cli import arguments
+from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_poses
+from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.groups import Group
+from kilter_client.cli.option_texts import PLAN
+from kilter_client.errors import UsageError
+
+Box = Annotated[str | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"])]
+KeepOut = Annotated[list[str] | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["keep_out_mm"])]
+Anywhere = Annotated[
+    bool, typer.Option("--anywhere", help="Also where the robot was never driven: only its limits count.")
+]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output", "-o", metavar="FILE", help="Write the poses as CSV, with loads and directions where they matter.",
+        dir_okay=False,
+    ),
+]  # fmt: skip
+
+
+class PosesByDefault(Group):
+    """A group whose ``poses`` may be left out: ``kilter plan ur10`` plans as it always did."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put ``poses`` before what is not a command."""
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = ["poses", *args]
+        return super().parse_args(ctx, args)
+
+
+group = typer.Typer(
+    help="Plan poses to measure; without a command, for the purpose that is named.",
+    rich_markup_mode=None, no_args_is_help=True, cls=PosesByDefault,
+)  # fmt: skip
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    group.command(
+        epilog="Example: kilter plan poses ur10 --purpose separate --effects backlash,eccentricity -o poses.csv"
+    )(poses)
+    group.command(epilog="Example: kilter plan check ur10 --poses 5 -o check.csv")(check)
+    app.add_typer(group, name="plan")
+
+
+def poses(
+    robot: Robot,
+    campaign: CampaignIds = None,
+    purpose: Annotated[str | None, typer.Option(help=PLAN["purpose"])] = None,
+    count: Annotated[int | None, typer.Option(min=1, help=PLAN["count"])] = None,
+    effects: Annotated[
+        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"] + AT_JOINTS)
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
+    floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
+    box: Box = None,
+    keep_out: KeepOut = None,
+    anywhere: Anywhere = False,
+    payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
+    payload_com_mm: PayloadCentre = None,
+    output: Output = None,
+    option: MoreOptions = None,
+    name: JobName = "",
+    no_wait: NoWait = False,
+    as_json: Json = False,
+) -> None:
+    """Plan poses to measure: for ISO 9283, to identify well, or to distinguish two effects."""
+    needs_result(no_wait, output=output)
+    chosen = arguments.options(
+        option,
+        purpose=purpose,
+        count=count,
+        effects=arguments.effects(effects),
+        seed=seed,
+        version=start,
+        noise_mm=noise_mm,
+        floor_mm=floor_mm,
+        box_mm=_corners(box),
+        keep_out_mm=_zones(keep_out),
+        within="limits" if anywhere else None,
+        payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
+        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
+    )
+
+    def files(job: dict[str, Any]) -> None:
+        if output is not None:
+            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
+
+    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
+
+
+def check(
+    robot: Robot,
+    poses: Annotated[int, typer.Option("--poses", "--count", min=3, help="How many poses.")] = 5,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
+    floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
+    box: Box = None,
+    keep_out: KeepOut = None,
+    anywhere: Anywhere = False,
+    without_joints: Annotated[str | None, typer.Option(metavar="6,7", help=PLAN["without_joints"])] = None,
+    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
+    output: Output = None,
+    option: MoreOptions = None,
+    name: JobName = "",
+    no_wait: NoWait = False,
+    as_json: Json = False,
+) -> None:
+    """Plan the few poses that best show whether the arm has moved, and say which changes they will show."""
+    needs_result(no_wait, output=output)
+    joints = None if without_joints is None else [int(k) for k in arguments.numbers("--without-joints", without_joints)]
+    chosen = arguments.options(
+        option, purpose="check", count=poses, version=start, noise_mm=noise_mm, floor_mm=floor_mm, box_mm=_corners(box),
+        keep_out_mm=_zones(keep_out), within="limits" if anywhere else None, without_joints=joints, seed=seed,
+    )  # fmt: skip
+
+    def files(job: dict[str, Any]) -> None:
+        if output is not None:
+            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
+
+    run_job("plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
+
+
+def _zones(texts: list[str] | None) -> list[list[list[float]]] | None:
+    """Understand --keep-out."""
+    found = [_corners(text, "--keep-out") for text in texts or ()]
+    return [box for box in found if box is not None] or None
+
+
+def _corners(text: str | None, option: str = "--box") -> list[list[float]] | None:
+    """Understand the corners of a box."""
+    if text is None:
+        return None
+    given = arguments.numbers(option, text)
+    if len(given) != 6:
+        raise UsageError(f"{option} {text}: give six numbers, the lowest and the highest corner in mm.")
+    if not all(low < high for low, high in zip(given[:3], given[3:], strict=True)):
+        raise UsageError(f"{option} {text}: give the lowest corner first, for example -200,100,0,200,400,300 (mm).")
+    return [given[:3], given[3:]]

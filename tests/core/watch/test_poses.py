@@ -1,0 +1,105 @@
+"""The poses of a check: within what they may be, better than chance, and refused where they cannot show a zero."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.errors import RobotError
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.model import Calibration
+from kilter_core.model.region import Region, arm_points, entering
+from kilter_core.watch import check, check_poses
+from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
+
+NOISE = 5e-5
+EXACT = Predictive((), np.zeros((0, 0)), 0.0, NOISE)
+
+
+def perfect(seed: int) -> tuple[DriftingArm, Calibration]:
+    arm = replace(some_arm(np.random.default_rng(seed)), zeros=np.zeros(6), compliance=np.zeros(6))
+    return arm, Calibration.nominal(robot_from_document(arm.document()))
+
+
+def test_planned_poses_name_a_change_at_the_edge_of_what_is_seen_more_often_than_random_ones() -> None:
+    arm, calibration = perfect(0)
+    rng = np.random.default_rng(1)
+    plan = check_poses(calibration, EXACT, 5, Region.of(calibration), seed=0)
+    assert (plan.q.shape, plan.found.verdict) == ((5, 6), "ok")
+    causes = ("zero_2", "zero_3", "zero_4", "zero_5", "sag_2", "sag_3", "base", "tool", "scale")
+    planned = random = 0
+    for change in causes:
+        moved = arm.after(change, 1.3 * plan.found.smallest[change])
+        for _ in range(25):
+            planned += check(calibration, moved.measured(plan.q, rng, NOISE), EXACT).verdict == "moved"
+            random += check(calibration, moved.measured(some_poses(5, rng), rng, NOISE), EXACT).verdict == "moved"
+    total = 25 * len(causes)
+    assert planned > 0.9 * total
+    assert planned > random + 0.03 * total
+
+
+def test_what_it_promises_is_seen_and_named() -> None:
+    arm, calibration = perfect(0)
+    rng = np.random.default_rng(2)
+    plan = check_poses(calibration, EXACT, 5, Region.of(calibration), seed=0)
+    for change in ("zero_2", "zero_4", "sag_2", "scale", "base", "tool"):
+        moved = arm.after(change, 1.5 * plan.found.smallest[change])
+        found = [check(calibration, moved.measured(plan.q, rng, NOISE), EXACT) for _ in range(20)]
+        assert sum(one.verdict != "ok" for one in found) >= 18, change
+        assert sum(change in [c.cause.name for c in one.causes] for one in found) >= 18, change
+
+
+def test_poses_keep_to_limits_boxes_and_out_of_zones() -> None:
+    _, calibration = perfect(3)
+    zone = np.array([[[0.1, -2.0, -2.0], [2.0, 2.0, 0.4]]])
+    region = Region.of(calibration).above(-0.2).outside(zone)
+    plan = check_poses(calibration, EXACT, 5, region, seed=1)
+    limits = calibration.robot.limits
+    assert ((plan.q >= limits[:, 0]) & (plan.q <= limits[:, 1])).all()
+    points = arm_points(calibration.robot, plan.q)
+    assert points[:, 2:, 2].min() >= -0.2
+    along = np.linspace(0.0, 1.0, 101)[:, None, None, None]
+    lines = points[None, :, :-1] * (1.0 - along) + points[None, :, 1:] * along
+    assert not ((lines > zone[0, 0]) & (lines < zone[0, 1])).all(axis=3).any()
+
+
+def test_a_zone_is_entered_by_lines_and_not_only_by_points() -> None:
+    box = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+    through = np.array([[[-3.0, 0.0, 0.0], [3.0, 0.0, 0.0]]])
+    beside = np.array([[[-3.0, 1.5, 0.0], [3.0, 1.5, 0.0]]])
+    before = np.array([[[-3.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]])
+    inside = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]])
+    slanted = np.array([[[-2.0, 0.0, 0.0], [0.0, 2.5, 0.0]]])
+    assert [bool(entering(one, box)[0]) for one in (through, beside, before, inside, slanted)] == [
+        True, False, False, True, False,
+    ]  # fmt: skip
+
+
+def test_a_reflector_on_the_last_axis_is_refused_with_the_distance_it_needs() -> None:
+    arm, _ = perfect(4)
+    tool = arm.tool.copy()
+    tool[:2, 3] = [0.002, 0.001]
+    robot = robot_from_document(replace(arm, tool=tool).document())
+    near = Calibration.nominal(robot)
+    with pytest.raises(
+        RobotError, match=r"2.24 mm off the axis of joint 6: 5 poses .* without_joints \[6\]"
+    ) as refused:
+        check_poses(near, EXACT, 5, Region.of(near))
+    assert refused.value.code == "tool_on_axis"
+    assert refused.value.context["joint"] == 6
+    plan = check_poses(near, EXACT, 5, Region.of(near), without=[6])
+    assert plan.found.smallest["zero_6"] > np.radians(0.25)
+    tool[:2, 3] = [1.3 * refused.value.context["needed_m"], 0.0]  # what it says is enough
+    far = Calibration.nominal(robot_from_document(replace(arm, tool=tool).document()))
+    assert check_poses(far, EXACT, 5, Region.of(far)).found.smallest["zero_6"] < np.radians(0.25)
+
+
+def test_the_same_seed_plans_the_same_poses() -> None:
+    _, calibration = perfect(5)
+    region = Region.of(calibration)
+    one, two, other = (check_poses(calibration, EXACT, 4, region, seed=seed).q for seed in (0, 0, 1))
+    np.testing.assert_array_equal(one, two)
+    assert not np.array_equal(one, other)
