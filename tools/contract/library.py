@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import kilter
-from kilter_client.results import corrected, record, rows, shown, shown_jobs, tables
+from kilter_client.results import corrected, dry_run, record, rows, shown, shown_jobs, tables
 from kilter_client.typed.names import MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
@@ -30,7 +30,7 @@ GROUPS = {
         "set_urdf_meshes",
         "remove_mesh",
     ),
-    "Measurements": ("upload", "campaign", "campaigns", "suspicious"),
+    "Measurements": ("upload", "dry_run", "campaign", "campaigns", "suspicious"),
     "Jobs": (
         "identify",
         "gap",
@@ -67,7 +67,9 @@ BEHAVIOUR = {
     "Lists of results": (record.Records, tables.Tabular),
     "Parameters": (shown.ShownParameter,),
     "Identifications, versions and gap searches": (shown.Shown, shown.Asking),
+    "Versions": (shown_jobs.OfVersion,),
     "Plans": (shown_jobs.ShownPlan,),
+    "Dry runs": (dry_run.DryRun,),
     "Figures": (shown.ShownFigure,),
     "Rows": (rows.Rows,),
     "Corrected trajectories": (corrected.Corrected,),
@@ -103,6 +105,9 @@ def library_page() -> str:
     lines.append("## Connecting\n")
     for function in (kilter.connect, kilter.connect_async):
         lines += _function(function, f"kilter.{function.__name__}")
+    lines.append("## Files\n")
+    for reads in (kilter.inspect, kilter.draft, kilter.prepare):
+        lines += _function(reads, f"kilter.{reads.__name__}")
     for title, names in GROUPS.items():
         lines.append(f"## {title}\n")
         for name in names:

@@ -11,6 +11,7 @@ from kilter_client.locate import locate
 from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
+from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import keeping
 from kilter_client.verbs import meshes as shapes
@@ -62,6 +63,7 @@ class AsyncKilter:
     set_urdf_meshes = awaited(shapes.set_urdf_meshes)
     remove_mesh = awaited(shapes.remove_mesh)
     upload = awaited(measured.upload)
+    dry_run = awaited(dry_runs.dry_run)
     campaign = awaited(measured.campaign)
     suspicious = awaited(measured.suspicious)
     campaigns = awaited(measured.campaigns)

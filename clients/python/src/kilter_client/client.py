@@ -13,6 +13,7 @@ from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns, jobs, keeping, robots, versions
+from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import meshes as shapes
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ class Kilter:
     set_urdf_meshes = waiting(shapes.set_urdf_meshes)
     remove_mesh = waiting(shapes.remove_mesh)
     upload = waiting(campaigns.upload)
+    dry_run = waiting(dry_runs.dry_run)
     campaign = waiting(campaigns.campaign)
     suspicious = waiting(campaigns.suspicious)
     identify = waiting(jobs.identify)
