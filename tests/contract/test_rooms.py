@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from tools.draw_rooms import CORE, FILES, House, direct, floors_of, imports_of_rooms, written
@@ -20,6 +23,13 @@ def test_no_folder_of_the_readers_is_a_heap() -> None:
     folders = {path.parent for path in FILES.folder.rglob("*.py")}
     full = {str(folder.relative_to(FILES.folder)): len([*folder.glob("*.py")]) for folder in folders}
     assert {name: count for name, count in full.items() if count > MOST_FILES} == {}
+
+
+def test_people_are_told_of_public_modules_only() -> None:
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    pages = [page for folder in ("how-to", "reference", "tutorial") for page in (docs / folder).rglob("*.md")]
+    named = {name for page in pages for name in re.findall(r"kilter_client\.(\w+)", page.read_text(encoding="utf-8"))}
+    assert named == {"stream"}
 
 
 def test_the_page_and_the_picture_show_the_imports_as_they_are() -> None:

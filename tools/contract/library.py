@@ -96,6 +96,10 @@ def library_page() -> str:
         "A [lab script](../how-to/lab-script.md) shows it at work; the fields of every result are in its "
         "[types](library-types.md), exceptions in [errors](errors.md).\n"
     )
+    lines.append(
+        "Public are the names of `kilter` (`kilter_client` has the same) and of `kilter_client.stream`; modules below them "
+        "may move.\n"
+    )
     lines += [f"- `{name}`: {words}" for name, words in GIVEN.items()]
     lines.append("")
     lines.append(
