@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -79,6 +80,13 @@ def test_imports_of_folders_become_imports_of_rooms_and_one_without_a_floor_is_n
 def test_the_page_and_the_pictures_show_the_imports_as_they_are() -> None:
     for file, words in written().items():
         assert file.read_text(encoding="utf-8") == words, f"{file.name} is stale: run `make rooms`"
+
+
+def test_people_are_told_of_public_modules_only() -> None:
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    pages = [page for folder in ("how-to", "reference", "tutorial") for page in (docs / folder).rglob("*.md")]
+    named = {name for page in pages for name in re.findall(r"kilter_client\.(\w+)", page.read_text(encoding="utf-8"))}
+    assert named == {"stream"}
 
 
 def test_a_circle_of_rooms_is_named() -> None:

@@ -52,6 +52,7 @@ SHOWN: Mapping[str, tuple[str, str]] = {
     "Uploaded": ("ShownUpload", "shown_jobs"),
     "Version": ("ShownVersion", "shown_jobs"),
     "VersionDiff": ("ShownDiff", "shown_jobs"),
+    "VersionSummary": ("OfVersion", "shown_jobs"),
 }
 # Names that Python or the record they stand in has already.
 RENAMED = {"class": "class_", "document": "posted"}

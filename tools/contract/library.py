@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import kilter
-from kilter_client.results import corrected, record, rows, shown, shown_jobs, tables
+from kilter_client.results import corrected, dry_run, record, rows, shown, shown_jobs, tables
 from kilter_client.typed.names import MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
@@ -31,7 +31,7 @@ GROUPS = {
         "set_urdf_meshes",
         "remove_mesh",
     ),
-    "Measurements": ("add_instrument", "instruments", "upload", "campaign", "campaigns", "suspicious"),
+    "Measurements": ("add_instrument", "instruments", "upload", "dry_run", "campaign", "campaigns", "suspicious"),
     "Jobs": (
         "identify",
         "gap",
@@ -69,7 +69,9 @@ BEHAVIOUR = {
     "Lists of results": (record.Records, tables.Tabular),
     "Parameters": (shown.ShownParameter,),
     "Identifications, versions and gap searches": (shown.Shown, shown.Asking),
+    "Versions": (shown_jobs.OfVersion,),
     "Plans": (shown_jobs.ShownPlan,),
+    "Dry runs": (dry_run.DryRun,),
     "Figures": (shown.ShownFigure,),
     "Rows": (rows.Rows,),
     "Corrected trajectories": (corrected.Corrected,),
@@ -96,6 +98,10 @@ def library_page() -> str:
         "A [lab script](../how-to/lab-script.md) shows it at work; the fields of every result are in its "
         "[types](library-types.md), exceptions in [errors](errors.md).\n"
     )
+    lines.append(
+        "Public are the names of `kilter` (`kilter_client` has the same) and of `kilter_client.stream`; modules below them "
+        "may move.\n"
+    )
     lines += [f"- `{name}`: {words}" for name, words in GIVEN.items()]
     lines.append("")
     lines.append(
@@ -105,6 +111,9 @@ def library_page() -> str:
     lines.append("## Connecting\n")
     for function in (kilter.connect, kilter.connect_async):
         lines += _function(function, f"kilter.{function.__name__}")
+    lines.append("## Files\n")
+    for reads in (kilter.inspect, kilter.draft, kilter.prepare):
+        lines += _function(reads, f"kilter.{reads.__name__}")
     for title, names in GROUPS.items():
         lines.append(f"## {title}\n")
         for name in names:

@@ -7,16 +7,17 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from kilter_files.ground.errors import FileError
+from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 if TYPE_CHECKING:
     from kilter_files.formats.reader import LogHints
+    from kilter_files.look.draft import Draft
     from kilter_files.tables.joint_log import JointLog
 
     DEVICES: Mapping[str, Callable[[Path], Table]]
 
-__all__ = ["DEVICES", "Prepared", "prepare", "read_joints"]
+__all__ = ["DEVICES", "Prepared", "draft", "inspect", "prepare", "read_joints"]
 
 
 def __getattr__(name: str) -> Any:
@@ -37,32 +38,86 @@ def prepare(
     device: str | None = None,
     column_map: Path | str | None = None,
     joined: Path | str | None = None,
+    *,
+    preset: str | None = None,
+    euler: str | None = None,
+    hints: LogHints | None = None,
 ) -> Prepared:
-    """Read a file for upload: through its map, else through the device's importer, else byte for byte as it is.
+    """Read a file for upload: through its map, else by its preset or its device, else byte for byte as it is.
 
-    ``joined`` is the second file of a map with a table [join]. A workbook of contract columns needs no map.
+    ``joined`` is the second file of a map with a table [join], or the joints of the points of a ``preset``; ``hints`` are
+    of these joints, and ``euler`` is the order of the preset's angles. A workbook of contract columns needs no map.
 
     Raises:
         FileError: the file, or the map, is not what it should be; the message names place and remedy.
         MissingPackageError: the format needs the extra ``files``.
 
     """
-    path = Path(path)
+    path, other = Path(path), None if joined is None else Path(joined)
+    if column_map is not None and (preset or euler):
+        raise UsageError("A preset and the order of its angles belong to an export of points, without a column map.")
     if column_map is not None:
-        return Prepared.from_table(_mapped(path, Path(column_map), None if joined is None else Path(joined)))
-    if joined is not None:
-        raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
-    from kilter_files.formats.opening import endings
-
-    if endings().get(path.suffix.lower()) == "xlsx":
-        return Prepared.from_table(read_contract(path))
+        return Prepared.from_table(_mapped(path, Path(column_map), other))
+    preset = preset or preset_of(device, path, joined=other is not None)
+    if preset is not None:
+        return _points(path, preset, euler, other, hints)
+    if other is not None:
+        raise FileError(f"{other}: a second file needs a column map with a table [join] (--map).", file=str(other))
     from kilter_files.formats.reader import DEVICE
     from kilter_files.formats.registry import readers_for
 
+    if path.suffix.lower() in (".xlsx", ".xlsm"):
+        return Prepared.from_table(read_contract(path))
     reader = readers_for(DEVICE).get(device or "")
     if reader is not None and not _is_joined(path):
         return Prepared.from_table(reader.read(path))
     return as_it_is(path)
+
+
+def preset_of(device: str | None, path: Path, joined: bool = False) -> str | None:
+    """Return the preset that a device names, where its file is an export of points and not contract columns already."""
+    from kilter_files.formats.points.tracker_header import PRESETS
+    from kilter_files.formats.registry import recognised
+
+    if device not in PRESETS or path.suffix.lower() in (".json", ".parquet"):
+        return None
+    return device if joined or not recognised(path, "contract-columns") else None
+
+
+def _points(path: Path, preset: str, euler: str | None, joints: Path | None, hints: LogHints | None) -> Prepared:
+    from kilter_files.formats.points.tracker_header import PRESETS
+    from kilter_files.rig.points import prepare_points
+
+    if preset not in PRESETS:
+        raise UsageError(f"preset {preset!r}: is not one of {', '.join(PRESETS)}.")
+    return prepare_points(path, preset, euler, None if joints is None else read_joints(joints, None, hints))
+
+
+def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
+    """Return how a file is read, before anything is sent: its kind, columns or markers, notes, warnings and problems.
+
+    ``said`` is what the file does not say itself: ``rate_hz``, ``allow_cut``, ``preset``, ``euler``, ``unit``.
+
+    Raises:
+        FileError: the file cannot be read at all, with place and remedy.
+
+    """
+    from kilter_files.formats.reader import Hints
+    from kilter_files.look.inspection import inspect as look
+
+    return look(Path(path), Hints(**said))
+
+
+def draft(path: Path | str) -> Draft:
+    """Draft a column map for a file: what names and ranges tell, and marks where they do not.
+
+    Raises:
+        FileError: no table of numbers is found in it.
+
+    """
+    from kilter_files.look.draft import draft as drafted
+
+    return drafted(Path(path))
 
 
 def read_contract(path: Path) -> Table:

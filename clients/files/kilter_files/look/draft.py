@@ -13,6 +13,7 @@ from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.formats.unknown.turns import Turned
 from kilter_files.formats.unknown.understood import listed, understand
 from kilter_files.ground.clusters import clusters
+from kilter_files.ground.errors import UsageError
 from kilter_files.ground.units import UNKNOWN, converter
 
 SAME_DEG = 0.01
@@ -40,6 +41,17 @@ class Draft:
     guessed: list[str] = field(default_factory=list)
     used: list[str] = field(default_factory=list)
     unused: list[str] = field(default_factory=list)
+
+    def save(self, path: Path | str) -> None:
+        """Write the map, never over a file that is there.
+
+        Raises:
+            UsageError: there is such a file.
+
+        """
+        if Path(path).exists():
+            raise UsageError(f"{path}: is there already. Name another file, or delete it.")
+        Path(path).write_text(self.text, encoding="utf-8")
 
     def to_document(self) -> dict[str, Any]:
         """Return what is to be said about the draft."""

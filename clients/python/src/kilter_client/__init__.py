@@ -26,7 +26,7 @@ from kilter_client.errors import (
     TooFewPosesError,
     UsageError,
 )
-from kilter_files import Prepared, prepare
+from kilter_files import Prepared, draft, inspect, prepare
 
 if TYPE_CHECKING:
     from kilter_client.async_client import AsyncKilter, connect_async
@@ -55,6 +55,8 @@ __all__ = [
     "UsageError",
     "connect",
     "connect_async",
+    "draft",
+    "inspect",
     "prepare",
 ]
 

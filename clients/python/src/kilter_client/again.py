@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from kilter_client.errors import ServerUnreachableError
 
 if TYPE_CHECKING:
-    from kilter_client.steps import Answer, Request
+    from kilter_client.messages import Answer, Request
 
 # A server whose process was killed answers again within seconds. Waits after lost connections add up to no more than this.
 PATIENCE_S = 30.0

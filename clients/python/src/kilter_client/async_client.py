@@ -12,6 +12,7 @@ from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
 from kilter_client.verbs import drifts, keeping
+from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import instruments as gauges
 from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import meshes as shapes
@@ -66,6 +67,7 @@ class AsyncKilter:
     add_instrument = awaited(gauges.add_instrument)
     instruments = awaited(gauges.instruments)
     upload = awaited(measured.upload)
+    dry_run = awaited(dry_runs.dry_run)
     campaign = awaited(measured.campaign)
     suspicious = awaited(measured.suspicious)
     campaigns = awaited(measured.campaigns)

@@ -13,6 +13,7 @@ from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, robots, versions
+from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import meshes as shapes
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ class Kilter:
     add_instrument = waiting(instruments.add_instrument)
     instruments = waiting(instruments.instruments)
     upload = waiting(campaigns.upload)
+    dry_run = waiting(dry_runs.dry_run)
     campaign = waiting(campaigns.campaign)
     suspicious = waiting(campaigns.suspicious)
     identify = waiting(jobs.identify)

@@ -24,6 +24,9 @@ def rows_of(
     columns: Sequence[str] | None = None,
     device: str | None = None,
     column_map: str | PathLike[str] | None = None,
+    preset: str | None = None,
+    euler: str | None = None,
+    joints: str | PathLike[str] | None = None,
 ) -> Prepared:
     """Return the rows ready to send; columns have the contract's names, with their unit.
 
@@ -35,11 +38,12 @@ def rows_of(
     if isinstance(data, Prepared):
         return data
     if isinstance(data, str | PathLike):
-        return prepare(Path(fspath(data)), device, None if column_map is None else Path(fspath(column_map)))
-    if column_map is not None:
-        raise UsageError(
-            "column_map= belongs to a file: name the columns of arrays as the contract does (q1_deg, x_mm)."
-        )
+        paths = (None if one is None else Path(fspath(one)) for one in (column_map, joints))
+        return prepare(Path(fspath(data)), device, *paths, preset=preset, euler=euler)
+    idle = {"column_map": column_map, "preset": preset, "euler": euler, "joints": joints}
+    given = next((name for name, value in idle.items() if value is not None), None)
+    if given is not None:
+        raise UsageError(f"{given}= belongs to a file: name the columns of arrays as the contract does (q1_deg, x_mm).")
     found = _columns(data, columns)
     lengths = {name: len(values) for name, values in found.items()}
     if len(set(lengths.values())) != 1:

@@ -18,7 +18,7 @@ from kilter_files.match.matching import Columns
 from kilter_files.tables.table import PARQUET_TYPE, Prepared
 
 if TYPE_CHECKING:
-    from kilter_client import Kilter
+    from kilter_client.client import Kilter
 
 REFUSED = " Nothing of the recording is stored."
 PART_ROWS = 131_072

@@ -19,7 +19,7 @@ class Entry:
 
 CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     "Measure": {
-        "upload": Entry("campaigns", "Send measurements of a robot; they become a campaign."),
+        "upload": Entry("upload", "Send measurements of a robot; they become a campaign."),
         "campaigns": Entry("campaigns", "List, name, retire and purge campaigns."),
         "inspect": Entry("inspect", "Show how a file is read; nothing is sent."),
         "match": Entry("match", "Join a recording of markers with a joint log."),

@@ -11,7 +11,6 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json, MoreOptions, NoWait, PayloadCentre, Robot
-from kilter_client.cli.campaigns import ColumnMap, Device, MeasuredAt, conditions_of, sent_file
 from kilter_client.cli.drift_report import EXIT_CODES
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.option_texts import DRIFT
@@ -19,6 +18,7 @@ from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import resolved, resolved_options
 from kilter_client.cli.results import show_job
+from kilter_client.cli.upload import ColumnMap, Device, MeasuredAt, conditions_of, sent_file
 from kilter_client.errors import UsageError
 
 Rows = Annotated[

@@ -8,31 +8,23 @@ from typing import Any
 from kilter_client import Kilter
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
-from kilter_client.errors import KilterError, ObservationError
+from kilter_client.errors import KilterError
+from kilter_client.verbs.dry_run import checked_here, checked_rows
 from kilter_files import Prepared
 
 Document = dict[str, Any]
 
-MIXED_UP = ("foreign_observations", "markers_swapped")
 LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 
 def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
     """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse."""
-    from kilter_files.look.refusals import refusals
-    from kilter_files.look.summary import columns_of, summary
-
-    joints, unchecked = _joints(robot)
-    found = summary(prepared, conditions)
-    left_out = [text for text in prepared.warnings if "left out" in text]
-    refused = refusals(columns_of(prepared), joints, prepared.lines)
-    odd: list[str] = []
-    if joints is not None:
-        by_server, odd, unchecked = _by_server(robot, prepared)
-        # Readings outside the limits are named here row by row; a mix-up that explains them says more.
-        if by_server is not None and (by_server.code in MIXED_UP or not refused):
-            refused = [by_server.detail]
-    return found | {"left_out": left_out, "refused": refused, "odd": odd, "not_checked": unchecked}
+    try:
+        kilter = Kilter()
+    except KilterError as error:  # a dry run needs no server
+        return checked_here(prepared, conditions, error)
+    with kilter:
+        return kilter.run(checked_rows(robot, prepared, conditions))
 
 
 def show_dry_run(document: Document) -> None:
@@ -58,27 +50,6 @@ def show_dry_run(document: Document) -> None:
     if document["not_checked"]:
         say(f"not checked: {document['not_checked']}")
     say("Nothing was stored.")
-
-
-def _by_server(robot: str, prepared: Prepared) -> tuple[ObservationError | None, list[str], str]:
-    """What the server would refuse the rows for, what looks odd, and what could not be asked: it stores nothing."""
-    try:
-        with Kilter() as kilter:
-            found = kilter.campaigns.check(robot, prepared)
-    except ObservationError as error:
-        return error, [], ""
-    except KilterError as error:
-        return None, [], f"whether the rows belong to the robot ({error.detail.rstrip('.')})"
-    return None, [one["message"] for one in found.get("warnings", ())], ""
-
-
-def _joints(robot: str) -> tuple[list[Document] | None, str]:
-    """The robot's joints, or why they are not known: a dry run needs no server."""
-    try:
-        with Kilter() as kilter:
-            return list(kilter.robots.get(robot)["joints"]), ""
-    except KilterError as error:
-        return None, f"joints and their limits, and whether the rows belong to the robot ({error.detail.rstrip('.')})"
 
 
 def _poses(poses: Document | None) -> str:

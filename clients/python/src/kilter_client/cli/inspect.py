@@ -89,10 +89,8 @@ def _drafted(file: Path, target: Path) -> dict[str, Any]:
     """Write the draft, never over a file that is there."""
     from kilter_files.look.draft import draft
 
-    if target.exists():
-        raise UsageError(f"--draft {target}: is there already. Name another file, or delete it.")
     found = draft(file)
-    target.write_text(found.text, encoding="utf-8")
+    found.save(target)
     return {"file": str(file), "draft": str(target)} | found.to_document()
 
 

@@ -31,16 +31,21 @@ def _parameter(one: Any) -> tuple[str, ...]:
     return (one.name, number(one.nominal), *found, interval, one.unit or "", remark)
 
 
-class ShownFit(Shown, Asking):
-    """An identification: its version, its errors before and after, its parameters."""
+class OfVersion:
+    """A version, by the name that the results of jobs have for its id too."""
+
+    id: str
+
+    @property
+    def version_id(self) -> str:
+        """The id, as the result of the job that made the version calls it."""
+        return self.id
+
+
+class WithParameters(Shown, Asking):
+    """What was fitted: errors before and after, and parameters."""
 
     parameters: Any
-    version_id: str | None
-
-    def _line(self) -> str:
-        metrics = getattr(self, "metrics", None)
-        errors = "" if metrics is None else f": {metrics!r}"
-        return f"version {self.version_id}{errors}; {len(self.parameters)} parameters"
 
     def _tables(self) -> Iterator[str]:
         metrics = getattr(self, "metrics", None)
@@ -49,10 +54,20 @@ class ShownFit(Shown, Asking):
         yield parameter_table(self.parameters)
 
 
-class ShownVersion(ShownFit):
+class ShownFit(WithParameters):
+    """An identification: its version, its errors before and after, its parameters."""
+
+    version_id: str | None
+
+    def _line(self) -> str:
+        metrics = getattr(self, "metrics", None)
+        errors = "" if metrics is None else f": {metrics!r}"
+        return f"version {self.version_id}{errors}; {len(self.parameters)} parameters"
+
+
+class ShownVersion(OfVersion, WithParameters):
     """A version as it is stored."""
 
-    id: str
     name: str
     robot: str
     active: bool

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
-from kilter_client.results.shown_jobs import ShownActivated, ShownVersion
+from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 from kilter_client.typed.identifications import (
     CorrelatedGroup,
@@ -202,7 +202,7 @@ class Version(ShownVersion, Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class VersionSummary(Record):
+class VersionSummary(OfVersion, Record):
     """A version in a list; metrics are those of the identification."""
 
     active: bool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -34,6 +34,9 @@ def upload(
     role: Literal["train", "validation", "confirmation"] = "train",
     device: str | None = None,
     column_map: str | PathLike[str] | None = None,
+    preset: str | None = None,
+    euler: str | None = None,
+    joints: str | PathLike[str] | None = None,
     payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None,
     temperature_c: float | None = None,
@@ -52,14 +55,13 @@ def upload(
         data: a path; or columns by name (``{"q1_deg": ..., "x_mm": ...}``), a structured array, a pandas DataFrame.
         columns: names of the columns of an array of two dimensions, with units.
         name: name of the campaign; without one it is the file's, with a number added where that is taken.
-        role: what the rows are for.
-        device: the measuring device; files of some devices are converted.
+        role, device: what the rows are for, and the measuring device; files of some devices are converted.
         column_map: column map of a lab's own file.
-        payload_kg: mass at the tool point during the campaign, kg.
-        payload_com_mm: its centre in the tool frame, mm.
+        preset, euler: program whose text export of points it is (``"leica"``, ...), and the order of its angles.
+        joints: file with the joints of the preset's points, in order; or the second file of a map with a [join].
+        payload_kg, payload_com_mm: mass at the tool point during the campaign, kg, and its centre in the tool frame, mm.
         temperature_c: temperature of the arm, degrees Celsius.
-        tool_force_n: force on the tool point in its frame, N.
-        tool_moment_nm: moment on the tool point in its frame, N m.
+        tool_force_n, tool_moment_nm: force and moment on the tool point in its frame, N and N m.
         notes: anything else worth knowing.
         measured_at: when the last row was measured, as ``"2026-11-02T14:30"``, in this machine's zone where none is given.
         instrument: name of the instrument it was measured with (``k.add_instrument``).
@@ -74,24 +76,21 @@ def upload(
     """
     from kilter_client.typed.campaigns import Uploaded
 
-    conditions = _conditions(
+    conditions = conditions_of(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
     if campaign is not None and (name or notes or conditions or measured_at or instrument):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
-    wanted: Document = {"name": name or name_of(data), "device": device or "", "role": role, "notes": notes}
-    wanted |= {"conditions": conditions, "numbered": name is None, "instrument": instrument} | _when(measured_at)
+    wanted: Document = {"name": name or name_of(data), "device": device or preset or "", "role": role, "notes": notes}
+    wanted |= {"conditions": conditions, "numbered": name is None, "instrument": instrument}
+    wanted |= {"measured_at": moment_of(measured_at)}
+    prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
     into = None if campaign is None else reference("campaign", campaign)
-    rows = rows_of(data, columns, device, column_map)
-    return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, rows, progress)))
+    return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, prepared, progress)))
 
 
-def _when(measured_at: datetime | date | str | None) -> Document:
-    return {"measured_at": moment_of(measured_at)}
-
-
-def _conditions(**told: Any) -> dict[str, Any]:
+def conditions_of(**told: Any) -> dict[str, Any]:
     """What holds for the whole campaign; numbers and lists as JSON has them."""
     given = {key: value for key, value in told.items() if value is not None}
     return {key: [float(one) for one in v] if hasattr(v, "__len__") else float(v) for key, v in given.items()}
@@ -104,23 +103,33 @@ def _watched(
     with watched(progress, f"sending {wanted['name']}") as bar:
         sent: Sent | None = None if bar is None else lambda some, total: bar(some / max(total, 1), "sending")
         try:
-            return (yield from _sent(robot, into, wanted, prepared, sent))
+            return (yield from send_rows(robot, into, wanted, prepared, sent))
         except ObservationError as error:
             raise _placed(error, prepared) from error
 
 
-def _sent(
-    robot: str, into: str | None, wanted: Mapping[str, Any], prepared: Prepared, sent: Sent | None
+def send_rows(
+    robot: str,
+    into: str | None,
+    wanted: Mapping[str, Any],
+    prepared: Prepared,
+    sent: Sent | None,
+    begun: Callable[[tuple[str, bool]], None] = lambda target: None,
 ) -> Steps[Document]:
-    """Send to a campaign, to the one that has these rows already, or to a new one, seen when the rows are in it."""
+    """Send to a campaign, to the one that has these rows already, or to a new one, seen when the rows are in it.
+
+    ``begun`` is told the campaign and whether it is a new one, before the first row is sent.
+    """
     if into is None:
         for known in (yield from calls.listed(robot)):
             if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
                 into = str(known["id"])
     if into is not None:
+        begun((into, False))
         return (yield from calls.upload(into, prepared, sent, robot))
     made = yield from calls.add(robot, {**wanted, "staged": True})
     target = str(made["id"])
+    begun((target, True))
     try:
         done = yield from calls.upload(target, prepared, sent)
     except ApiError:

@@ -1,0 +1,87 @@
+"""Rows on their way to a campaign: the one that is named or has them already, else a new one."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from kilter_client import Kilter
+from kilter_client.cli.interrupt import on_interrupt
+from kilter_client.cli.output import REMEDY_FOR_COLUMNS
+from kilter_client.cli.progress import upload_bar
+from kilter_client.cli.references import resolved
+from kilter_client.errors import ConflictError, KilterError, ObservationError
+from kilter_client.verbs.campaigns import send_rows
+from kilter_files import Prepared
+
+SHOWN = 8  # lines of refused rows that are named in the sentence
+
+
+def send(
+    robot: str, campaign: str | None, wanted: dict[str, Any], file: Path, prepared: Prepared, as_json: bool
+) -> dict[str, Any]:
+    """Send rows, and say at Ctrl-C what is left of them.
+
+    Raises:
+        ObservationError: the rows are not what their columns say; nothing is stored.
+
+    """
+    targets: list[tuple[str, bool]] = []
+    with Kilter() as kilter:
+        into = resolved(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
+        with on_interrupt(partial(_left, kilter, targets, prepared.sha256)), upload_bar(file.name, as_json) as sent:
+            try:
+                return kilter.run(send_rows(robot, into, wanted, prepared, sent, targets.append))
+            except ObservationError as error:
+                raise _with_place(error, file, prepared) from error
+
+
+def _left(kilter: Kilter, targets: list[tuple[str, bool]], sha256: str) -> str:
+    """Say what is left of rows that were being sent; a new campaign is withdrawn."""
+    if not targets:
+        return "nothing is stored. The same command sends the file again."
+    campaign, new = targets[0]
+    return _taken_back(kilter, campaign) if new else _added(kilter, campaign, sha256)
+
+
+def _taken_back(kilter: Kilter, campaign: str) -> str:
+    """Drop a campaign that was broken off, and say what is left of it."""
+    try:
+        kilter.campaigns.discard(campaign)
+    except ConflictError:  # its last request had reached the server
+        return f"campaign {campaign} is stored completely."
+    except KilterError as error:
+        return (
+            f"campaign {campaign} is begun but not visible, and could not be withdrawn ({error.detail}). "
+            "The same command sends the file again."
+        )
+    return "nothing is stored. The same command sends the file again."
+
+
+def _added(kilter: Kilter, campaign: str, sha256: str) -> str:
+    """Say whether rows that were being added are there."""
+    try:
+        there = any(upload["sha256"] == sha256 for upload in kilter.campaigns.get(campaign)["uploads"])
+    except KilterError:
+        return (
+            f"the rows are in campaign {campaign} or not at all. The same command again changes nothing that is there."
+        )
+    if there:
+        return f"the rows are stored in campaign {campaign}."
+    return f"nothing is added to campaign {campaign}. The same command sends the file again."
+
+
+def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> ObservationError:
+    """Add where the refused row stands in the person's own file, or how such a file comes in."""
+    row = error.context.get("row")
+    if prepared.lines and isinstance(row, int) and 0 < row <= len(prepared.lines):
+        error.context |= {"file": str(file), "line": prepared.lines[row - 1]}
+        rows = [k for k in error.context.get("rows") or () if isinstance(k, int) and 0 < k <= len(prepared.lines)]
+        lines = [prepared.lines[k - 1] for k in rows or [row]]
+        error.context["lines"] = lines
+        shown = ", ".join(map(str, lines[:SHOWN])) + (" ..." if len(lines) > SHOWN else "")
+        error.detail += f" That is line {shown} of {file}."
+    elif not prepared.lines and row is None and error.code == "observations_invalid":
+        error.detail += f" {REMEDY_FOR_COLUMNS}"
+    return error

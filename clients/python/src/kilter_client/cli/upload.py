@@ -1,0 +1,252 @@
+"""``kilter upload``: a file is read and mapped, its rows are checked, and they are sent."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from kilter_client.cli import arguments
+from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
+from kilter_client.cli.checks import Unchecked
+from kilter_client.cli.dry_run import show_dry_run, what_it_holds
+from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
+from kilter_client.cli.match import joints_of
+from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.sending import send
+from kilter_client.errors import UsageError
+from kilter_client.given import moment_of
+from kilter_files import DEVICES, Prepared, prepare, preset_of
+from kilter_files.formats.points.tracker_header import PRESETS
+from kilter_files.formats.reader import LogHints
+from kilter_files.formats.registry import recognised
+from kilter_files.tables.table import CSV_TYPE
+
+A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
+Role = Literal["train", "validation", "confirmation"]
+PresetName = Annotated[
+    str | None,
+    typer.Option("--preset", help=f"The file is a tracker's or CMM's text export of: {', '.join(PRESETS)}."),
+]
+Euler = Annotated[
+    str | None, typer.Option(help="Preset: order of its angles, XYZ about the moving axes, xyz about the fixed ones.")
+]
+Joints = Annotated[
+    Path | None,
+    typer.Option(
+        help="Preset: joints of the points, in order: CSV, a bag, a program. Map: its second file.",
+        exists=True,
+    ),
+]
+
+
+Device = Annotated[
+    str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
+]
+IntoCampaign = Annotated[
+    str | None,
+    typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`) instead of making one."),
+]
+InstrumentName = Annotated[str | None, typer.Option(metavar="NAME", help="The instrument: `kilter instrument list`.")]
+ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
+ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
+ColumnMap = Annotated[
+    Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
+]
+MeasuredAt = Annotated[
+    str | None,
+    typer.Option(metavar="WHEN", help="When the last row was measured: 2026-11-02, or 2026-11-02T14:30."),
+]
+CampaignName = Annotated[
+    str | None,
+    typer.Option(help="Name of the campaign; default is the file's, with a number added when that is taken."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
+
+
+def upload(
+    robot: Robot,
+    file: File,
+    device: Device = None,
+    preset: PresetName = None,
+    euler: Euler = None,
+    joints: Joints = None,
+    topic: Topic = None,
+    joint_order: JointOrder = None,
+    role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
+    column_map: ColumnMap = None,
+    campaign: IntoCampaign = None,
+    name: CampaignName = None,
+    payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign, kg.")] = None,
+    payload_com_mm: PayloadCentre = None,
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign, deg C.")] = None,
+    tool_force_n: ToolForce = None,
+    tool_moment_nm: ToolMoment = None,
+    notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
+    measured_at: MeasuredAt = None,
+    instrument: InstrumentName = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
+        ),
+    ] = False,
+    unchecked: Unchecked = False,
+    as_json: Json = False,
+) -> None:
+    """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.
+
+    Makes a campaign, or adds to --campaign. The same file again changes nothing.
+    """
+    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
+    order = arguments.split_names([joint_order or ""])
+    at = moment_of(measured_at)
+    if campaign and (name or notes or conditions or at or instrument):
+        raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
+    by_preset = _preset(preset, file, device, column_map, joints)
+    _refuse_idle(by_preset, column_map, joints, euler, topic, joint_order)
+    hints = LogHints(topic, order, _likely(robot, joints, column_map, joint_order))
+    prepared = prepare(file, device, column_map, joints, preset=by_preset, euler=euler, hints=hints)
+    prepared = _checked(file, prepared, unchecked)
+    _tell(file, prepared, as_json)
+    if dry_run:
+        found = what_it_holds(robot, prepared, conditions)
+        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256} | found), as_json, show_dry_run)
+        if found["refused"]:
+            raise typer.Exit(1)
+        return
+    wanted = {
+        "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
+        "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
+    }  # fmt: skip
+    done = send(robot, campaign, wanted, file, prepared, as_json)
+    for text in _odd(done):
+        note(f"  Warning: {text}", as_json)
+    emit(_report(prepared, done), as_json, _show_upload)
+
+
+def sent_file(
+    robot: str,
+    file: Path,
+    device: str | None,
+    column_map: Path | None,
+    role: Role,
+    conditions: dict[str, Any],
+    name: str,
+    measured_at: str | None,
+    as_json: bool,
+) -> dict[str, Any]:
+    """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
+    prepared = prepare(file, device, column_map, preset=_preset(None, file, device, column_map, None))
+    prepared = _checked(file, prepared, unchecked=False)
+    _tell(file, prepared, as_json)
+    wanted = {
+        "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
+        "numbered": not name, "measured_at": moment_of(measured_at),
+    }  # fmt: skip
+    return send(robot, None, wanted, file, prepared, as_json)
+
+
+def conditions_of(
+    payload_kg: float | None,
+    payload_com_mm: str | None,
+    temperature_c: float | None,
+    force: str | None = None,
+    moment: str | None = None,
+) -> dict[str, Any]:
+    """Return what holds for the whole campaign."""
+    told = {
+        "payload_kg": payload_kg,
+        "payload_com_mm": arguments.three("--payload-com-mm", payload_com_mm),
+        "temperature_c": temperature_c,
+        "tool_force_n": arguments.three("--tool-force-n", force),
+        "tool_moment_nm": arguments.three("--tool-moment-nm", moment),
+    }
+    return {key: value for key, value in told.items() if value is not None}
+
+
+def _preset(
+    preset: str | None, file: Path, device: str | None, column_map: Path | None, joints: Path | None
+) -> str | None:
+    """The preset by which a text export of points is read, with numpy; None of another file, or with a map."""
+    if column_map is not None:
+        return preset
+    chosen = preset or preset_of(device, file, joined=joints is not None)
+    if chosen is not None and chosen not in PRESETS:
+        raise UsageError(f"--preset {chosen}: is not one of {', '.join(PRESETS)}.")
+    if chosen is not None:
+        check_numpy()
+    return chosen
+
+
+def _refuse_idle(
+    preset: str | None,
+    column_map: Path | None,
+    joints: Path | None,
+    euler: str | None,
+    topic: str | None,
+    order: str | None,
+) -> None:
+    """Refuse options that would do nothing with this file."""
+    if (preset is None and (euler or topic or order)) or (
+        column_map is not None and (preset or euler or topic or order)
+    ):
+        raise UsageError(
+            "--preset, --euler, --topic and --joint-order belong to a text export of points, without --map."
+        )
+    if joints is not None and preset is None and column_map is None:
+        raise UsageError(
+            "--joints goes with --preset (a text export of points) or with --map (a column map with a table [join])."
+        )
+
+
+def _likely(robot: str, joints: Path | None, column_map: Path | None, order: str | None) -> list[str]:
+    """The robot's joints, where a bag names its joints and nobody said which is the first."""
+    if joints is None or column_map is not None or order or not recognised(joints, "bag"):
+        return []
+    return joints_of(robot)
+
+
+def _checked(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
+    """Look for knocked markers, where there are markers, and numpy to do so."""
+    header = prepared.content.split(b"\n", 1)[0]
+    if prepared.content_type == CSV_TYPE and not A_MARKER.search(header):
+        return prepared  # numpy would be loaded for nothing
+    try:
+        from kilter_files.match.uploaded_markers import refuse_knocked_rows
+    except ImportError:
+        return prepared
+    found = refuse_knocked_rows(file, prepared, unchecked)
+    return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
+
+
+def _tell(file: Path, prepared: Prepared, as_json: bool) -> None:
+    """Say what is understood of the file."""
+    note(f"{file}: {'' if prepared.rows is None else f'{prepared.rows} rows'}".rstrip(": "), as_json)
+    for text in prepared.notes:
+        note(f"  {text}", as_json)
+    for text in prepared.warnings:
+        note(f"  Warning: {text}.", as_json)
+
+
+def _report(prepared: Prepared, done: dict[str, Any]) -> dict[str, Any]:
+    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes), "warnings": list(prepared.warnings)}
+    return understood | done | {"warnings": understood["warnings"] + _odd(done)}
+
+
+def _odd(done: dict[str, Any]) -> list[str]:
+    """What the server found odd in rows that it stored."""
+    return [str(one["message"]) for one in done.get("warnings", ())]
+
+
+def _show_upload(done: dict[str, Any]) -> None:
+    known = "" if done.get("new", True) else ", there already"
+    say(f"campaign {done['campaign_id']}: {done['rows']} rows{known} (sha256 {done['sha256'][:12]})")

@@ -1,0 +1,92 @@
+"""What an upload would store, and what would be refused of it: nothing is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.calls import campaigns, robots
+from kilter_client.errors import KilterError, ObservationError
+from kilter_client.given import Data, rows_of
+from kilter_client.steps import Document, Steps
+from kilter_client.verbs.campaigns import conditions_of
+from kilter_client.verbs.things import Thing, reference
+
+if TYPE_CHECKING:
+    from kilter_client.results.dry_run import DryRun
+    from kilter_files import Prepared
+
+MIXED_UP = ("foreign_observations", "markers_swapped")
+
+
+def dry_run(
+    robot: Thing,
+    data: Data,
+    *,
+    columns: Sequence[str] | None = None,
+    device: str | None = None,
+    column_map: str | PathLike[str] | None = None,
+    preset: str | None = None,
+    euler: str | None = None,
+    joints: str | PathLike[str] | None = None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+    temperature_c: float | None = None,
+    tool_force_n: Sequence[float] | None = None,
+    tool_moment_nm: Sequence[float] | None = None,
+) -> Steps[DryRun]:
+    """Show what ``upload`` would store with the same arguments, and what would be refused; store nothing.
+
+    Where the server does not answer, ``not_checked`` says what it would have checked.
+
+    Raises:
+        FileError: the file is not what it should be; UsageError: the data are not rows.
+
+    """
+    from kilter_client.results.dry_run import DryRun
+
+    conditions = conditions_of(
+        payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
+        tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
+    )  # fmt: skip
+    prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
+    found = yield from checked_rows(reference("robot", robot), prepared, conditions)
+    told = {"columns": prepared.columns, "notes": prepared.notes, "warnings": prepared.warnings}
+    return DryRun.read(told | {"rows": prepared.rows} | found)
+
+
+def checked_rows(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Steps[Document]:
+    """Return ranges, poses, repeats, loads, directions, and what would be refused, here and by the server."""
+    try:
+        known = list((yield from robots.one(robot))["joints"])
+    except KilterError as error:
+        return checked_here(prepared, conditions, error)
+    found = checked_here(prepared, conditions, None, known)
+    try:
+        odd = (yield from campaigns.check(robot, prepared)).get("warnings", ())
+    except ObservationError as error:
+        # Readings outside the limits are named here row by row; a mix-up that explains them says more.
+        refused = [error.detail] if error.code in MIXED_UP or not found["refused"] else found["refused"]
+        return found | {"refused": refused}
+    except KilterError as error:
+        return found | {"not_checked": f"whether the rows belong to the robot ({error.detail.rstrip('.')})"}
+    return found | {"odd": [one["message"] for one in odd]}
+
+
+def checked_here(
+    prepared: Prepared, conditions: Mapping[str, Any], why: KilterError | None, joints: list[Document] | None = None
+) -> Document:
+    """Return what can be said without a server; ``why`` is the reason for which the robot's joints are not known."""
+    from kilter_files.look.refusals import refusals
+    from kilter_files.look.summary import columns_of, summary
+
+    unknown = (
+        f"joints and their limits, and whether the rows belong to the robot ({why.detail.rstrip('.')})" if why else ""
+    )
+    return summary(prepared, conditions) | {
+        "left_out": [text for text in prepared.warnings if "left out" in text],
+        "refused": refusals(columns_of(prepared), joints, prepared.lines),
+        "odd": [],
+        "not_checked": unknown,
+    }
