@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import threading
 from typing import IO
 
 LONGEST = 500
 GRACE_S = 0.2  # children of the process may keep its output open
+
+
+def _sentence(line: str) -> str:
+    """What a line of a process says: of one as JSON its message, and of an error that nobody caught the error."""
+    if not line.startswith("{"):
+        return line.removeprefix("kilterd: ")
+    try:
+        said = json.loads(line)
+        return str(said.get("exception", said["message"])).strip().splitlines()[-1]
+    except (ValueError, KeyError, IndexError, AttributeError):
+        return line
 
 
 class LastWords:
@@ -40,7 +52,7 @@ class LastWords:
             for line in output:
                 text = line.decode(errors="replace")
                 if text.strip():
-                    self._line = text.strip().removeprefix("kilterd: ")[:LONGEST]
+                    self._line = _sentence(text.strip())[:LONGEST]
                 try:
                     sys.stderr.write(text)
                     sys.stderr.flush()

@@ -314,7 +314,7 @@ def _end(error: Exception) -> NoReturn:
     known = in_words(error)
     if known is None and not isinstance(error, OSError):
         raise error
-    print(f"kilterd: {error if known is None else known.message}", file=sys.stderr)
+    logs.say_end(str(error) if known is None else known.message)
     sys.exit(2 if known is not None and known.code in USAGE_CODES else 1)
 
 

@@ -18,7 +18,7 @@ from sqlalchemy import text, update
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.backup import service
-from kilter_service.db import Database
+from kilter_service.db import Database, seals
 from kilter_service.db.row import Row
 from kilter_service.db.tables import JobRow, RobotRow
 from kilter_service.errors import ServiceError
@@ -228,6 +228,23 @@ def test_a_name_in_the_schema_that_is_not_text_any_more_is_a_finding(filled: Set
         path.with_name(path.name + name).unlink(missing_ok=True)
     assert service.verify_stored(filled).damaged
     assert "Traceback" not in kilterd(filled, "verify").stderr
+
+
+def test_the_key_may_be_a_credential_of_systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "credentials"
+    folder.mkdir()
+    key = folder / "seal-key"
+    key.write_text("a secret of more than thirty-two characters\n")
+    key.chmod(0o440)  # the entry of the unit's account in the access list
+    monkeypatch.setenv("KILTER_SEAL_KEY", str(key))
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    with pytest.raises(ServiceError, match="can be read by others"):
+        seals.sealer()
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(folder))
+    assert seals.sealer().number
+    key.chmod(0o444)
+    with pytest.raises(ServiceError, match="can be read by others"):
+        seals.sealer()
 
 
 def test_a_statement_of_many_rows_is_refused(database: Database) -> None:

@@ -16,7 +16,6 @@ import signal
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -196,7 +195,7 @@ def _live(pipe: Connection) -> NoReturn:
             enter(entry, spec, pipe)
         code = 0
     except BaseException:
-        traceback.print_exc()
+        log.exception("a process of the corrector ends")
     finally:
         sys.stdout.flush()
         sys.stderr.flush()

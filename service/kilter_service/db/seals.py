@@ -75,7 +75,7 @@ def sealer() -> Sealer:
 
 def _key_in(file: Path) -> bytes:
     try:
-        open_to_others = stat.S_IMODE(file.stat().st_mode) & 0o077
+        open_to_others = stat.S_IMODE(file.stat().st_mode) & 0o077 & ~_right_of_credential(file)
         content = file.read_bytes().strip()
     except OSError as error:
         raise _unusable(f"cannot be read ({error.strerror}): give the file of the key") from error
@@ -84,6 +84,12 @@ def _key_in(file: Path) -> bytes:
     if len(content) < LEAST_KEY:
         raise _unusable(f"is too short: make one with `openssl rand -base64 48 > {file}`")
     return content
+
+
+def _right_of_credential(file: Path) -> int:
+    """systemd gives the account of a unit an entry in the access list of a credential, which shows as a right of the group."""
+    folder = os.environ.get("CREDENTIALS_DIRECTORY")
+    return 0o040 if folder and file.parent == Path(folder) else 0
 
 
 def _unusable(what: str) -> ServiceError:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from logging.handlers import WatchedFileHandler
+from types import TracebackType
 from typing import Any
 
 from kilter_service.settings import Settings
+
+log = logging.getLogger("kilter")
 
 ABOUT = ("request_id", "job_id", "robot")
 ACCESS = "kilter.access"
@@ -75,6 +80,26 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
+def say_end(sentence: str) -> None:
+    """Say on standard error why a command ends; a line of JSON where the log has such lines."""
+    if any(isinstance(handler.formatter, JsonLines) for handler in logging.getLogger().handlers):
+        log.error(sentence)
+    else:
+        print(f"kilterd: {sentence}", file=sys.stderr)
+
+
+def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if issubclass(kind, KeyboardInterrupt):
+        return
+    log.critical("the process ends: %s", kind.__name__, exc_info=(kind, error, trace))
+
+
+def _uncaught_in_thread(found: threading.ExceptHookArgs) -> None:
+    if found.exc_value is not None:
+        trace = (found.exc_type, found.exc_value, found.exc_traceback)
+        log.error("the thread %s ends", found.thread.name if found.thread else "", exc_info=trace)
+
+
 def _extras(record: logging.LogRecord) -> dict[str, Any]:
     return {name: value for name, value in record.__dict__.items() if name not in _PLAIN}
 
@@ -91,6 +116,9 @@ def configure(settings: Settings, process: str) -> None:
     handler.setFormatter(lines)
     logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
     logging.getLogger("kilter").setLevel(logging.INFO)
+    if isinstance(lines, JsonLines):  # else Python writes warnings and errors that nobody caught as plain text
+        logging.captureWarnings(True)
+        sys.excepthook, threading.excepthook = _uncaught, _uncaught_in_thread
     access = logging.getLogger(ACCESS)
     access.disabled = settings.access_log is None
     if settings.access_log not in (None, "-"):
