@@ -1,0 +1,1 @@
+"""Compiled loops of the gap finder: numba functions, flat arrays in and out."""
