@@ -107,7 +107,7 @@ def test_columns_are_the_contracts(no_settings: None, capsys: Capture) -> None:
         names = [name for name in re.findall(r"\b[a-z]\w*\b", column["columns"]) if name != "and"]
         assert names
         for name in names:  # an unknown name is refused; "qn_deg" stands for the last joint
-            contract._read(re.sub(r"^(q|link|dir)n", r"\g<1>9", name), ["revolute"] * 9)
+            contract._read(re.sub(r"^(q|link|cmd|dir)n", r"\g<1>9", name), ["revolute"] * 9)
 
 
 @pytest.mark.parametrize("name", ["effects", "methods", "presets", "formats", "columns"])

@@ -54,7 +54,8 @@ class Observations(Conditions):
 
     Shapes: ``q (N, n)``; ``position (N, 3)`` m; ``rotation (N, 3, 3)``; ``markers (N, m, 3)`` m with NaN where a marker
     was not seen; ``tip (N, 3)`` m a point of the tool digitised while the markers were seen, NaN elsewhere; ``link_q
-    (N, n)`` the joint angle behind gear and backlash; ``sigma (N, 3)`` m, the standard deviation of each position coordinate;
+    (N, n)`` the joint angle behind gear and backlash; ``command (N, n)`` where the controller sent the joints; ``sigma
+    (N, 3)`` m, the standard deviation of each position coordinate;
     ``wrench (N, 6)`` force N and moment N·m on the tool point in the tool frame; ``payload_com (N, 3)`` m, where the
     payload has its centre in the tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and
     ``bar (N,)`` the number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none;
@@ -80,6 +81,7 @@ class Observations(Conditions):
     bar: Ints | None = None
     bar_length: Floats | None = None
     tilt: Floats | None = None
+    command: Floats | None = None
     link_mass: Floats | None = None
     link_wrench: Floats | None = None
 
@@ -215,7 +217,7 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
 
     Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
     """
-    for name in ("link_q", "tilt"):
+    for name in ("link_q", "command", "tilt"):
         shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
         if shapes:
             parts = [_filled(part, name, max(shapes)) for part in parts]  # the longest has the base too

@@ -169,7 +169,8 @@ def _column(column: Column, table: Any) -> ColumnFacts:
 
 
 MEANINGS: Mapping[str, str] = {
-    "q": "reading of joint {0}", "link": "link-side encoder of joint {0}", "qd": "speed of joint {0}",
+    "q": "reading of joint {0}", "link": "link-side encoder of joint {0}", "cmd": "command of joint {0}",
+    "qd": "speed of joint {0}",
     "qdd": "acceleration of joint {0}", "tau": "torque of joint {0}", "dir": "direction joint {0} came from",
     "x": "position along x", "y": "position along y", "z": "position along z", "t": "time",
     "payload": "load at the tool", "temperature": "temperature of the arm", "session": "set-up of the instrument",

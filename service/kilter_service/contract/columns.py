@@ -12,6 +12,7 @@ LENGTHS = {"mm": 1e-3, "m": 1.0}
 JOINT_UNITS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
     "q": (ANGLES, LENGTHS),
     "link": (ANGLES, LENGTHS),
+    "cmd": (ANGLES, LENGTHS),
     "qd": ({f"{u}_s": f for u, f in ANGLES.items()}, {f"{u}_s": f for u, f in LENGTHS.items()}),
     "qdd": ({f"{u}_s2": f for u, f in ANGLES.items()}, {f"{u}_s2": f for u, f in LENGTHS.items()}),
     "tau": ({"nm": 1.0}, {"n": 1.0}),

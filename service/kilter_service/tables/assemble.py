@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MM = 1e-3
-BY_JOINT = {"q": "q", "link": "link_q", "dir": "direction", "qd": "qd", "qdd": "qdd", "tau": "tau"}
+BY_JOINT = {"q": "q", "link": "link_q", "cmd": "command", "dir": "direction", "qd": "qd", "qdd": "qdd", "tau": "tau"}
 # Plain columns of whole numbers and others whose field has another name; a condition's field is named as its column.
 PLAIN = {"bar": "bar_length"} | {
     quantity: field

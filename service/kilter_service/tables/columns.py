@@ -23,7 +23,7 @@ from kilter_service.contract.columns import (
 )
 from kilter_service.limits import MAX_COLUMNS, MAX_NAME
 
-_JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
+_JOINT = re.compile(r"(q|qd|qdd|link|cmd|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
 _TILT = re.compile(r"tilt(0|[1-9][0-9]?)([xyz])(?:_(\w+))?")
 _LOAD = re.compile(r"load([1-9][0-9]?)_(kg|[xyz]|[fm][xyz])(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")

@@ -31,7 +31,7 @@ JOINT = re.compile(r"q([1-9]\d?)_(deg|rad|mm|m)")
 
 # contract name -> the unit its ending states, in the spelling of SIZES; "" is a plain number
 CONTRACT: tuple[tuple[str, str], ...] = (
-    (r"(?:q|link)\d+_(deg|rad|mm|m)", "{0}"),
+    (r"(?:q|link|cmd)\d+_(deg|rad|mm|m)", "{0}"),
     (r"(?:m\d+)?[xyz]_(mm|m)", "{0}"),
     (r"s[xyz]_(mm|m)", "{0}"),
     (r"(?:phi|theta|psi)_(deg|rad)", "{0}"),

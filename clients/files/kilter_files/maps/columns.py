@@ -11,7 +11,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
 from kilter_files.maps.section import Section
 
-NUMBERED = ("q", "link", "qd", "qdd", "tau", "dir", "m")
+NUMBERED = ("q", "link", "cmd", "qd", "qdd", "tau", "dir", "m")
 NO_CONTRACT_COLUMN = (
     "is not a contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, tau1_nm, dir1, "
     "payload_kg, payload_com_x_mm, fx_n, mx_nm, temperature_c, base_tilt_x_deg, session, pose_id, sx_mm, tipx_mm, socket_id, "

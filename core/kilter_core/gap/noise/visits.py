@@ -52,7 +52,7 @@ def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
 def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
     out = rows.select(first)
     plain = ("q", "position", "markers", "link_q", "tilt", "qd", "qdd", "tau", "t", "temperature_c", "bar_length",
-             "base_tilt_x", "base_tilt_y", "link_mass", "link_wrench")  # fmt: skip
+             "base_tilt_x", "base_tilt_y", "link_mass", "link_wrench", "command")  # fmt: skip
     made: dict[str, Any] = {
         name: _mean(value, visit, count) for name in plain if (value := getattr(rows, name)) is not None
     }

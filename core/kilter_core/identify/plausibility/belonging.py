@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.plausibility.lagging import lag_warnings
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
@@ -32,7 +33,7 @@ def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, A
             refuse_feigned_turns(begin, of_tool)
             warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
     refuse_foreign_links(begin.robot, rows)
-    return tuple(warnings)
+    return (*warnings, *lag_warnings(begin.robot, rows))
 
 
 def _parts(rows: Observations) -> list[Observations]:

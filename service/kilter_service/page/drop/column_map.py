@@ -17,7 +17,7 @@ from kilter_service.errors import ServiceError
 NUMBER = re.compile(r"\d+")
 MARKERS = 4
 OF_JOINTS = {
-    "q": "reading", "link": "link-side encoder", "dir": "direction it came from", "qd": "speed",
+    "q": "reading", "link": "link-side encoder", "cmd": "command", "dir": "direction it came from", "qd": "speed",
     "qdd": "acceleration", "tau": "torque",
 }  # fmt: skip
 OF_ROWS = {

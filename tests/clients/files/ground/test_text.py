@@ -138,7 +138,8 @@ def test_contract_columns_agree_with_the_service() -> None:
                   ["base_tilt_x_deg", "base_tilt_y_rad"], ["load2_kg", "load2_x_mm", "load2_y_mm", "load2_z_mm"],
                   ["load1_fx_n", "load1_fy_n", "load1_fz_n"], ["load2_mx_nm", "load2_my_nm", "load2_mz_nm"],
                   ["t_s", "payload_kg", "temperature_c", "session", "pose_id"], ["qd1_rad_s", "qd2_mm_s"],
-                  ["qdd1_deg_s2", "qdd2_m_s2"], ["link1_deg", "link2_m"], ["sx_mm", "sy_mm", "sz_mm"]):  # fmt: skip
+                  ["qdd1_deg_s2", "qdd2_m_s2"], ["link1_deg", "link2_m"], ["cmd1_deg", "cmd2_mm"],
+                  ["sx_mm", "sy_mm", "sz_mm"]):  # fmt: skip
         read_columns(tail + names, kinds)
         assert all(unit_of(name) is not None for name in names)
 

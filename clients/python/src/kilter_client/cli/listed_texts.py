@@ -118,6 +118,10 @@ COLUMNS: list[dict[str, str]] = [
         "meaning": "or the angle behind gear and backlash, from link-side encoders, also beside the tool",
     },
     {
+        "columns": "cmd1_deg … cmdn_deg",
+        "meaning": "beside the readings: where the controller sent the joints. Nothing is fitted to it; readings that follow the motion's sign are warned of",
+    },
+    {
         "columns": "tilt1x_deg …",
         "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them alone, identify and gap beside the tool",
     },
