@@ -38,6 +38,7 @@ GROUPS = {
         "plan",
         "joint_parameters",
         "drift",
+        "rezero",
         "check",
         "submit",
         "job",

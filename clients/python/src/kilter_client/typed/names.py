@@ -129,6 +129,9 @@ MODULE_OF = {
     "Replication": "searches",
     "ResidualRows": "others",
     "ResolvedReference": "server",
+    "RezeroCheck": "checks",
+    "RezeroJob": "jobs",
+    "RezeroResult": "drifts",
     "Rival": "versions",
     "RobotCheck": "robots",
     "RobotReport": "robots",
@@ -172,4 +175,5 @@ JOBS = {
     "identify": "IdentifyJob",
     "joint_parameters": "JointParametersJob",
     "plan": "PlanJob",
+    "rezero": "RezeroJob",
 }
