@@ -27,6 +27,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "sheet_order_wrong": (400, "The quarter points of a sheet are in the wrong order"),
     "too_few_poses": (400, "Too few poses"),
     "rows_of_another_arm": (400, "Rows of another arm"),
+    "rezero_not_carried": (400, "Re-zeroing not carried by the data"),
     "tool_on_axis": (400, "Tool point on an axis"),
     "tool_not_stated": (400, "Tool not stated"),
     "another_temperature": (400, "Another temperature"),

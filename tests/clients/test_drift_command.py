@@ -178,3 +178,32 @@ def test_a_reflector_on_an_axis_is_refused_before_anybody_measures(
     told = command.json("plan", "check", "on-the-axis", code=1)
     assert told["code"] == "tool_on_axis"
     assert "off the axis of joint 6" in told["detail"]
+
+
+def test_what_moved_is_re_zeroed_activated_and_agrees(
+    calibrated: str, command: Command, tmp_path: Path, arm: DriftingArm, k: Kilter
+) -> None:
+    (first,) = command.json("versions", "list", calibrated)["versions"]
+    moved = arm.after("zero_3", STEP)
+    command("check", calibrated, written(tmp_path / "crashed.csv", moved, 6, 20), code=3)
+    said = command("rezero", calibrated, "--campaign", "crashed.csv")
+    assert f"Version {first['id']} re-zeroed: zero of joint 3 by 0.2" in said
+    found = command.json("rezero", calibrated, "--campaign", "crashed.csv", "--cause", "zero_3")["result"]
+    version = command.json("version", found["version_id"])
+    assert version["parent_id"] == first["id"]
+    before = {row["name"]: row["value"] for row in command.json("version", first["id"])["parameters"]}
+    after = {row["name"]: row["value"] for row in version["parameters"]}
+    changed = [name for name in after if abs(after[name] - before[name]) > 1e-9]
+    assert changed == ["theta_offset_3"] == [row["name"] for row in found["parameters"]]
+    assert after["theta_offset_3"] - before["theta_offset_3"] == pytest.approx(0.21, abs=0.03)
+    again = written(tmp_path / "again.csv", moved, 8, 21)
+    command("check", calibrated, again, code=3)
+    done = command.json("activate", found["version_id"])
+    assert (done["active"], done["forced"]) == (True, False)
+    assert "again.csv" in [k.campaign(c).name for c in done["compared"]["campaigns"]]
+    assert "ok:" in command("check", calibrated, "--campaign", "again.csv")
+    told = command.json("rezero", calibrated, "--campaign", "again.csv", code=1)
+    assert told["code"] == "rezero_not_carried"
+    assert "Nothing has moved" in told["detail"]
+    told = command.json("rezero", calibrated, "--campaign", "again.csv", "--cause", "elbow", code=1)
+    assert told["code"] == "option_invalid"

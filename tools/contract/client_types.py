@@ -31,8 +31,16 @@ MODULES: Mapping[str, Sequence[str]] = {
     "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
-    "drifts": ("DriftResult",),
-    "checks": ("IdentifyCheck", "GapCheck", "EvaluateCheck", "PlanCheck", "JointParametersCheck", "DriftCheck"),
+    "drifts": ("DriftResult", "RezeroResult"),
+    "checks": (
+        "IdentifyCheck",
+        "GapCheck",
+        "EvaluateCheck",
+        "PlanCheck",
+        "JointParametersCheck",
+        "DriftCheck",
+        "RezeroCheck",
+    ),
     "server": ("Health", "ResolvedReference", "JobSummary", "Today"),
 }
 JOB = "/v1/jobs/{job}"
@@ -49,6 +57,7 @@ SHOWN: Mapping[str, tuple[str, str]] = {
     "Metrics": ("ShownMetrics", "shown"),
     "Parameter": ("ShownParameter", "shown"),
     "PlanResult": ("ShownPlan", "shown_jobs"),
+    "RezeroResult": ("ShownDrift", "shown_jobs"),
     "Uploaded": ("ShownUpload", "shown_jobs"),
     "Version": ("ShownVersion", "shown_jobs"),
     "VersionDiff": ("ShownDiff", "shown_jobs"),

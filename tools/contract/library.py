@@ -39,6 +39,7 @@ GROUPS = {
         "plan",
         "joint_parameters",
         "drift",
+        "rezero",
         "check",
         "submit",
         "job",

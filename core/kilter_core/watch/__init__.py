@@ -2,5 +2,6 @@
 
 from kilter_core.watch.check import Check, check
 from kilter_core.watch.poses import CheckPlan, check_poses
+from kilter_core.watch.rezero import Rezeroed, rezero
 
-__all__ = ["Check", "CheckPlan", "check", "check_poses"]
+__all__ = ["Check", "CheckPlan", "Rezeroed", "check", "check_poses", "rezero"]

@@ -126,10 +126,10 @@ def check(
     anew = next((one for one in SETUPS if list(one) == list(new_setup)), None)
     if anew is None:
         raise OptionError(f'new_setup is {list(new_setup)}: give [], ["base"] or ["base", "tool"].', option="new_setup")
-    calibration = _absorbed(calibration)
+    calibration = absorbed(calibration)
     innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     if anew:
-        calibration = _absorbed(refitted(calibration, innovation.measurement, anew))
+        calibration = absorbed(refitted(calibration, innovation.measurement, anew))
         innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     linear = _Linear.of(innovation, calibration, anew)
     p_value, smallest = _p_value(linear), _smallest(linear)
@@ -145,7 +145,7 @@ def check(
     )  # fmt: skip
 
 
-def _absorbed(calibration: Calibration) -> Calibration:
+def absorbed(calibration: Calibration) -> Calibration:
     """The same calibration with the increments of its frames in the frames."""
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     return replace(calibration, model=model, values=values)

@@ -10,7 +10,7 @@ import numpy as np
 from kilter_service.wire import DEG, MM, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.watch import Check
+    from kilter_core.watch import Check, Rezeroed
     from kilter_core.watch.causes import Cause
     from kilter_core.watch.check import Judged
 
@@ -27,8 +27,8 @@ SEARCH = (
     "that a check does not know."
 )
 MOVED = (
-    "Repair it and check again; or measure a campaign and identify a version anew. Until then the version corrects an arm "
-    "that is no longer there."
+    "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
+    "corrects an arm that is no longer there."
 )
 
 
@@ -87,6 +87,13 @@ def sentence(found: Check, since: str | None = None) -> str:
     if not found.causes:
         return f"cannot tell: it has moved{after}, and no single cause explains the rows.{chance}"
     return f"cannot tell: {listed([by_how_much(one) for one in found.causes])}{after}.{chance}"
+
+
+def rezero_sentence(found: Rezeroed, start: str) -> str:
+    """Return what was changed in a version."""
+    judged = {one.cause: one for one in found.before.judged}
+    changes = " and ".join(by_how_much(judged[cause]) for cause in found.causes)
+    return f"Version {start} re-zeroed: {changes}; everything else is as it was identified."
 
 
 def by_how_much(one: Judged) -> str:

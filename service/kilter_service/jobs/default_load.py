@@ -53,7 +53,7 @@ def _following(kind: str, job: JobInput) -> list[str]:
     elif kind == "identify":
         asked = [str(e if isinstance(e, str) else e.id) for e in job.options.effects]
         own = asked or (list(THESIS) if job.options.level == 3 and not own else own)
-    elif kind not in ("evaluate", "drift"):
+    elif kind not in ("evaluate", "drift", "rezero"):
         return []
     return [name for name in dict.fromkeys(own) if name in reading]
 

@@ -78,12 +78,16 @@ class JobInput:
 
 @dataclass(frozen=True)
 class VersionContent:
-    """What a job puts into the version it makes; of ``limits`` those fields count that were asked for."""
+    """What a job puts into the version it makes; of ``limits`` those fields count that were asked for.
+
+    ``parent_id`` is the version that it continues, where the options do not name it.
+    """
 
     calibration: dict[str, Any]
     report: dict[str, Any]
     covariance: dict[str, Any]
     limits: CorrectionLimits = field(default_factory=CorrectionLimits)
+    parent_id: str | None = None
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from kilter_service.jobs.kinds.gap import GAP
 from kilter_service.jobs.kinds.identify import IDENTIFY
 from kilter_service.jobs.kinds.joint_parameters import JOINT_PARAMETERS
 from kilter_service.jobs.kinds.plan import PLAN
+from kilter_service.jobs.kinds.rezero import REZERO
 
 KINDS: Mapping[str, JobKind] = MappingProxyType(
-    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS, DRIFT)}
+    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS, DRIFT, REZERO)}
 )
 
 

@@ -302,12 +302,13 @@ def used_in(session: Session, request: JobRequest) -> list[UsedRecord]:
 
 def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -> NewVersion:
     request, kind = JobRequest.of(row.request), kind_of(row.kind)
-    fields = {key: value for key, value in asdict(content).items() if key != "limits"}
+    fields = {key: value for key, value in asdict(content).items() if key not in ("limits", "parent_id")}
+    named = request.options.get(kind.version_option) if kind.version_option else None
     return NewVersion(
         **fields,
         limits=content.limits.model_dump(mode="json"),
         campaigns=[asdict(one) for one in used],
-        parent_id=request.options.get(kind.version_option) if kind.version_option else None,
+        parent_id=content.parent_id or named,
         code_version=code_version(),
         name=row.name,
     )

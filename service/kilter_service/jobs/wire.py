@@ -22,6 +22,7 @@ from kilter_service.contract.jobs.check import (
     JointParametersCheck,
     Missing,
     PlanCheck,
+    RezeroCheck,
     Testability,
     UnknownParameter,
 )
@@ -40,9 +41,11 @@ from kilter_service.contract.jobs.job import (
     JointParametersJob,
     PlanJob,
     Progress,
+    RezeroJob,
 )
 from kilter_service.contract.jobs.joint_parameters import JointParametersResult
 from kilter_service.contract.jobs.plan import PlanResult
+from kilter_service.contract.jobs.rezero import RezeroResult
 from kilter_service.contract.units import Asked
 from kilter_service.contract.written import as_written
 from kilter_service.jobs.foresight import Foresight
@@ -61,6 +64,7 @@ ANSWERS: dict[str, tuple[type[Job], type[BaseModel]]] = {
     "plan": (PlanJob, PlanResult),
     "joint_parameters": (JointParametersJob, JointParametersResult),
     "drift": (DriftJob, DriftResult),
+    "rezero": (RezeroJob, RezeroResult),
 }
 
 
@@ -71,6 +75,7 @@ CHECKS: dict[str, type[JobCheck]] = {
     "plan": PlanCheck,
     "joint_parameters": JointParametersCheck,
     "drift": DriftCheck,
+    "rezero": RezeroCheck,
 }
 
 

@@ -8,7 +8,7 @@ refused for it.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
+from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.db import Database, Session
 from kilter_service.robots import store as robots
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+REZEROED = "rezeroed"  # of a report: the campaign that said what moved; rows from before it are of the arm as it was
 MOST_POSES = 2000  # compared at most, evenly chosen: one to two seconds
 
 NOTHING = (
@@ -40,6 +42,8 @@ NOTHING = (
 ONLY_PLAIN = (
     "Version {active}, active now, was fitted to every pose that this one was not: compared with registration only."
 )
+
+BEFORE = "Campaign {campaign} was not compared: it was sent before what the version was re-zeroed by."
 
 _ONE_AT_A_TIME = threading.Lock()  # a comparison holds the rows of a robot
 
@@ -64,7 +68,7 @@ def judge(database: Database, version_id: str) -> Verdict:
             if last is not None and last.version_id == version_id:
                 return Verdict(version_id, (), None, ())
             new, active = store.calibration(session, version_id), None if last is None else last.version_id
-            cases = _cases(session, row.robot_id, new, store.trainings(session, version_id), active)
+            cases = _cases(session, row.robot_id, new, store.trainings(session, version_id), active, row.report)
             rival = None if active is None else store.get(session, active).report
         return _settled(_first(cases, [*own, *of_calibration(new, own)]), row.report, rival)
 
@@ -83,7 +87,7 @@ def judge_unstored(
 
     with database.reading() as session:
         new = Calibration.from_document(robots.core_robot(session, robot_id), calibration)
-        cases = _cases(session, robot_id, new, [training], active)
+        cases = _cases(session, robot_id, new, [training], active, report)
         rival = None if active is None else store.get(session, active).report
     own = objections_of(report, limits)
     return _settled(_first(cases, [*own, *of_calibration(new, own)]), report, rival)
@@ -120,17 +124,33 @@ class Part:
 
 
 def _cases(
-    session: Session, robot_id: int, new: Calibration, trainings: Sequence[Training], active: str | None
-) -> list[Case]:
+    session: Session, robot_id: int, new: Calibration, trainings: Sequence[Training], active: str | None,
+    report: Mapping[str, Any],
+) -> list[Case]:  # fmt: skip
     """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
     archive = Archive(session, robot_id)
-    alone = Case(new, active, None, archive.unseen_by(trainings))
+    later = _later(session, robot_id, report)
+    alone = Case(new, active, None, later(archive.unseen_by(trainings)))
     if active is None:
         return [alone]
     both = archive.unseen_by([*trainings, *store.trainings(session, active)])
-    beside = Case(new, active, store.calibration(session, active), both)
+    beside = Case(new, active, store.calibration(session, active), later(both))
     alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
     return [beside, alone]
+
+
+def _later(session: Session, robot_id: int, report: Mapping[str, Any]) -> Callable[[Unseen], Unseen]:
+    """Leave out what was sent before the campaign that a version was re-zeroed by: it shows the arm as it was."""
+    campaign = (report.get(REZEROED) or {}).get("campaign")
+    ids = campaigns.ids_of_robot(session, robot_id) if campaign is not None else []
+    before = set(ids[: ids.index(campaign)]) if campaign in ids else set()
+
+    def later(unseen: Unseen) -> Unseen:
+        rows = {name: found for name, found in unseen.rows.items() if name not in before}
+        said = {name: BEFORE.format(campaign=name) for name in unseen.rows if name in before}
+        return Unseen(rows, unseen.left_out | said)
+
+    return later
 
 
 @dataclass

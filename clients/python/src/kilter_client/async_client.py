@@ -77,6 +77,7 @@ class AsyncKilter:
     plan = awaited(computed.plan)
     joint_parameters = awaited(computed.joint_parameters)
     drift = awaited(drifts.drift)
+    rezero = awaited(drifts.rezero)
     check = awaited(computed.check)
     submit = awaited(computed.submit)
     job = awaited(computed.job)

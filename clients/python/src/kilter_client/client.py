@@ -90,6 +90,7 @@ class Kilter:
     plan = waiting(jobs.plan)
     joint_parameters = waiting(jobs.joint_parameters)
     drift = waiting(drifts.drift)
+    rezero = waiting(drifts.rezero)
     check = waiting(jobs.check)
     submit = waiting(jobs.submit)
     job = waiting(jobs.job)

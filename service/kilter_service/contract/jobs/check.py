@@ -143,7 +143,13 @@ class DriftCheck(_Check):
     kind: Literal["drift"] = Field(description=KIND)
 
 
+class RezeroCheck(_Check):
+    """What a re-zeroing would do."""
+
+    kind: Literal["rezero"] = Field(description=KIND)
+
+
 JobCheck = Annotated[
-    IdentifyCheck | GapCheck | EvaluateCheck | PlanCheck | JointParametersCheck | DriftCheck,
+    IdentifyCheck | GapCheck | EvaluateCheck | PlanCheck | JointParametersCheck | DriftCheck | RezeroCheck,
     Field(discriminator="kind"),
 ]

@@ -13,6 +13,7 @@ from kilter_service.contract.jobs.gap import GapOptions, GapResult
 from kilter_service.contract.jobs.identify import IdentifyOptions, IdentifyResult
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions, JointParametersResult
 from kilter_service.contract.jobs.plan import PlanOptions, PlanResult
+from kilter_service.contract.jobs.rezero import RezeroOptions, RezeroResult
 from kilter_service.contract.references import Title
 from kilter_service.contract.units import Fraction, Id, Ids, Listed, Strict
 
@@ -99,8 +100,15 @@ class NewDriftJob(_NewJob):
     options: DriftOptions = Field(DriftOptions(), description=OPTIONS)
 
 
+class NewRezeroJob(_NewJob):
+    """Make a version of the one or few parameters that moved; names one campaign."""
+
+    kind: Literal["rezero"] = Field(description=KIND)
+    options: RezeroOptions = Field(RezeroOptions(), description=OPTIONS)
+
+
 NewJob = Annotated[
-    NewIdentifyJob | NewGapJob | NewEvaluateJob | NewPlanJob | NewJointParametersJob | NewDriftJob,
+    NewIdentifyJob | NewGapJob | NewEvaluateJob | NewPlanJob | NewJointParametersJob | NewDriftJob | NewRezeroJob,
     Field(discriminator="kind"),
 ]
 
@@ -192,8 +200,17 @@ class DriftJob(_Job):
     result: DriftResult | None = Field(description=RESULT)
 
 
+class RezeroJob(_Job):
+    """A re-zeroing with what was asked and what came out."""
+
+    kind: Literal["rezero"] = Field(description=KIND)
+    options: RezeroOptions = Field(description="Options, as asked.")
+    result: RezeroResult | None = Field(description=RESULT)
+
+
 Job = Annotated[
-    IdentifyJob | GapJob | EvaluateJob | PlanJob | JointParametersJob | DriftJob, Field(discriminator="kind")
+    IdentifyJob | GapJob | EvaluateJob | PlanJob | JointParametersJob | DriftJob | RezeroJob,
+    Field(discriminator="kind"),
 ]
 
 

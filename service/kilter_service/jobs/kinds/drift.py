@@ -36,7 +36,7 @@ def check(options: DriftOptions) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Check the rows of the campaign against the version named, else the active one."""
     progress(0.0, "comparing")
-    rows, known = _rows(job), _known(job)
+    rows, known = rows_of(job), known_of(job)
     found = checked(job, rows, known)
     return JobOutput(plain(_document(job, rows, known, found)))
 
@@ -45,7 +45,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
     """Check, which takes no time, and say only what would be refused."""
     found.learn_from(*job.campaigns.values())
     with found.foreseen():
-        checked(job, _rows(job), _known(job))
+        checked(job, rows_of(job), known_of(job))
 
 
 def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
@@ -60,7 +60,13 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     )
 
 
-def _rows(job: JobInput) -> Observations:
+def rows_of(job: JobInput) -> Observations:
+    """The rows of the one campaign.
+
+    Raises:
+        ObservationError: the version was fitted to them.
+
+    """
     ((campaign, rows),) = job.campaigns.items()
     if campaign in job.fit.shared:
         raise ObservationError(
@@ -71,8 +77,13 @@ def _rows(job: JobInput) -> Observations:
     return rows
 
 
-def _known(job: JobInput) -> Predictive:
-    """What the version knows of itself."""
+def known_of(job: JobInput) -> Predictive:
+    """What the version knows of itself.
+
+    Raises:
+        OptionError: there is no version, or it knows nothing.
+
+    """
     from kilter_core.identify.uncertainty.predictive import Predictive
 
     if job.calibration is None:

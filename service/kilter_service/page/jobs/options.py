@@ -16,12 +16,13 @@ from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions
 from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.errors import ServiceError
 
 PREFIX = "option."
 MODELS: Mapping[str, type[BaseModel]] = {
     "identify": IdentifyOptions, "gap": GapOptions, "evaluate": EvaluateOptions, "plan": PlanOptions,
-    "joint_parameters": JointParametersOptions, "drift": DriftOptions,
+    "joint_parameters": JointParametersOptions, "drift": DriftOptions, "rezero": RezeroOptions,
 }  # fmt: skip
 USUAL: Mapping[str, tuple[str, ...]] = {
     "identify": ("method", "level", "effects", "loss", "start"),
@@ -30,6 +31,7 @@ USUAL: Mapping[str, tuple[str, ...]] = {
     "plan": ("purpose", "count", "effects", "version", "payloads_kg"),
     "joint_parameters": ("propose", "resolution_deg", "count"),
     "drift": ("version", "new_setup", "noise_mm"),
+    "rezero": ("version", "causes", "noise_mm"),
 }
 NUMBERS = {"number", "integer"}
 

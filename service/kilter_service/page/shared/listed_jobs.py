@@ -18,6 +18,7 @@ KINDS: Mapping[str, str] = {
     "plan": "Plan poses",
     "joint_parameters": "Measure joints",
     "drift": "Check for drift",
+    "rezero": "Re-zero what moved",
 }
 
 

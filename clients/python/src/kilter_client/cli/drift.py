@@ -1,4 +1,4 @@
-"""``kilter check``: send a few poses and say whether the arm has moved; the exit code says it to scripts."""
+"""``kilter check | rezero``: say by a few poses whether the arm has moved, and make a version of what did."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
-from kilter_client.cli.arguments import Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.analyse import run_job
+from kilter_client.cli.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.drift_report import EXIT_CODES
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.option_texts import DRIFT
+from kilter_client.cli.option_texts import DRIFT, REZERO
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import resolved, resolved_options
@@ -31,8 +32,9 @@ Rows = Annotated[
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command to the ``kilter`` command."""
+    """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter check ur10 today.csv --temperature-c 23.5")(check)
+    app.command(epilog="Example: kilter rezero ur10 --campaign today.csv --cause zero_1")(rezero)
 
 
 def check(
@@ -84,6 +86,27 @@ def check(
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
         raise typer.Exit(code)
+
+
+def rezero(
+    robot: Robot,
+    campaign: Annotated[
+        str,
+        typer.Option(
+            "--campaign", "-c", metavar="ID", help="Campaign of the check: id or its beginning, name, `latest`."
+        ),
+    ] = "latest",
+    cause: Annotated[list[str] | None, typer.Option("--cause", metavar="A,B", help=REZERO["causes"])] = None,
+    version: Annotated[str | None, typer.Option(help=REZERO["version"])] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=REZERO["noise_mm"])] = None,
+    option: MoreOptions = None,
+    name: JobName = "",
+    no_wait: NoWait = False,
+    as_json: Json = False,
+) -> None:
+    """Make a version of the one or few parameters that moved; everything else stays as it was identified."""
+    chosen = arguments.options(option, causes=arguments.split_names(cause), version=version, noise_mm=noise_mm)
+    run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name)
 
 
 def _verdict(job: dict[str, Any]) -> str:

@@ -33,6 +33,9 @@ def show_job(job: dict[str, Any]) -> None:
         show_gap(result)
     elif job["kind"] == "plan" and result:
         show_plan(result)
+    elif job["kind"] == "rezero" and result:
+        say(result["sentence"])
+        show_result(result)
     elif job["kind"] == "drift" and result:
         show_drift(result)
     else:

@@ -127,12 +127,12 @@ class ShownEvaluation(Shown):
 
 
 class ShownDrift(Shown):
-    """Whether an arm has moved."""
+    """Whether an arm has moved, or what was changed for it."""
 
     sentence: str | None
 
     def _line(self) -> str:
-        return self.sentence or "no verdict"
+        return self.sentence or "nothing is said"
 
 
 class ShownPlan(Shown):

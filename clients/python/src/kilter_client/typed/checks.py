@@ -301,3 +301,33 @@ class DriftCheck(Record):
     """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
     """Whether the job would run through, as far as can be predicted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RezeroCheck(Record):
+    """What a re-zeroing would do."""
+
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
+    kind: str
+    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """Why it would fail; empty if it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the nominal robot."""
+    would_run: bool
+    """Whether the job would run through, as far as can be predicted."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownDrift
-from kilter_client.typed.fits import Remark
+from kilter_client.typed.fits import Metrics, Objection, Parameter, Remark
 from kilter_client.typed.plans import SmallestChange
 
 
@@ -88,5 +88,31 @@ class DriftResult(ShownDrift, Record):
     """`ok`; `moved`: by the one cause; `cannot_tell`: it moved, by one of several or by none of these."""
     version_id: str | None
     """The version that was checked."""
+    warnings: Records[Remark]
+    """What to know before trusting the result."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RezeroResult(ShownDrift, Record):
+    """A version in which the one or few parameters that moved are as these rows say, and all others as before."""
+
+    causes: Records[DriftCause]
+    """What moved."""
+    metrics: Metrics | None
+    """Errors on these rows."""
+    objections: Records[Objection]
+    """What it found against activating the version."""
+    p_after: float | None
+    """Chance of the rows by the new version."""
+    p_before: float | None
+    """Chance of the rows by the version that was changed."""
+    parameters: Records[Parameter]
+    """The parameters that changed, as they are now."""
+    sentence: str | None
+    """What was changed, in words."""
+    start: str | None
+    """The version that was changed."""
+    version_id: str | None
+    """Id of the version it made; None: none."""
     warnings: Records[Remark]
     """What to know before trusting the result."""

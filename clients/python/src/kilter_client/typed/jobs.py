@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_client.results.record import Record
-from kilter_client.typed.drifts import DriftResult
+from kilter_client.typed.drifts import DriftResult, RezeroResult
 from kilter_client.typed.evaluations import EvaluateResult
 from kilter_client.typed.identifications import IdentifyResult, JointParametersResult
 from kilter_client.typed.plans import PlanResult
@@ -244,6 +244,46 @@ class PlanJob(Record):
     progress: Progress
     """How far it is."""
     result: PlanResult | None
+    """What came out; None: it has not succeeded."""
+    robot: str
+    """Name of the robot."""
+    started_at: str | None
+    """When it began; None: not yet."""
+    state: str
+    """`queued` and `running` become one of the other three."""
+    validation: tuple[str, ...] | float | Mapping[str, Any] | None
+    """What it holds out, as asked."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RezeroJob(Record):
+    """A re-zeroing with what was asked and what came out."""
+
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
+    attempts: int
+    """How often a worker began it."""
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns it uses."""
+    confirmation: tuple[str, ...]
+    """Campaigns in which what it finds must be seen again."""
+    created_at: str
+    """When it was asked for."""
+    error: JobError | None
+    """Why it failed; None: it did not."""
+    finished_at: str | None
+    """When it was over; None: not yet."""
+    id: str
+    """Id of the job, `job_` and 16 hexadecimal digits."""
+    kind: str
+    """Kind of the job."""
+    name: str
+    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
+    options: Mapping[str, Any]
+    """Options, as asked."""
+    progress: Progress
+    """How far it is."""
+    result: RezeroResult | None
     """What came out; None: it has not succeeded."""
     robot: str
     """Name of the robot."""

@@ -130,6 +130,9 @@ MODULE_OF = {
     "Replication": "searches",
     "ResidualRows": "others",
     "ResolvedReference": "server",
+    "RezeroCheck": "checks",
+    "RezeroJob": "jobs",
+    "RezeroResult": "drifts",
     "Rival": "versions",
     "RobotCheck": "robots",
     "RobotReport": "robots",
@@ -173,4 +176,5 @@ JOBS = {
     "identify": "IdentifyJob",
     "joint_parameters": "JointParametersJob",
     "plan": "PlanJob",
+    "rezero": "RezeroJob",
 }

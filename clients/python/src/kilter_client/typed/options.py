@@ -174,3 +174,16 @@ class PlanOptions(TypedDict, total=False):
     """Where poses may be: where the robot was driven before, or anywhere in its limits."""
     without_joints: Sequence[int]
     """Of `check`: joints, from 1, whose zeros need not be seen."""
+
+
+class RezeroOptions(TypedDict, total=False):
+    """What can be asked of a re-zeroing."""
+
+    causes: Sequence[str]
+    """What moved: `zero_3`, `sag_2`, `base`, `tool`; empty: what a check of the rows names, if it is one cause."""
+    limits: Mapping[str, Any] | None
+    """The largest correction the version may make; None: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate, mm, above 0; None: what the version's fit found."""
+    version: str | None
+    """Id of the version to change; None: the active one."""

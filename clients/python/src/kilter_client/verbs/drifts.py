@@ -16,8 +16,8 @@ from kilter_client.verbs.things import Thing, reference
 if TYPE_CHECKING:
     from datetime import date, datetime
 
-    from kilter_client.typed.drifts import DriftResult
-    from kilter_client.typed.options import DriftOptions
+    from kilter_client.typed.drifts import DriftResult, RezeroResult
+    from kilter_client.typed.options import DriftOptions, RezeroOptions
 
 
 def drift(
@@ -73,6 +73,27 @@ def drift(
                        "temperature_c": temperature_c, "measured_at": measured_at})  # fmt: skip
     asked = jobs.asked("drift", robot, reference("campaign", campaign), options, None, name)
     return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
+
+
+def rezero(
+    robot: Thing,
+    campaign: Thing = "latest",
+    *,
+    name: str = "",
+    progress: Watching = True,
+    timeout_s: float | None = None,
+    **options: Unpack[RezeroOptions],
+) -> Steps[RezeroResult]:
+    """Make a version of the one or few parameters that moved, by the rows of a check; activate it as any other.
+
+    Without ``causes`` it is what a check of these rows names, if that is one cause.
+
+    Raises:
+        JobFailedError: the rows do not say which parameter moved; JobTimeoutError: it continues.
+
+    """
+    asked = jobs.asked("rezero", robot, reference("campaign", campaign), options, None, name)
+    return cast("RezeroResult", (yield from jobs.run(asked, progress, timeout_s)))
 
 
 def _refuse_known(given: Mapping[str, Any]) -> None:

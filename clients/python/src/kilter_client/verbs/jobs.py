@@ -30,7 +30,15 @@ if TYPE_CHECKING:
 
 # A share of the poses, campaigns, or {"folds": 5}.
 HeldOut: TypeAlias = "float | Thing | Sequence[Thing] | Mapping[str, int] | None"
-LISTS = ("effects", "free", "fix", "refit", "criteria")  # options of which one may be given without brackets
+LISTS = (
+    "effects",
+    "free",
+    "fix",
+    "refit",
+    "criteria",
+    "causes",
+    "new_setup",
+)  # options of which one may be given without brackets
 VERSIONS = ("start", "version")
 
 

@@ -1,0 +1,40 @@
+"""Jobs of kind ``rezero``: a version of the one or few parameters that moved."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kilter_service.contract.fits import Metrics, Parameter
+from kilter_service.contract.jobs.drift import DriftCause
+from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NoiseMm, Version
+from kilter_service.contract.units import Asked
+
+CauseName = Annotated[str, Field(pattern=r"^((zero|sag)_[1-9][0-9]?|base|tool|scale)$")]
+
+
+class RezeroOptions(Asked):
+    """What can be asked of a re-zeroing."""
+
+    version: Version = Field(None, description="Id of the version to change; null: the active one.")
+    causes: Annotated[list[CauseName], Field(max_length=8)] = Field(
+        [],
+        description="What moved: `zero_3`, `sag_2`, `base`, `tool`; empty: what a check of the rows names, if it is one cause.",
+    )
+    noise_mm: NoiseMm | None = Field(
+        None, description="Standard deviation of a coordinate, mm, above 0; null: what the version's fit found."
+    )
+    limits: Limits = Field(None, description=LIMITS)
+
+
+class RezeroResult(MadeVersion):
+    """A version in which the one or few parameters that moved are as these rows say, and all others as before."""
+
+    sentence: str | None = Field(None, description="What was changed, in words.")
+    start: str | None = Field(None, description="The version that was changed.")
+    causes: list[DriftCause] | None = Field(None, description="What moved.")
+    parameters: list[Parameter] | None = Field(None, description="The parameters that changed, as they are now.")
+    p_before: float | None = Field(None, description="Chance of the rows by the version that was changed.")
+    p_after: float | None = Field(None, description="Chance of the rows by the new version.")
+    metrics: Metrics | None = Field(None, description="Errors on these rows.")

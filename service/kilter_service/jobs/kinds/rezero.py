@@ -1,0 +1,95 @@
+"""Job kind ``rezero``: a version of the one or few parameters that moved, by a few poses measured again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kilter_service.contract.jobs.rezero import RezeroOptions
+from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.jobs.foresight import Foresight
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.kinds.drift import known_of, rows_of
+from kilter_service.jobs.plain import plain
+from kilter_service.versions.guard import REZEROED
+from kilter_service.wire import to_metres
+
+if TYPE_CHECKING:
+    from kilter_core.watch import Rezeroed
+
+STAGES = ("n", "left_out", "nominal", "registration_only", "identified")
+OF_THE_START = ("metrics", "warnings", "figures", "set_aside", "influence", "workspace", "parameters", REZEROED)
+
+
+def check(options: RezeroOptions) -> None:
+    """Nothing is left to refuse: the options go together as they are."""
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Change in the version named, else the active one, what the rows of the campaign say."""
+    from kilter_service.drift import wire
+
+    progress(0.0, "comparing")
+    found = _found(job)
+    progress(0.5, "predicting")
+    options: RezeroOptions = job.options
+    (campaign,) = job.campaigns
+    judged = {one.cause: one for one in found.before.judged}
+    changed = [judged[cause] for cause in found.causes]
+    report = _report(job, found)
+    said = wire.rezero_sentence(found, job.version_id or "")
+    remark = {"code": REZEROED, "message": said, "campaigns": [campaign]}
+    report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
+    own = [row for row in report["parameters"] if row["name"] in found.names]
+    result = {
+        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in changed],
+        "parameters": own, "p_before": found.before.p_value, "p_after": found.after.p_value,
+        "metrics": report["metrics"], "warnings": [],
+    }  # fmt: skip
+    content = VersionContent(
+        found.calibration.to_document(), plain(report), found.known.to_document(), options.limits or CorrectionLimits(),
+        parent_id=job.version_id,
+    )  # fmt: skip
+    return JobOutput(plain(result), content)
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Re-zero, which takes no time, and say only what would be refused."""
+    found.learn_from(*job.campaigns.values())
+    with found.foreseen():
+        _found(job)
+
+
+def _found(job: JobInput) -> Rezeroed:
+    from kilter_core.watch import rezero
+
+    options: RezeroOptions = job.options
+    rows, known = rows_of(job), known_of(job)
+    assert job.calibration is not None
+    noise = None if options.noise_mm is None else to_metres(options.noise_mm)
+    return rezero(job.calibration, rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c)
+
+
+def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
+    """The report of the start with the parameters as they are now, and the errors on these rows."""
+    from kilter_core.evaluate import evaluate
+    from kilter_core.identify.report import rows_of as parameter_rows
+
+    start = {key: value for key, value in (job.report or {}).items() if key not in OF_THE_START}
+    names = [name for name in found.known.names if name in found.calibration.names]
+    sigma = np.sqrt(np.diag(found.known.covariance))[[found.known.names.index(name) for name in names]]
+    before = {row["name"]: row for row in (job.report or {}).get("parameters") or []}
+    told = np.array([name in found.names or bool(before.get(name, {}).get("identifiable", True)) for name in names])
+    ((_, rows),) = job.campaigns.items()
+    errors = evaluate(found.calibration, rows, [], found.known)
+    return start | {
+        "parameters": parameter_rows(found.calibration, names, sigma, told),
+        "metrics": {"train": {stage: errors[stage] for stage in STAGES}},
+    }  # fmt: skip
+
+
+REZERO = JobKind(
+    "rezero", RezeroOptions, check, run, version_option="version", takes_folds=False, against_fit=True,
+    most_campaigns=1, foresee=foresee,
+)  # fmt: skip
