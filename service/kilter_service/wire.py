@@ -20,6 +20,7 @@ MM = 1e3  # in a metre
 METRE = 1e-3  # in a millimetre
 DEG = 180.0 / math.pi  # in a radian
 RAD = math.pi / 180.0  # in a degree
+MICROMETRE = 1e-6  # in a metre
 
 
 def to_mm(metres: T) -> T:
@@ -30,6 +31,11 @@ def to_mm(metres: T) -> T:
 def to_metres(millimetres: T) -> T:
     """Return a length in m."""
     return millimetres * METRE
+
+
+def from_um(micrometres: float) -> float:
+    """Return a length in m, or what an error grows by per length."""
+    return micrometres * MICROMETRE
 
 
 def to_deg(radians: T) -> T:

@@ -13,6 +13,7 @@ Schema = Mapping[str, Any]
 # Which module holds what: the answers named here with all they need that no module before holds.
 MODULES: Mapping[str, Sequence[str]] = {
     "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame", "Mesh"),
+    "budgets": ("Budget",),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "identifications": ("IdentifyResult", "JointParametersResult"),

@@ -17,10 +17,12 @@ from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
+from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.db import Session
 from kilter_service.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from kilter_service.errors import ServiceError
+from kilter_service.instruments import store as gauges
 from kilter_service.paging import Page
 from kilter_service.references import retired
 from kilter_service.references import store as references
@@ -125,6 +127,13 @@ def usable(session: Session, campaign_id: str) -> CampaignRecord:
     found = whole(session, campaign_id)
     retired.refuse("campaign", found.id, found.retired_at)
     return found
+
+
+def instruments(session: Session, campaign_ids: Collection[str]) -> dict[str, Instrument]:
+    """Return the instruments of the campaigns that name one, by id of the campaign."""
+    named = {key: get(session, key).instrument for key in campaign_ids}
+    known = gauges.of_names(session, {name for name in named.values() if name is not None})
+    return {key: known[name] for key, name in named.items() if name in known}
 
 
 def commit(session: Session, campaign_id: str) -> None:

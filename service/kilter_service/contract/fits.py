@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from pydantic import Field
 
+from kilter_service.contract.budgets import Budget
 from kilter_service.contract.units import Deg, Metres, Mm, Stored
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
@@ -39,6 +40,9 @@ class StageErrors(Stored):
     registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
     geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")
     identified: Errors | None = Field(None, description="The model that was identified.")
+    budget: Budget | None = Field(
+        None, description="What is not known of these rows, with the expanded uncertainty; null: not computed."
+    )
 
     @property
     def place_mm(self) -> float | None:

@@ -90,6 +90,27 @@ class Predictive:
             out[where] = _widths(J, C, noise)
         return out
 
+    def parts(self, calibration: Calibration, measurement: Measurement, refit: Sequence[str] = ()) -> Parts:
+        """What the covariance contributes to each measured row, told apart by frames and everything else.
+
+        Where the frames are is known only together with the other parameters, for a base can take up what a first link does.
+        So ``registration`` is what frames leave where all others are known, and ``model`` the rest, with the frames following
+        the others: the two do not correlate. ``refit`` frames were fitted to these rows: what noise and inadequacy leave of
+        them there.
+        """
+        fitted = {f"{frame}_{k}" for frame in refit for k in FRAME_NAMES}
+        frames = {f"{frame}_{k}" for frame in ("base", "tool") for k in FRAME_NAMES}
+        free, C = self._of(calibration.names, fitted)
+        J = np.concatenate([part for _, part in _mean_jacobians(calibration, measurement, free)])
+        again = np.zeros(J.shape[:2])
+        if refit:
+            J, lever = _beside(J, np.array([calibration.names[k] in fitted for k in free]))
+            again = (self.noise**2 + self.inadequacy**2) * lever
+        own = np.array([calibration.names[k] in frames for k in free], dtype=bool)
+        total, alone = _quadratic(J, C), _quadratic(J[:, :, own], _given(C, own))
+        apart = _quadratic(J[:, :, own], C[np.ix_(own, own)]), _quadratic(J[:, :, ~own], C[np.ix_(~own, ~own)])
+        return Parts(alone + again, np.maximum(total - alone, 0.0), _correlation(total, *apart))
+
     def _of(self, names: Sequence[str], more: Collection[str] = ()) -> tuple[Ints, Floats]:
         """Where the known of these names are, with ``more`` that count as known exactly, and their covariance."""
         free = [k for k, name in enumerate(names) if name in self.names or name in more]
@@ -98,6 +119,15 @@ class Predictive:
         C = np.zeros((len(free), len(free)))
         C[np.ix_(place, place)] = self.covariance[np.ix_(own, own)]
         return np.array(free, dtype=np.int64), C
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Variances (N, 3) m² of rows by frames and by all other parameters, and how both correlated before that."""
+
+    registration: Floats
+    model: Floats
+    correlation: float
 
 
 def acting(calibration: Calibration, rows: Observations) -> Calibration:
@@ -176,8 +206,29 @@ def _mean_jacobians(calibration: Calibration, measurement: Measurement, free: In
 
 
 def _widths(J: Floats, C: Floats, more: float | Floats) -> Floats:
-    variance = np.einsum("nip,nip->ni", J @ C, J)
-    return np.asarray(QUANTILE * np.sqrt(np.maximum(variance, 0.0) + more))
+    return np.asarray(QUANTILE * np.sqrt(np.maximum(_quadratic(J, C), 0.0) + more))
+
+
+def _quadratic(J: Floats, C: Floats) -> Floats:
+    return np.asarray(np.einsum("nip,nip->ni", J @ C, J))
+
+
+def _given(C: Floats, own: Bools) -> Floats:
+    """Covariance of some parameters where all others are known: their Schur complement, scaled so that it can be computed."""
+    size = np.sqrt(np.maximum(np.diag(C), 0.0))
+    size = np.where(size > 0.0, size, 1.0)
+    R = C / np.outer(size, size)
+    cross = R[np.ix_(own, ~own)]
+    left = R[np.ix_(own, own)] - cross @ np.linalg.pinv(R[np.ix_(~own, ~own)], hermitian=True) @ cross.T
+    values, vectors = np.linalg.eigh((left + left.T) / 2.0)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(size[own], size[own]))
+
+
+def _correlation(total: Floats, first: Floats, second: Floats) -> float:
+    """Coefficient of two parts of a sum, by the means of its variance and of theirs."""
+    both = float(np.sqrt(np.mean(first) * np.mean(second)))
+    covariance = 0.5 * float(np.mean(total) - np.mean(first) - np.mean(second))
+    return float(np.clip(covariance / both, -1.0, 1.0)) if both > 0.0 else 0.0
 
 
 def _slices(count: int) -> Iterator[slice]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
+from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
@@ -49,6 +50,8 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
         metrics[campaign] = evaluate(calibration, seen, options.refit, known)
         rows[campaign] = metrics[campaign].pop("rows")
+        used = job.instruments.get(campaign)
+        metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)
         warnings += [{**one, "campaigns": [campaign]} for one in metrics[campaign].pop("warnings")]
     result = {"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows}
     return JobOutput(result | {"warnings": warnings})

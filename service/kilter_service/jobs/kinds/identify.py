@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plain import plain
@@ -36,6 +37,7 @@ def check(options: IdentifyOptions) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Identify the robot from all campaigns together."""
     from kilter_core.identify import identify  # compiled kernels: only the worker needs them
+    from kilter_core.observations import Observations
     from kilter_core.types import one_by_one
 
     options = _core(job.options)
@@ -48,6 +50,9 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     report = found.to_document()
     remarks += bar_lengths(found, job.robot, named, lambda name, rows: _again(job, name, rows))
     report["base_refitted"] = setups.named(report["base_refitted"])
+    apart = validation if isinstance(validation, Observations) else None
+    held = tuple(job.validation) if isinstance(job.validation, dict) else ()
+    add_to_metrics(report["metrics"], found, train, apart, job.instruments, tuple(job.campaigns), held)
     counts = {name: len(rows) for name, rows in job.campaigns.items()}
     report["set_aside"] = by_campaign(report["set_aside"], counts)
     warning = setups.warning(report["base_refitted"])

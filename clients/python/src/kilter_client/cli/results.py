@@ -142,6 +142,15 @@ def _metrics(metrics: Mapping[str, Any]) -> None:
     for name, block in blocks.items():
         if block.get("within_u95") is not None:
             say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")
+        if block.get("budget"):
+            _show_budget(name, block["budget"])
+
+
+def _show_budget(name: str, budget: Mapping[str, Any]) -> None:
+    k, u = number(budget["k"], 1), number(budget["expanded_mm"], 3)
+    missing = ", ".join(budget["not_assessed"]).replace("_", " ")
+    lacks = f"; not assessed: {missing}" if missing else ""
+    say(f"expanded uncertainty of a coordinate of {name} (k = {k}): {u} mm{lacks}")
 
 
 def _label(block: Mapping[str, Any], stage: str) -> str:

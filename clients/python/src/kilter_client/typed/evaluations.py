@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownEvaluation
+from kilter_client.typed.budgets import Budget
 from kilter_client.typed.fits import Errors, Remark
 
 
@@ -14,6 +15,8 @@ from kilter_client.typed.fits import Errors, Remark
 class CampaignErrors(Record):
     """Errors of several models on the rows of a campaign."""
 
+    budget: Budget | None
+    """What is not known of these rows, with the expanded uncertainty; None: not computed."""
     geometry_only: Errors | None
     """The fitted geometry without effects."""
     identified: Errors | None

@@ -8,6 +8,7 @@ from typing import Any
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown import ShownFigure, ShownMetrics, ShownParameter
+from kilter_client.typed.budgets import Budget
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -36,6 +37,8 @@ class Errors(Record):
 class StageErrors(Record):
     """Errors of several models on the same rows."""
 
+    budget: Budget | None
+    """What is not known of these rows, with the expanded uncertainty; None: not computed."""
     geometry_only: Errors | None
     """The fitted geometry without effects."""
     identified: Errors | None

@@ -1,0 +1,149 @@
+"""The budget of what is not known of where a calibrated arm's tool is, and of an error that was measured of it.
+
+JCGM 100:2008 (GUM): contributions add as variances, correlated ones with their covariance (5.2.2, equation (13)); the expanded
+uncertainty is U = k u with k = 2, about 95 % (6.2.1, 6.3.3). Two sums are taken of the same contributions:
+
+- of a prediction: everything. Within U of what the version predicts a new measurement of the tool is found.
+- of a measured error: instrument, repeatability, registration and temperature. The version's own doubt is not part of it, for
+  what is judged is this version, whatever the true parameters are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kilter_core.evaluate.uncertainty.instrument import RECTANGULAR, PermissibleError
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.metrics import mm
+from kilter_core.model import Calibration
+from kilter_core.types import Floats
+
+K = 2.0  # coverage factor, about 95 %: JCGM 100:2008, 6.3.3
+EXPANSION_PER_K = 23e-6  # of aluminium, which of the metals of arms expands most
+OF_AN_ERROR = ("instrument", "repeatability", "registration", "temperature")
+TYPES = {
+    "instrument": ("B", "rectangular"),
+    "repeatability": ("A", "normal"),
+    "registration": ("A", "normal"),
+    "temperature": ("B", "rectangular"),
+    "model": ("A", "normal"),
+    "left_over": ("A", "normal"),
+}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Variances (N, 3) m² of each row's coordinates by source; one that is not there was not assessed.
+
+    ``correlation`` is that of registration and model before they were told apart, so that they add as they stand.
+    """
+
+    variances: Mapping[str, Floats]
+    correlation: float
+
+    @staticmethod
+    def of(
+        calibration: Calibration,
+        known: Predictive,
+        measurement: Measurement,
+        instrument: PermissibleError | None = None,
+        refit: Sequence[str] = (),
+    ) -> Budget | None:
+        """Return the budget at measured rows; None where no place is measured.
+
+        ``known`` is what the version knows of itself; ``refit`` frames were fitted to these rows.
+        """
+        if not measurement.observes_places:
+            return None
+        parts = known.parts(calibration, measurement, refit)
+        count = len(measurement.observations)
+        whole = np.ones((count, 3))
+        found = {"model": parts.model, "registration": parts.registration, "left_over": known.inadequacy**2 * whole}
+        if known.noise > 0.0:
+            found["repeatability"] = known.noise**2 * whole
+        if instrument is not None:
+            found["instrument"] = instrument.standard(_lengths(measurement))[:, None] ** 2 * whole
+        temperature = _temperature(calibration, measurement)
+        if temperature is not None:
+            found["temperature"] = temperature[:, None] ** 2 * whole
+        return Budget({name: found[name] for name in TYPES if name in found}, parts.correlation)
+
+    @property
+    def predicted(self) -> Floats:
+        """Standard uncertainties (N, 3) m of where the tool is measured, by what is predicted."""
+        return np.asarray(np.sqrt(sum(self.variances.values())))
+
+    @property
+    def measured(self) -> Floats:
+        """Standard uncertainties (N, 3) m of a measured error."""
+        return np.asarray(np.sqrt(sum(values for name, values in self.variances.items() if name in OF_AN_ERROR)))
+
+    def along(self, errors: Floats) -> Floats:
+        """Standard uncertainties (N,) m of the sizes of measured errors (N, 3) m; of no error the largest of a coordinate."""
+        size = np.linalg.norm(errors, axis=1, keepdims=True)
+        share = np.divide(errors, size, out=np.zeros_like(errors), where=size > 0.0)
+        found = np.sqrt(np.sum((share * self.measured) ** 2, axis=1))
+        return np.asarray(np.where(size[:, 0] > 0.0, found, self.measured.max(axis=1)))
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able, mm: root mean squares over rows and coordinates."""
+        total = float(np.mean(self.predicted**2)) or 1.0
+        sizes = {name: _rms(values) for name, values in self.variances.items()}
+        return {
+            "rows": len(self.variances["left_over"]),
+            "k": K,
+            "standard_mm": mm(_size(self.predicted)),
+            "expanded_mm": mm(K * _size(self.predicted)),
+            "measured_standard_mm": mm(_size(self.measured)),
+            "measured_expanded_mm": mm(K * _size(self.measured)),
+            "contributions": [
+                {
+                    "source": name, "type": TYPES[name][0], "distribution": TYPES[name][1], "standard_mm": mm(sizes[name]),
+                    "half_width_mm": mm(sizes[name] * RECTANGULAR) if TYPES[name][1] == "rectangular" else None,
+                    "share": sizes[name] ** 2 / total, "of_measured": name in OF_AN_ERROR,
+                }
+                for name in self.variances
+            ],
+            "correlations": [{"between": ["registration", "model"], "coefficient": self.correlation}],
+            "not_assessed": [name for name in TYPES if name not in self.variances],
+        }  # fmt: skip
+
+
+def _rms(variances: Floats) -> float:
+    return float(np.sqrt(np.mean(variances)))
+
+
+def _size(standard: Floats) -> float:
+    return float(np.sqrt(np.mean(standard**2)))
+
+
+def _lengths(measurement: Measurement) -> Floats:
+    """Distances (N,) m of the measured points from their middle, where the registration ties the frames together."""
+    rows = measurement.observations
+    points = rows.position if rows.position is not None else None
+    if points is None:
+        assert rows.markers is not None
+        seen = ~np.isnan(rows.markers)
+        count = np.maximum(seen.sum(axis=1), 1)
+        points = np.where(seen, rows.markers, 0.0).sum(axis=1) / count
+    return np.asarray(np.linalg.norm(points - points.mean(axis=0), axis=1))
+
+
+def _temperature(calibration: Calibration, measurement: Measurement) -> Floats | None:
+    """Standard uncertainties (N,) m by how the temperature varied; None where it was not measured, or is in the model.
+
+    Type B, rectangular over half of what was measured. The arm is as long as from its base to the tool.
+    """
+    celsius = measurement.observations.temperature_c
+    if celsius is None or np.isnan(celsius).any():
+        return None
+    if any("temperature_c" in effect.needs for effect in calibration.model.effects):
+        return None
+    position = calibration.predict(measurement.observations).position
+    lengths = np.linalg.norm(position - calibration.model.T_base[:3, 3], axis=1)
+    return np.asarray(EXPANSION_PER_K * 0.5 * float(np.ptp(celsius)) * lengths / RECTANGULAR)
