@@ -8,7 +8,7 @@ COPY core core
 COPY clients/files clients/files
 COPY service service
 COPY migrations migrations
-RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core './clients/files[formats]' '.[files,pdf,postgresql,tracing]'
+RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core './clients/files[formats]' '.[cluster,files,pdf,postgresql,tracing]'
 
 FROM python:3.11-slim
 # Reports as PDF are set by Pango; Debian keeps one version of it at a time, so none can be pinned.

@@ -19,7 +19,7 @@ OURS = ("kilter-core", "kilter-files", "kilter-client", "kilter")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "kilter-files": ("formats", "meshes", "sheet"),
     "kilter-client": ("files", "meshes", "notebook", "plots", "sheet", "stream"),
-    "kilter": ("files", "pdf", "postgresql", "tracing"),
+    "kilter": ("cluster", "files", "pdf", "postgresql", "tracing"),
 }
 # Packages that name no licence in a form that a program reads: read in their own licence files.
 READ_BY_HAND = {

@@ -94,6 +94,10 @@ class Settings(BaseSettings):
     worker_processes: Annotated[
         int, Field(ge=1, le=256, description="processes for the folds and profiles of one job")
     ] = 1
+    dask: Annotated[
+        str | None,
+        Field(pattern=r"^(tcp|tls)://[^/\s]+:[0-9]+$", description="Dask scheduler for the folds and profiles"),
+    ] = None
     worker_queues: list[Queue] = Field(
         default=["short", "long"], min_length=1, description="queues this worker takes jobs from, JSON"
     )
@@ -199,6 +203,7 @@ class Settings(BaseSettings):
             "KEEP_JOBS_DAYS": str(self.keep_jobs_days),
             "WORKER_NAME": self.worker_name,
             "WORKER_PROCESSES": str(self.worker_processes),
+            "DASK": self.dask,
             "WORKER_QUEUES": json.dumps(self.worker_queues),
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}

@@ -1,15 +1,22 @@
-"""What the processes of test_processes compute; they import this module, so it imports little."""
+"""What the processes of test_fan_out and test_dask compute; they import this module, so it imports little."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from numpy import float64
+from numpy.typing import NDArray
 
 from kilter_core.errors import OptionError
+from kilter_core.types import Each, Progress
 
 
-def where(task: tuple[float, str], progress: Callable[[float, str], None]) -> int:
+def where(task: tuple[float, str], progress: Progress) -> int:
     """Take some seconds; returns in which process."""
     time.sleep(task[0])
     if task[1] == "wrong":
@@ -17,3 +24,34 @@ def where(task: tuple[float, str], progress: Callable[[float, str], None]) -> in
     if task[1] == "killed":
         os.kill(os.getpid(), 9)
     return os.getpid()
+
+
+def killed_once(task: tuple[Path, int, Any], progress: Progress, work: Callable[[Any, Progress], Any]) -> Any:
+    """Do the work, unless it is the third part: that kills its process the first time that it is computed."""
+    folder, k, inner = task
+    if k == 2 and not (folder / "killed").exists():
+        (folder / "killed").touch()
+        os.kill(os.getpid(), 9)
+    return work(inner, progress)
+
+
+def killing(each: Each, folder: Path) -> Each:
+    """What computes as ``each`` does, and has a process killed in the middle."""
+
+    def killing(work: Callable[[Any, Progress], Any], tasks: Sequence[Any], progress: Progress) -> list[Any]:
+        dying = partial(killed_once, work=work)
+        return each(dying, [(folder, k, task) for k, task in enumerate(tasks)], progress)
+
+    return killing
+
+
+def doubled(rows: NDArray[float64], progress: Progress) -> NDArray[float64]:
+    """Return an answer as large as its task."""
+    return 2.0 * rows
+
+
+def noted(task: tuple[str, int, float], progress: Progress) -> None:
+    """Leave a file with the numbers of this part and of its process, and take some seconds."""
+    folder, k, seconds = task
+    (Path(folder) / f"{k}-{os.getpid()}").touch()
+    time.sleep(seconds)

@@ -21,13 +21,13 @@ from kilter_service.failure_log import log_failure
 from kilter_service.jobs import store
 from kilter_service.jobs.can_correct import with_ability_warning
 from kilter_service.jobs.default_load import with_load_warning
+from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.limits_of_version import with_limits
-from kilter_service.jobs.processes import Processes
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
@@ -58,9 +58,9 @@ class Outcome:
 class Runner:
     """Runs claimed jobs."""
 
-    def __init__(self, database: Database, stop: threading.Event | None = None, processes: int = 1) -> None:
+    def __init__(self, database: Database, stop: threading.Event | None = None, each: FanOut | None = None) -> None:
         self._database = database
-        self._each = Processes(processes)
+        self._each = each or fan_out(1)
         self._stop = stop or threading.Event()
 
     def run(self, claim: Claim) -> None:

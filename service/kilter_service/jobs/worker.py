@@ -17,6 +17,7 @@ from kilter_service.db import Database, DatabaseAwayError, revision
 from kilter_service.db.failures import in_words
 from kilter_service.errors import ServiceError
 from kilter_service.health import store as health
+from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.sole import sole
 from kilter_service.jobs.lease.watch import Watch
@@ -63,9 +64,10 @@ def alone(settings: Settings, wait_s: float = LOCK_WAIT_S) -> AbstractContextMan
 def _execute(settings: Settings, database: Database, stop: threading.Event) -> int:
     member = Member(database, settings.worker_name or socket.gethostname())
     member.join(alone=settings.sqlite_file is not None)
+    each = fan_out(settings.worker_processes, settings.dask)
     for queue in settings.worker_queues:
         kinds = [kind.name for kind in KINDS.values() if kind.queue == queue]
-        runner = Runner(database, stop, settings.worker_processes)
+        runner = Runner(database, stop, each)
         Taker(database, runner, member.id, kinds, stop).start(queue)
     log.info("worker %s takes jobs: %s", member.id, ", ".join(settings.worker_queues))
     retention = Retention(database, settings.keep_jobs_days)

@@ -1,0 +1,133 @@
+"""Independent parts on an executor, with progress and cancel: the same answers in the same order, whatever computes them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from typing import TypeVar
+
+from kilter_core.errors import CoreError
+from kilter_service.jobs.fan_out.engine import Engine, Opened
+from kilter_service.jobs.fan_out.part import Packed, compute, pack, release, unpack
+from kilter_service.jobs.kind import Progress
+
+Task = TypeVar("Task")
+Answer = TypeVar("Answer")
+Work = Callable[[Task, Progress], Answer]
+
+LOOK_S = 0.25  # how often progress is told, and so a cancel noticed
+MOST_BREAKS = 3  # times that processes may end without an answer in between
+
+
+class FanOut:
+    """Computes parts on an engine. A part that was lost with its process is computed again."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def __call__(self, work: Work[Task, Answer], tasks: Sequence[Task], progress: Progress) -> list[Answer]:
+        """Return the answers in the order of the tasks.
+
+        Raises:
+            CancelledError: ``progress`` did. Whatever ``work`` raises. CoreError: the engine cannot compute.
+
+        """
+        from kilter_core.types import one_by_one  # numpy: not at the start of the API process
+
+        n = len(tasks)
+        if not n:
+            return []
+        first: list[Answer] = []
+        if self._engine.tries_first:
+            begun = time.perf_counter()
+            first = one_by_one(
+                work, tasks[:1], lambda f, stage: progress(f / n, stage.replace("1 of 1", f"1 of {n}", 1))
+            )
+            if not self._engine.pays(n - 1, time.perf_counter() - begun):
+                return first + one_by_one(work, tasks[1:], _later(progress, n))
+        left = tasks[len(first) :]
+        found = dict(self.as_completed(work, left, _told(progress, len(first), n)))
+        return first + [found[k] for k in range(len(left))]
+
+    def as_completed(
+        self,
+        work: Work[Task, Answer],
+        tasks: Sequence[Task],
+        look: Callable[[int, str], None] = lambda done, state: None,
+    ) -> Iterator[tuple[int, Answer]]:
+        """Give each answer with the place of its task as soon as it is there.
+
+        ``look(done, state)`` hears several times a second how many there are, and what is waited for; when it raises,
+        what is pending is cancelled.
+        """
+        left, breaks = dict(enumerate(tasks)), 0
+        while left:
+            with self._engine.opened(len(left)) as opened:
+                for k, answer in _round(opened, work, dict(left), _counted(look, len(tasks), opened)):
+                    del left[k]
+                    breaks = 0
+                    yield k, answer
+            breaks += 1
+            if left and breaks == MOST_BREAKS:
+                raise CoreError(
+                    f"Processes that computed parts of the job have ended {breaks} times without an answer: the memory may "
+                    "be full. Set a smaller KILTER_WORKER_PROCESSES, or give the machine more memory.",
+                    code="part_ended", parts=len(left),
+                )  # fmt: skip
+
+
+def _round(
+    opened: Opened, work: Work[Task, Answer], tasks: Mapping[int, Task], look: Callable[[int], None]
+) -> Iterator[tuple[int, Answer]]:
+    """Answers of one executor, fewer than there are tasks when it broke; ``look`` hears how many are waited for."""
+    places: dict[Future[Packed], int] = {}
+    try:
+        for k, task in tasks.items():
+            places[opened.executor.submit(compute, _sent(opened, k, work, task), release())] = k
+        waiting = set(places)
+        while waiting:
+            look(len(waiting))
+            done, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
+            for future in sorted(done, key=_failed):
+                yield places[future], unpack(future.result())
+    except BrokenExecutor:
+        return
+
+
+def _failed(future: Future[Packed]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
+def _counted(look: Callable[[int, str], None], n: int, opened: Opened) -> Callable[[int], None]:
+    return lambda waiting: look(n - waiting, opened.check())
+
+
+def _sent(opened: Opened, k: int, work: Work[Task, Answer], task: Task) -> Packed:
+    packed = pack(work, task)
+    if opened.folder is None:
+        return packed
+    path = opened.folder / f"{k}.part"
+    path.write_bytes(packed)
+    return path
+
+
+def _told(progress: Progress, first: int, n: int) -> Callable[[int, str], None]:
+    """What hears of the parts after the ``first`` ones of ``n``."""
+
+    def told(done: int, state: str) -> None:
+        done += first
+        progress(done / n, f"{min(done + 1, n)} of {n}" + (f", {state}" if state else ""))
+
+    return told
+
+
+def _later(progress: Progress, n: int) -> Progress:
+    """Progress of all tasks but the first as part of all ``n``."""
+
+    def tell(fraction: float, stage: str) -> None:
+        number, _, words = stage.partition(" of ")
+        words = words.partition(", ")[2]
+        progress((1 + fraction * (n - 1)) / n, f"{int(number) + 1} of {n}" + (f", {words}" if words else ""))
+
+    return tell

@@ -1,0 +1,142 @@
+"""Parts of a job on a real Dask cluster of this machine: the same numbers, whoever is killed, and clear words."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kilter_core.errors import CancelledError, CoreError, OptionError
+from kilter_core.identify import Folds, IdentifyOptions, identify
+from kilter_core.twin import thesis_katana
+from kilter_service.errors import ServiceError
+from kilter_service.jobs.fan_out import cluster as engine
+from kilter_service.jobs.fan_out import fan_out, part
+from tests.service.parts import killing, noted, where
+
+pytest.importorskip("distributed")
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+class Cluster:
+    """A scheduler and its workers, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._stack = folder, ExitStack()
+        self.scheduler = self._started("dask_scheduler", "--port", "0", "--scheduler-file", str(folder / "scheduler"))
+        until_written(folder / "scheduler")
+        self.address = str(json.loads((folder / "scheduler").read_text())["address"])
+        self.workers = [self.worker(), self.worker()]
+
+    def worker(self, **environment: str) -> subprocess.Popen[bytes]:
+        return self._started(
+            "dask_worker", self.address, "--no-nanny", "--nthreads", "1", "--local-directory", str(self._folder),
+            **environment,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        self._stack.close()
+
+    def _started(self, command: str, *options: str, **environment: str) -> subprocess.Popen[bytes]:
+        place = {"PYTHONPATH": str(REPOSITORY), "DASK_TEMPORARY_DIRECTORY": str(self._folder)}
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{command}", "--host", "127.0.0.1", "--no-dashboard", *options],
+            env={**os.environ, **place, **environment}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        self._stack.callback(process.wait)
+        self._stack.callback(process.kill)
+        return process
+
+
+def until_written(path: Path, wait_s: float = 60.0) -> None:
+    ends = time.monotonic() + wait_s
+    while not path.exists() or not path.read_text():
+        assert time.monotonic() < ends
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    started = Cluster(tmp_path_factory.mktemp("dask"))
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+def test_parts_are_computed_by_the_workers_of_the_cluster(cluster: Cluster) -> None:
+    found = set(fan_out(1, cluster.address)(where, [(0.1, "")] * 6, lambda *_: None))
+    assert found <= {worker.pid for worker in cluster.workers}
+    assert fan_out(1, cluster.address)(where, [], lambda *_: None) == []
+
+
+def test_what_a_part_raises_is_raised_here(cluster: Cluster) -> None:
+    with pytest.raises(OptionError, match="there is none") as raised:
+        fan_out(1, cluster.address)(where, [(0.0, ""), (0.0, "wrong")], lambda *_: None)
+    assert raised.value.context == {"option": "x"}
+
+
+def test_a_cancel_takes_what_is_pending_from_the_cluster(cluster: Cluster, tmp_path: Path) -> None:
+    def told(fraction: float, stage: str) -> None:
+        if fraction > 0:
+            raise CancelledError("enough")
+
+    with pytest.raises(CancelledError):
+        fan_out(1, cluster.address)(noted, [(str(tmp_path), k, 0.3) for k in range(200)], told)
+    fan_out(1, cluster.address)(where, [(0.0, "")], lambda *_: None)  # which comes after all that is pending
+    assert 0 < len(list(tmp_path.iterdir())) < 100
+
+
+def test_a_worker_of_another_release_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kilter_service.jobs.fan_out.spread.release", lambda: "Kilter 9.9")
+    with pytest.raises(CoreError, match=r"has Kilter .*numpy.* computed with Kilter 9\.9") as raised:
+        fan_out(1, cluster.address)(where, [(0.0, "")] * 2, lambda *_: None)
+    assert raised.value.code == "cluster_differs"
+    assert raised.value.context["worker"] == part.release()
+
+
+def test_folds_give_the_same_numbers_when_a_worker_is_killed(cluster: Cluster, tmp_path: Path) -> None:
+    twin = thesis_katana()
+    limits = twin.robot.limits
+    q = np.random.default_rng(3).uniform(limits[:, 0], limits[:, 1], (40, twin.robot.n_joints))
+    rows, options = twin.observe(q, noise_m=1e-5, seed=3), IdentifyOptions(level=1)
+    alone = identify(twin.robot, rows, Folds(4), options)
+    spread = identify(twin.robot, rows, Folds(4), options, each=killing(fan_out(1, cluster.address), tmp_path))
+    assert [worker.poll() for worker in cluster.workers].count(-signal.SIGKILL) == 1
+    assert spread.metrics == alone.metrics
+    assert alone.held_rows is not None
+    assert spread.held_rows is not None
+    for name, left in alone.held_rows.left.items():
+        np.testing.assert_array_equal(spread.held_rows.left[name], left)
+
+
+def test_a_scheduler_that_is_gone_fails_the_job_with_its_address(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "CONNECT_S", 1.0)
+    monkeypatch.setattr(engine, "AWAY_S", 1.0)
+    for fraction in (0.01, 0.0):  # while parts are computed, then before they are sent
+
+        def told(done: float, stage: str, least: float = fraction) -> None:
+            if done >= least:
+                cluster.scheduler.kill()
+
+        with pytest.raises(ServiceError, match=r"does not answer\. Start it, or correct KILTER_DASK") as raised:
+            fan_out(1, cluster.address)(where, [(0.1, "")] * 1000, told)
+        assert raised.value.code == "cluster_away"
+        assert raised.value.context == {"address": cluster.address}
+
+
+def test_a_missing_package_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "find_spec", lambda name: None)
+    with pytest.raises(ServiceError, match=r"pip install 'kilter\[cluster\]'"):
+        fan_out(1, "tcp://scheduler:8786")
