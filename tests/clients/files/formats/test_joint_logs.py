@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import struct
 from pathlib import Path
@@ -19,8 +20,10 @@ from kilter_client import FileError, prepare
 from kilter_client.cli import run
 from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.formats.programs import targets
-from kilter_files.formats.programs.targets import Dialect, Targets, read_targets
+from kilter_files.formats.programs.dialects import DIALECTS
+from kilter_files.formats.programs.found import Dialect, Program
+from kilter_files.formats.programs.reading import read_program
+from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import LogHints
 from kilter_files.look.inspection import inspect
 from tests.clients.files.simulated import arm, wander, write_n3d
@@ -316,14 +319,38 @@ def test_programs_of_poses_are_refused_with_every_place(tmp_path: Path, text: st
         inspect(tmp_path / "program.txt")
 
 
-def test_a_new_dialect_is_one_entry_and_its_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(path: Path, text: str, found: Targets) -> None:
-        for number, line in enumerate(text.splitlines()[1:], 2):
-            found.add("GO", [float(cell) for cell in line.split()[1:]], number)
+def test_a_new_dialect_is_one_entry_and_its_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def find(program: Program) -> None:
+        for match in re.finditer(r"GO (\d) (\d) (\d) (\d)", program.text):
+            program.moves.append(program.add("GO", [(match[k], match.span(k)) for k in range(1, 5)]))
 
-    monkeypatch.setitem(targets.DIALECTS, "TOY", Dialect(re.compile("^TOYBOT"), read, "none"))
+    monkeypatch.setitem(DIALECTS, "TOY", Dialect("TOY", (".toy",), re.compile("^TOYBOT"), find))
     assert targets_of(tmp_path, "TOYBOT 1\nGO 1 2 3 4\nGO 5 6 7 8\n").joints_deg == [[1, 2, 3, 4], [5, 6, 7, 8]]
     assert inspect(tmp_path / "program.txt")["kind"] == "joint-log"
+    (tmp_path / "a.toy").write_text("TOYBOT 1\nGO 1 2 3 4\n")
+    assert read_program(tmp_path / "a.toy").rewritten([[1.5, 2, 3, 4]]) == "TOYBOT 1\nGO 1.500000 2 3 4\n"
+
+
+def test_joints_written_into_moves_are_targets_like_others(tmp_path: Path) -> None:
+    """A list of joints and a program to be rewritten are read alike: what the one finds, the other does."""
+    moves = "MoveAbsJ jHome,v1,z1,t;\nMoveAbsJ [[9,8,7,6,5,4],[9E9,9E9,9E9,9E9,9E9,9E9]],v1,z1,t;"
+    rapid = f"{RAPID}PROC main()\n{moves}\nENDPROC\n"
+    assert targets_of(tmp_path, rapid).joints_deg == [[0, -10.5, 20, 0, 30, 0], [9, 8, 7, 6, 5, 4]]
+    krl = "DEF A()\nPTP {A1 1,A2 2,A3 3,A4 4}\nPTP_REL {A1 50,A2 0,A3 0,A4 0}\nPTP {A1 5,A2 6,A3 7,A4 8}\nEND\n"
+    assert targets_of(tmp_path, krl).joints_deg == [[1, 2, 3, 4], [5, 6, 7, 8]]
+    twice = "def a():\n q = [0.1, 0, 0]\n movej(q)\n q = [0.2, 0, 0]\n movej(q)\nend\n"
+    np.testing.assert_allclose(np.radians(targets_of(tmp_path, twice).joints_deg)[:, 0], [0.1, 0.2])
+    for ending, text in (("mod", rapid + "ENDMODULE\n"), ("src", krl), ("script", twice)):
+        (tmp_path / f"a.{ending}").write_text(text)
+        program = read_program(tmp_path / f"a.{ending}")
+        moved = {target.joints_deg for target in program.moves if target is not None}
+        assert moved == {tuple(q) for q in targets_of(tmp_path, text).joints_deg}
+    degrees = "def a():\n movej([d2r(90), 0.5, d2r(-45.0)])\nend\n"  # numbers in degrees are rewritten in degrees
+    (tmp_path / "d.script").write_text(degrees)
+    program = read_program(tmp_path / "d.script")
+    assert program.targets[0].joints_deg == (90.0, math.degrees(0.5), -45.0)
+    new = program.rewritten([[91.0, math.degrees(0.75), -45.0]])
+    assert new == degrees.replace("90", "91.000000").replace("0.5", "0.75000000")
 
 
 @pytest.mark.parametrize(
@@ -333,7 +360,7 @@ def test_a_new_dialect_is_one_entry_and_its_reader(tmp_path: Path, monkeypatch: 
         ("/PROG A\n/POS\nP[1]{\n GP1:\n X = 1 mm, Y = 2 mm\n};\n", r"line 3: P\[1\] is given as a pose. Show it as joints"),
         ("DECL E6AXIS X={A1 1,A3 2,A4 3,A5 4}\n", r"line 1: X lacks axes: it has \[1, 3, 4, 5\]"),
         ("movej([0,90,0,0,0,0])\n", "line 1: movej moves by more than two turns: are these degrees"),
-        ("movej([a,b])\n", "line 1: movej goes to 'a,b', no numbers"),
+        ("movej([a,b])\n", r"line 1: movej goes to '\[a,b\]', no list of numbers"),
         ("LOCAL VAR jointtarget a;\n", "holds no joint targets of RAPID"),
     ],
 )  # fmt: skip

@@ -1,34 +1,43 @@
-"""Joint targets at their places in the text of a program, and new numbers at these places."""
+"""Joint targets at their places in the text of a program, new numbers at these places, and the moves to them."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kilter_files.formats.programs.target_list import NUMBER, line_at
 from kilter_files.ground.faults import fault
 
+# every repeat is bounded: a damaged file must not make the search slow
+NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 SAME_DEG = 5e-10  # a joint that moves less keeps its characters
 Span = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class JointTarget:
-    """A target: its joints in deg, and the places of their numbers; ``radians`` says how these are written."""
+    """A target: its joints in deg, and the places of their numbers; ``radians`` says of each how it is written.
+
+    One without places is read and never rewritten.
+    """
 
     name: str
     line: int
     joints_deg: tuple[float, ...]
-    spans: tuple[Span, ...]
-    radians: bool = False
+    spans: tuple[Span, ...] = ()
+    radians: tuple[bool, ...] = ()
 
 
 @dataclass
 class Program:
-    """The text of a program, byte for byte as Latin-1, its joint targets, and the lines of targets that are left."""
+    """The text of a program, its joint targets, and the lines of targets that are left as they are.
+
+    ``moves`` are the targets in the order in which the program moves to them, None where that is to a target which the
+    text does not hold; ``poses`` are targets without joints, by name and line. ``unknown`` are moves that make the list of
+    joints incomplete: line, what is wrong, and the remedy.
+    """
 
     path: Path
     text: str
@@ -36,17 +45,33 @@ class Program:
     least_decimals: int = 6
     targets: list[JointTarget] = field(default_factory=list)
     left: list[tuple[int, str]] = field(default_factory=list)
+    moves: list[JointTarget | None] = field(default_factory=list)
+    poses: list[tuple[str, int]] = field(default_factory=list)
+    unknown: list[tuple[int, str, str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
-    def add(self, name: str, numbers: Sequence[tuple[str, Span]], *, radians: bool = False) -> None:
+    def add(
+        self, name: str, numbers: Sequence[tuple[str, Span]], radians: Sequence[bool] = (), line: int | None = None
+    ) -> JointTarget:
         """Take a target by its numbers and their places."""
-        values = [float(text) for text, _ in numbers]
-        degrees = tuple(math.degrees(v) if radians else v for v in values)
+        turns = tuple(radians) or (False,) * len(numbers)
+        degrees = tuple(
+            math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, turns, strict=True)
+        )
         spans = tuple(span for _, span in numbers)
-        self.targets.append(JointTarget(name, line_at(self.text, spans[0][0]), degrees, spans, radians))
+        place = line_at(self.text, spans[0][0]) if line is None else line
+        self.targets.append(JointTarget(name, place, degrees, spans, turns))
+        return self.targets[-1]
 
     def leave(self, at: int, what: str) -> None:
         """Name a target that stays as it is."""
         self.left.append((line_at(self.text, at), what))
+
+    def leave_pose(self, at: int, name: str, what: str) -> None:
+        """Name a target that is a pose."""
+        self.poses.append((name, line_at(self.text, at)))
+        self.leave(at, what)
 
     def refuse(self, at: int, what: str, remedy: str) -> Exception:
         """Build the error of a place."""
@@ -55,9 +80,9 @@ class Program:
     def rewritten(self, joints_deg: Sequence[Sequence[float]]) -> str:
         """Return the text with these joints (n rows, deg) in place of the targets' own; all else stays."""
         new = {
-            span: _number(self.text[slice(*span)], value, target.radians, self.least_decimals)
+            span: _number(self.text[slice(*span)], value, turn, self.least_decimals)
             for target, row in zip(self.targets, joints_deg, strict=True)
-            for span, old, value in zip(target.spans, target.joints_deg, row, strict=True)
+            for span, old, value, turn in zip(target.spans, target.joints_deg, row, target.radians, strict=True)
             if abs(value - old) > SAME_DEG
         }
         parts, at = [], 0
@@ -65,6 +90,44 @@ class Program:
             parts += [self.text[at:start], number]
             at = end
         return "".join([*parts, self.text[at:]])
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """A language of robots: the endings of its files, what shows it in a text, and what finds the targets of a program.
+
+    ``remedy`` is how joints of poses become known. ``closed`` are patterns of a first and a last line, and what the last one
+    is called: a program with the one and without the other is cut. Only a ``complete`` list of joints is taken, without
+    poses; targets of an ``ordered`` dialect stand where the program moves to them.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    sign: re.Pattern[str] | None
+    find: Callable[[Program], None]
+    remedy: str = ""
+    closed: tuple[str, str, str] | None = None
+    complete: bool = False
+    ordered: bool = False
+
+    def refuse_cut(self, program: Program) -> None:
+        """Refuse a program that ends in the middle.
+
+        Raises:
+            FileError: its last line is missing.
+
+        """
+        if self.closed is None:
+            return
+        first, last, called = self.closed
+        flags = re.I | re.M
+        if re.search(first, program.text, flags) and not re.search(last, program.text, flags):
+            raise program.refuse(len(program.text), f"ends without {called}", "Copy or export it again.")
+
+
+def sign(pattern: str) -> re.Pattern[str]:
+    """Return a pattern that shows a dialect."""
+    return re.compile(pattern, re.M | re.I)
 
 
 def _number(old: str, value_deg: float, radians: bool, least: int) -> str:
@@ -79,14 +142,6 @@ def blanked(text: str, comment: str) -> str:
     return re.sub(rf'"[^"\n]*"|{comment}[^\r\n]*', lambda match: " " * len(match[0]), text)
 
 
-def numbers_in(text: str, start: int, end: int) -> list[tuple[str, Span]]:
-    """Return the numbers between commas with their places; an empty list when something else is among them."""
-    found, at = [], start
-    for cell in text[start:end].split(","):
-        bare = cell.strip()
-        if not re.fullmatch(NUMBER, bare):
-            return []
-        first = at + cell.index(bare)
-        found.append((bare, (first, first + len(bare))))
-        at += len(cell) + 1
-    return found
+def line_at(text: str, at: int) -> int:
+    """Return the line of a place in a text."""
+    return text.count("\n", 0, at) + 1

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import Program
-from kilter_files.formats.programs.target_list import NUMBER
+from kilter_files.formats.programs.found import NUMBER, Dialect, Program
 
 JOINT = re.compile(r"q(\d+)_(deg|rad)")
 
@@ -34,5 +33,8 @@ def find(program: Program) -> None:
                     raise program.refuse(at, f"{name} is empty or not a number", "Correct the row.")
                 start = at + cells[column].start() + bare.start()
                 found.append((bare[0], (start, start + len(bare[0]))))
-            program.add(f"row {number}", found, radians=joints[1][1] == "rad")
+            program.add(f"row {number}", found, [joints[1][1] == "rad"] * len(found))
         at += len(line)
+
+
+DIALECT = Dialect("CSV", (".csv",), None, find)

@@ -1,50 +1,33 @@
-"""Joint targets in robot programs, and the one list of their dialects.
-
-A new dialect is one more line in ``DIALECTS`` and a module with its reader.
-"""
+"""Joint targets of a program as a list of joints, in the order in which the program moves to them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from kilter_files.formats.programs import target_fanuc, target_krl, target_rapid, target_urscript
-from kilter_files.formats.programs.target_list import Targets
+from kilter_files.formats.programs.dialects import DIALECTS
+from kilter_files.formats.programs.found import Dialect, JointTarget, Program
 from kilter_files.ground.faults import fault, head_of
 from kilter_files.ground.text_layout import encoding_of
 
-__all__ = ["DIALECTS", "Dialect", "Targets", "dialect_of", "read_targets"]
-
 MOST_BYTES = 16 << 20
 LOOKED_AT = 1 << 18
+SHOWN = 5
+LOOP = re.compile(r"^\s*(?:FOR|WHILE|GOTO)\b", re.I | re.M)
+UNKNOWN_ORDER = "in the order of their declarations: the program's own order cannot be read from it"
 
 
 @dataclass(frozen=True)
-class Dialect:
-    """A language of robots: what shows it in a text, its reader, and how joints of its poses become known."""
+class Targets:
+    """Joints in deg (n rows), the name and the line of each, and what was understood."""
 
-    sign: re.Pattern[str]
-    read: Callable[[Path, str, Targets], None]
-    remedy: str
-
-
-def _dialect(sign: str, read: Callable[[Path, str, Targets], None], remedy: str) -> Dialect:
-    return Dialect(re.compile(sign, re.M | re.I), read, remedy)
-
-
-# in the order in which they are tried
-DIALECTS: dict[str, Dialect] = {
-    "RAPID": _dialect(
-        target_rapid.SIGN, target_rapid.read, "Store jointtargets: CJointT() reads the joints where the arm stands"
-    ),
-    "FANUC LS": _dialect(target_fanuc.SIGN, target_fanuc.read, "Show the positions as joints on the pendant (REPRE)"),
-    "KRL": _dialect(target_krl.SIGN, target_krl.read, "Store E6AXIS: $AXIS_ACT holds the joints where the arm stands"),
-    "URScript": _dialect(
-        target_urscript.SIGN, target_urscript.read, "Give movej joints: get_actual_joint_positions() reads them"
-    ),
-}  # fmt: skip
+    dialect: str
+    joints_deg: list[list[float]]
+    names: list[str]
+    lines: list[int]
+    notes: list[str]
+    warnings: list[str]
 
 
 def dialect_of(path: Path) -> str | None:
@@ -53,40 +36,77 @@ def dialect_of(path: Path) -> str | None:
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return None
     text = head.decode(encoding_of(path, head), "replace")
-    return next((name for name, dialect in DIALECTS.items() if dialect.sign.search(text)), None)
+    return next((name for name, one in DIALECTS.items() if one.sign is not None and one.sign.search(text)), None)
 
 
 def read_targets(path: Path) -> Targets:
     """Read the joint targets of a program, in the order in which it moves to them, else as they are declared.
 
     Raises:
-        FileError: no targets, one with other than six numbers, or poses only.
+        FileError: no targets, one that is damaged, targets of several arms, or poses only.
 
     """
     name = dialect_of(path)
     if name is None:
-        raise fault(path, "holds no joint targets", f"{', '.join(DIALECTS)} are understood.")
+        known = [name for name, dialect in DIALECTS.items() if dialect.sign is not None]
+        raise fault(path, "holds no joint targets", f"{', '.join(known)} are understood.")
     content = head_of(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB", "Is it a program?")
-    text = content.decode(encoding_of(path, content), "replace").removeprefix("\ufeff")
-    found = Targets(name)
-    DIALECTS[name].read(path, text, found)
-    _check(path, found)
-    found.notes.insert(0, f"{name}: {len(found.joints_deg)} joint targets, in degrees")
-    if found.poses:
-        said = f"{len(found.poses)} targets are left out because they are poses without joints: {found.poses_said()}"
-        found.warnings.append(said)
-    return found
+    program = Program(path, content.decode(encoding_of(path, content), "replace").removeprefix("\ufeff"), name)
+    DIALECTS[name].find(program)
+    _refuse_incomplete(program, DIALECTS[name])
+    rows = _in_order(program, DIALECTS[name])
+    _refuse_empty(program, rows, DIALECTS[name])
+    notes = [f"{name}: {len(rows)} joint targets, in degrees", *program.notes]
+    warnings = [*program.warnings]
+    if program.poses:
+        said = f"{len(program.poses)} targets are left out because they are poses without joints: {_poses(program)}"
+        warnings.append(said)
+    joints = [list(row.joints_deg) for row in rows]
+    return Targets(name, joints, [row.name for row in rows], [row.line for row in rows], notes, warnings)
 
 
-def _check(path: Path, found: Targets) -> None:
-    if not found.joints_deg and found.poses:
-        what = f"holds poses and no joints: {found.poses_said()}"
-        raise fault(path, what, f"{DIALECTS[found.dialect].remedy}.", line=found.poses[0][1])
-    if not found.joints_deg:
-        raise fault(path, f"holds no joint targets of {found.dialect}", "Give joint targets, not poses.")
-    odd = next((i for i, q in enumerate(found.joints_deg) if len(q) != len(found.joints_deg[0])), None)
+def _refuse_incomplete(program: Program, dialect: Dialect) -> None:
+    if program.unknown:
+        line, what, remedy = program.unknown[0]
+        raise fault(program.path, what, remedy, line=line)
+    if dialect.complete and program.poses:
+        several = len(program.poses) > 1
+        what = f"are given as poses: {_poses(program)}" if several else f"{program.poses[0][0]} is given as a pose"
+        remedy = f"Show {'them' if several else 'it'} as joints on the pendant (REPRE) and export again."
+        raise fault(program.path, what, remedy, line=program.poses[0][1])
+
+
+def _in_order(program: Program, dialect: Dialect) -> list[JointTarget]:
+    """The targets as the program moves to them, when that can be known from its text; how is noted."""
+    moves = [move for move in program.moves if move is not None]
+    if dialect.ordered and moves:
+        program.notes.append("in the order in which the program moves to them")
+        return moves
+    if not moves:
+        program.notes.append("in the order in which their declarations are written: the program moves to none of them")
+    elif len(moves) < len(program.moves) or LOOP.search(program.text):
+        program.warnings.append(UNKNOWN_ORDER)
+    else:
+        program.notes.append("in the order in which the program moves to them")
+        return moves
+    return program.targets
+
+
+def _refuse_empty(program: Program, rows: list[JointTarget], dialect: Dialect) -> None:
+    if not rows and program.poses:
+        what = f"holds poses and no joints: {_poses(program)}"
+        raise fault(program.path, what, f"{dialect.remedy}.", line=program.poses[0][1])
+    if not rows:
+        raise fault(program.path, f"holds no joint targets of {dialect.name}", "Give joint targets, not poses.")
+    odd = next((row for row in rows if len(row.joints_deg) != len(rows[0].joints_deg)), None)
     if odd is not None:
-        what = f"{found.names[odd]} has {len(found.joints_deg[odd])} joints, the first {len(found.joints_deg[0])}"
-        raise fault(path, what, "Give the targets of one arm.", line=found.lines[odd])
+        what = f"{odd.name} has {len(odd.joints_deg)} joints, the first {len(rows[0].joints_deg)}"
+        raise fault(program.path, what, "Give the targets of one arm.", line=odd.line)
+
+
+def _poses(program: Program) -> str:
+    """Name the first poses with their lines."""
+    more = f" and {len(program.poses) - SHOWN} more" if len(program.poses) > SHOWN else ""
+    return ", ".join(f"{name} (line {line})" for name, line in program.poses[:SHOWN]) + more
