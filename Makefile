@@ -168,6 +168,9 @@ test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, 
 test-durability: $(KERNELS) ## set clocks, make disks read-only and freeze processes under a running server, slow cases too
 	$(BIN)/python -m pytest -m "slow or not slow" -q tests/service/test_clock_jumps.py tests/service/test_read_only_disk.py tests/service/test_frozen.py tests/service/test_failing_disk.py
 
+alterations: $(KERNELS) ## flip 200 bits of a backup, alter a data folder 200 times, and print what is noticed and named
+	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/service/test_seals.py tests/service/test_backup.py -k "alterations or flipped"
+
 kills-stream: $(KERNELS) ## kill every process of a server in turn under a controller at 1 kHz, and print for how long it was bypassed (N=200)
 	$(BIN)/python -m tests.corrector.kill_every --n $(or $(N),200)
 

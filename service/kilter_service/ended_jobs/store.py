@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from datetime import timedelta
 
 from kilter_service.db import Session
 from kilter_service.db.tables import EndedJobsRow, JobRow
@@ -15,22 +16,22 @@ NEVER_RAN = 0
 
 def count(session: Session, row: JobRow) -> None:
     """Count a job that has just ended, in the transaction that ends it."""
-    seconds = _took_s(row)
-    key = (row.kind, row.state, NEVER_RAN if seconds is None else _bin_of(1000.0 * seconds))
+    took = _took(row)
+    key = (row.kind, row.state, NEVER_RAN if took is None else _bin_of(took))
     counted = session.get(EndedJobsRow, key)
     if counted is None:
         counted = EndedJobsRow(kind=row.kind, state=row.state, at_most_ms=key[2], jobs=0, seconds=0.0)
         session.add(counted)
     counted.jobs += 1
-    counted.seconds += seconds or 0.0
+    counted.seconds += 0.0 if took is None else took.total_seconds()
 
 
-def _took_s(row: JobRow) -> float | None:
+def _took(row: JobRow) -> timedelta | None:
     if row.started_at is None or row.finished_at is None:
         return None
-    return max(0.0, (row.finished_at - row.started_at).total_seconds())  # the clock may have been set back
+    return max(timedelta(0), row.finished_at - row.started_at)  # the clock may have been set back
 
 
-def _bin_of(milliseconds: float) -> int:
-    at = bisect_left(AT_MOST_MS, milliseconds)
+def _bin_of(took: timedelta) -> int:
+    at = bisect_left(AT_MOST_MS, took / timedelta(milliseconds=1))
     return AT_MOST_MS[at] if at < len(AT_MOST_MS) else LONGER_MS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import timedelta
 from typing import Any
 
 from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily, Metric
@@ -11,7 +12,7 @@ from prometheus_client.utils import floatToGoString
 from kilter_service.ended_jobs.store import AT_MOST_MS
 from kilter_service.observability.store import Ended
 
-JOB_EDGES_S = {edge: edge * 1e-3 for edge in AT_MOST_MS}
+JOB_EDGES_S = {edge: timedelta(milliseconds=edge).total_seconds() for edge in AT_MOST_MS}
 # Bin k of a corrector ends at 2^((k+1)/2) µs (docs/reference/stream.md): every second edge, from 4 µs to 33 ms.
 STREAM_EDGES_S = {k: 2.0 ** (0.5 * k) * 1e-6 for k in range(4, 31, 2)}
 
