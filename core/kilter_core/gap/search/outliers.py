@@ -65,7 +65,7 @@ def _limit(settings: ProblemSettings) -> tuple[float, int]:
 def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int, tick: Tick) -> Bools:
     """Visits beyond the limit, if they are wrong readings and no structure."""
     used = problem.settings.used
-    dimension = max(1, round(X.size / alike))
+    dimension, X = max(1, round(X.size / alike)), X.condensed()
 
     def sizes(weight: Floats) -> Floats:
         tick()

@@ -12,6 +12,8 @@ from kilter_core.gap.search.soft import Soft
 from kilter_core.types import Floats
 
 AT_ONCE = 400_000  # numbers of the columns that are made at a time: 3 MB, which the processor's cache holds
+MOST_AT_ONCE = 4_000_000  # the same of columns that are kept: 32 MB
+UNFELT = 1e-3  # noise sigmas that one prior sigma of a direction moves all data by, below which nothing shows it
 
 
 @dataclass(frozen=True)
@@ -73,10 +75,30 @@ class Stacked:
         """Some of the columns."""
         return Stacked(self.G, self.W, self.scale, self.size, tuple(kept))
 
+    def squares(self) -> Floats:
+        """Inner products (F, F) of the columns."""
+        out = np.zeros((self.width,) * 2)
+        for _, columns in self.each():
+            out += columns.T @ columns
+        return out
+
+    def condensed(self) -> Stacked:
+        """Columns fewer than these that span all of them that data whitened and within priors can see.
+
+        A fit within its priors, and what it leaves, are the same with them: a direction that a whole prior sigma does not move
+        by a thousandth of the noise takes a millionth of anything.
+        """
+        if len(self.G) * self.width > MOST_AT_ONCE:
+            return self
+        w, V = np.linalg.eigh(self.squares())
+        seen = V[:, w > UNFELT**2]
+        made = np.concatenate([columns @ seen for _, columns in self.each()])
+        return Stacked(made, made[:, :0], np.ones(made.shape[1]), self.size)
+
     def each(self) -> Iterator[tuple[slice, Floats]]:
         """Slices of the rows, whole visits each, and the columns there."""
         for part in parts(len(self.G), len(self.scale), self.size):
-            X = np.hstack([self.G[part], self.W[part]])
+            X = np.hstack([self.G[part], self.W[part]]) if self.W.shape[1] else self.G[part]
             yield part, (X if self.kept is None else X[:, list(self.kept)]) * self._scale
 
     @property
