@@ -39,9 +39,11 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 class Cluster:
     """A scheduler and its workers, each a process of its own."""
 
-    def __init__(self, folder: Path, workers: int = 2) -> None:
+    def __init__(self, folder: Path, workers: int = 2, **environment: str) -> None:
         self._folder, self._stack = folder, ExitStack()
-        self.scheduler = self._started("dask_scheduler", "--port", "0", "--scheduler-file", str(folder / "scheduler"))
+        self.scheduler = self._started(
+            "dask_scheduler", "--port", "0", "--scheduler-file", str(folder / "scheduler"), **environment
+        )
         until_written(folder / "scheduler")
         self.address = str(json.loads((folder / "scheduler").read_text())["address"])
         self.workers = [self.worker() for _ in range(workers)]
@@ -56,7 +58,10 @@ class Cluster:
         self._stack.close()
 
     def _started(self, command: str, *options: str, **environment: str) -> subprocess.Popen[bytes]:
-        place = {"PYTHONPATH": str(REPOSITORY), "DASK_TEMPORARY_DIRECTORY": str(self._folder)}
+        place = {
+            "PYTHONPATH": str(REPOSITORY), "DASK_TEMPORARY_DIRECTORY": str(self._folder),
+            "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "2s",  # how long a worker that was killed is asked for its answers
+        }  # fmt: skip
         process = subprocess.Popen(
             [sys.executable, "-m", f"distributed.cli.{command}", "--host", "127.0.0.1", "--no-dashboard", *options],
             env={**os.environ, **place, **environment}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -141,6 +146,27 @@ def test_folds_give_the_same_numbers_when_a_worker_is_killed(cluster: Cluster, t
         np.testing.assert_array_equal(spread.held_rows.left[name], left)
 
 
+def test_a_part_that_kills_its_workers_fails_the_job(tmp_path: Path) -> None:
+    few = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    with closing(Cluster(tmp_path, workers=1, **few)) as cluster:
+        with pytest.raises(CoreError, match="their memory may be full") as raised:
+            fan_out(1, cluster.address)(where, [(0.0, "killed")], lambda *_: None)
+        assert cluster.workers[0].wait(30) == -signal.SIGKILL
+    assert raised.value.code == "part_ended"
+
+
+def test_a_scheduler_without_kilter_is_named(tmp_path: Path) -> None:
+    (tmp_path / "kilter_service.py").write_text("raise ModuleNotFoundError('No module named kilter_service')")
+    says = r"No module named kilter_service\. Install the same Kilter"
+    with (
+        closing(Cluster(tmp_path, workers=1, PYTHONPATH=str(tmp_path))) as cluster,
+        pytest.raises(CoreError, match=says) as raised,
+    ):
+        fan_out(1, cluster.address)(where, [(0.0, "")], lambda *_: None)
+    assert raised.value.code == "cluster_differs"
+    assert raised.value.context == {"address": cluster.address}
+
+
 def run_job(client: httpx.Client, database: Database, katana: Katana, address: str) -> dict[str, Any]:
     """Have a worker identify with folds on a cluster; returns the job."""
     asked = {
@@ -192,5 +218,5 @@ def test_a_job_without_its_scheduler_fails_with_the_code_and_no_version(
 
 def test_a_missing_package_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "find_spec", lambda name: None)
-    with pytest.raises(ServiceError, match=r"pip install 'kilter\[cluster\]'"):
+    with pytest.raises(ServiceError, match="pip install distributed"):
         fan_out(1, "tcp://scheduler:8786")
