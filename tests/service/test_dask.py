@@ -5,23 +5,32 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
 from kilter_core.errors import CancelledError, CoreError, OptionError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.twin import thesis_katana
+from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.fan_out import cluster as engine
 from kilter_service.jobs.fan_out import fan_out, part
-from tests.service.parts import killing, noted, where
+from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.runner import Runner
+from tests.blind.generator import cases
+from tests.blind.run import run as benchmark
+from tests.service.conftest import Katana
+from tests.service.parts import killing, noted, recorded, where
 
 pytest.importorskip("distributed")
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -30,12 +39,14 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 class Cluster:
     """A scheduler and its workers, each a process of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, workers: int = 2, **environment: str) -> None:
         self._folder, self._stack = folder, ExitStack()
-        self.scheduler = self._started("dask_scheduler", "--port", "0", "--scheduler-file", str(folder / "scheduler"))
+        self.scheduler = self._started(
+            "dask_scheduler", "--port", "0", "--scheduler-file", str(folder / "scheduler"), **environment
+        )
         until_written(folder / "scheduler")
         self.address = str(json.loads((folder / "scheduler").read_text())["address"])
-        self.workers = [self.worker(), self.worker()]
+        self.workers = [self.worker() for _ in range(workers)]
 
     def worker(self, **environment: str) -> subprocess.Popen[bytes]:
         return self._started(
@@ -47,7 +58,10 @@ class Cluster:
         self._stack.close()
 
     def _started(self, command: str, *options: str, **environment: str) -> subprocess.Popen[bytes]:
-        place = {"PYTHONPATH": str(REPOSITORY), "DASK_TEMPORARY_DIRECTORY": str(self._folder)}
+        place = {
+            "PYTHONPATH": str(REPOSITORY), "DASK_TEMPORARY_DIRECTORY": str(self._folder),
+            "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "2s",  # how long a worker that was killed is asked for its answers
+        }  # fmt: skip
         process = subprocess.Popen(
             [sys.executable, "-m", f"distributed.cli.{command}", "--host", "127.0.0.1", "--no-dashboard", *options],
             env={**os.environ, **place, **environment}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -96,6 +110,19 @@ def test_a_cancel_takes_what_is_pending_from_the_cluster(cluster: Cluster, tmp_p
     assert 0 < len(list(tmp_path.iterdir())) < 100
 
 
+def test_the_blind_benchmark_runs_on_the_cluster(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = list(cases(0, 6))
+    held = {"name": wanted[0].name, "report": None, "seconds": 0.0, "pid": 0}
+    monkeypatch.setenv("KILTER_DASK", cluster.address)
+    (tmp_path / "there.jsonl").write_text(json.dumps(held) + "\n")
+    there = benchmark(wanted, tmp_path / "there.jsonl", one=recorded)
+    assert [one["name"] for one in there] == [case.name for case in wanted]
+    assert there[0] == held  # it goes on where it was
+    assert {one["pid"] for one in there[1:]} <= {worker.pid for worker in cluster.workers}
+
+
 def test_a_worker_of_another_release_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kilter_service.jobs.fan_out.spread.release", lambda: "Kilter 9.9")
     with pytest.raises(CoreError, match=r"has Kilter .*numpy.* computed with Kilter 9\.9") as raised:
@@ -119,24 +146,77 @@ def test_folds_give_the_same_numbers_when_a_worker_is_killed(cluster: Cluster, t
         np.testing.assert_array_equal(spread.held_rows.left[name], left)
 
 
-def test_a_scheduler_that_is_gone_fails_the_job_with_its_address(
-    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(engine, "CONNECT_S", 1.0)
-    monkeypatch.setattr(engine, "AWAY_S", 1.0)
-    for fraction in (0.01, 0.0):  # while parts are computed, then before they are sent
+def test_a_part_that_kills_its_workers_fails_the_job(tmp_path: Path) -> None:
+    few = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    with closing(Cluster(tmp_path, workers=1, **few)) as cluster:
+        with pytest.raises(CoreError, match="their memory may be full") as raised:
+            fan_out(1, cluster.address)(where, [(0.0, "killed")], lambda *_: None)
+        assert cluster.workers[0].wait(30) == -signal.SIGKILL
+    assert raised.value.code == "part_ended"
 
-        def told(done: float, stage: str, least: float = fraction) -> None:
-            if done >= least:
+
+def test_a_scheduler_without_kilter_is_named(tmp_path: Path) -> None:
+    (tmp_path / "kilter_service.py").write_text("raise ModuleNotFoundError('No module named kilter_service')")
+    says = r"No module named kilter_service\. Install the same Kilter"
+    with (
+        closing(Cluster(tmp_path, workers=1, PYTHONPATH=str(tmp_path))) as cluster,
+        pytest.raises(CoreError, match=says) as raised,
+    ):
+        fan_out(1, cluster.address)(where, [(0.0, "")], lambda *_: None)
+    assert raised.value.code == "cluster_differs"
+    assert raised.value.context == {"address": cluster.address}
+
+
+def run_job(client: httpx.Client, database: Database, katana: Katana, address: str) -> dict[str, Any]:
+    """Have a worker identify with folds on a cluster; returns the job."""
+    asked = {
+        "kind": "identify", "robot": "katana", "campaigns": [katana.campaign(client, 40)], "validation": {"folds": 4},
+        "options": {"level": 1},
+    }  # fmt: skip
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    with database.transaction() as session:
+        claim = lease.claim(session, "here", ["identify"])
+    assert claim is not None
+    Runner(database, each=fan_out(1, address)).run(claim)
+    done: dict[str, Any] = client.get(f"/v1/jobs/{job}").raise_for_status().json()
+    return done
+
+
+def test_a_job_succeeds_on_the_cluster(
+    cluster: Cluster, client: httpx.Client, database: Database, katana: Katana
+) -> None:
+    assert run_job(client, database, katana, cluster.address)["state"] == "succeeded"
+
+
+def test_a_scheduler_that_is_gone_fails_the_job_with_its_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "AWAY_S", 1.0)
+    with closing(Cluster(tmp_path, workers=1)) as cluster:
+
+        def told(done: float, stage: str) -> None:
+            if done > 0.0:
                 cluster.scheduler.kill()
 
         with pytest.raises(ServiceError, match=r"does not answer\. Start it, or correct KILTER_DASK") as raised:
             fan_out(1, cluster.address)(where, [(0.1, "")] * 1000, told)
-        assert raised.value.code == "cluster_away"
-        assert raised.value.context == {"address": cluster.address}
+    assert raised.value.code == "cluster_away"
+    assert raised.value.context == {"address": cluster.address}
+
+
+def test_a_job_without_its_scheduler_fails_with_the_code_and_no_version(
+    client: httpx.Client, database: Database, katana: Katana, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+    done = run_job(client, database, katana, address)
+    assert (done["state"], done["error"]["code"]) == ("failed", "cluster_away")
+    assert address in done["error"]["message"]
+    assert client.get("/v1/robots/katana/versions").json()["versions"] == []
 
 
 def test_a_missing_package_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "find_spec", lambda name: None)
-    with pytest.raises(ServiceError, match=r"pip install 'kilter\[cluster\]'"):
+    with pytest.raises(ServiceError, match="pip install distributed"):
         fan_out(1, "tcp://scheduler:8786")

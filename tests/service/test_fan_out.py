@@ -16,7 +16,7 @@ import pytest
 from kilter_core.errors import CancelledError, CoreError, OptionError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.twin import thesis_katana
-from kilter_service.jobs.fan_out import FanOut, fan_out, local
+from kilter_service.jobs.fan_out import FanOut, fan_out, local, spread
 from kilter_service.jobs.fan_out.local import LocalProcesses
 from tests.service.parts import doubled, killing, where
 
@@ -38,12 +38,12 @@ def test_folds_in_processes_give_the_same_numbers(at_once: None) -> None:
     rows, options = twin.observe(q, noise_m=1e-5, seed=3), IdentifyOptions(level=2)
     heard: list[tuple[float, str]] = []
     alone = identify(twin.robot, rows, Folds(4), options)
-    spread = identify(twin.robot, rows, Folds(4), options, progress=lambda *told: heard.append(told), each=fan_out(2))
-    assert spread.metrics == alone.metrics
+    found = identify(twin.robot, rows, Folds(4), options, progress=lambda *told: heard.append(told), each=fan_out(2))
+    assert found.metrics == alone.metrics
     assert alone.held_rows is not None
-    assert spread.held_rows is not None
+    assert found.held_rows is not None
     for name, left in alone.held_rows.left.items():
-        np.testing.assert_array_equal(spread.held_rows.left[name], left)
+        np.testing.assert_array_equal(found.held_rows.left[name], left)
     folds = [stage for _, stage in heard if stage.startswith("fold ")]
     assert {stage.partition(",")[0] for stage in folds} >= {"fold 1 of 4", "fold 2 of 4"}
     begun = [fraction for fraction, stage in heard if stage.startswith("fold ") and "," not in stage]
@@ -57,14 +57,14 @@ def test_profiles_in_processes_give_the_same_numbers(at_once: None) -> None:
     rows, options = twin.observe(q, noise_m=1e-5, seed=5), IdentifyOptions(level=1, intervals="profile")
     heard: list[str] = []
     alone = identify(twin.robot, rows, None, options, progress=lambda _, stage: heard.append(stage)).intervals
-    spread = Watched(LocalProcesses(2))
-    found = identify(twin.robot, rows, None, options, each=spread).intervals
+    watched = Watched(LocalProcesses(2))
+    found = identify(twin.robot, rows, None, options, each=watched).intervals
     assert alone is not None
     assert found is not None
     for name in ("lower", "upper", "stands_in"):
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
-    assert spread.parts == len(alone.lower)
-    assert any(stage.startswith(f"profile 1 of {spread.parts}, ") for stage in heard)
+    assert watched.parts == len(alone.lower)
+    assert any(stage.startswith(f"profile 1 of {watched.parts}, ") for stage in heard)
 
 
 class Watched(FanOut):
@@ -116,7 +116,8 @@ def test_a_part_that_is_killed_is_computed_again(at_once: None, tmp_path: Path) 
     assert (tmp_path / "killed").exists()
 
 
-def test_a_part_that_kills_every_process_fails_the_job(at_once: None) -> None:
+def test_a_part_that_kills_every_process_fails_the_job(at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spread, "MOST_BREAKS", 2)
     with pytest.raises(CoreError, match="memory may be full") as raised:
         fan_out(2)(where, [(0.0, ""), (0.0, "killed"), (0.0, "")], lambda *_: None)
     assert raised.value.code == "part_ended"

@@ -35,8 +35,8 @@ class DaskCluster:
     def __init__(self, address: str) -> None:
         if find_spec("distributed") is None:
             raise ServiceError(
-                f"KILTER_DASK names {address}, and the package for it is missing: pip install 'kilter[cluster]', or unset "
-                "KILTER_DASK.",
+                f"KILTER_DASK names {address}, and a package is missing: pip install distributed, in the release that "
+                "constraints.txt names, or unset KILTER_DASK.",
                 code="cluster_away", address=address,
             )  # fmt: skip
         self._address = address
@@ -57,6 +57,14 @@ class DaskCluster:
             yield Opened(executor, check=_Watch(client, self._away))
         except (CancelledError, CommClosedError) as error:  # the scheduler has forgotten the parts
             raise self._away() from error
+        except RuntimeError as error:
+            if not isinstance(error.__cause__, ImportError):
+                raise
+            raise CoreError(
+                f"The scheduler of the cluster at {self._address} cannot read a part of the job: {error.__cause__}. Install "
+                "the same Kilter for the scheduler as for its workers, and ask for the job again.",
+                code="cluster_differs", address=self._address,
+            ) from error  # fmt: skip
         except KilledWorker as error:
             raise CoreError(
                 f"Workers of the cluster at {self._address} that computed a part of the job ended, one after the other: "
