@@ -59,7 +59,7 @@ def chance(found: SearchResult, place: int, alpha: float) -> float:
         return p
     without = refit(found.problem.settings, found.problem.values, rest)
     ratio = scorer.tail_of_ratio(
-        place, float(scores.d[place]), without.chi2, found.problem.chi2, gram.nu - gram.degrees(rest)
+        place, int(scores.d[place]), without.chi2, found.problem.chi2, gram.nu - gram.rank(rest)
     )
     return min(p, found.null.family_wise(ratio, tests))
 

@@ -173,7 +173,7 @@ def worse(
     if set(chosen) >= set(known):
         return problem.chi2 > before.chi2
     variance = min(selector.variance(w.gram, c) for w, c in (one, other))
-    price = [selector.price(c, [w.gram.degrees(selector.columns(c))]) for w, c in (one, other)]
+    price = [selector.price(c, [w.gram.rank(selector.columns(c))]) for w, c in (one, other)]
     return problem.chi2 / variance + price[0] > before.chi2 / variance + price[1] + selector.slack(chosen)
 
 
@@ -182,7 +182,7 @@ def _explains_more(one: SearchResult, other: SearchResult) -> bool:
     variance = min(h.selector.variance(h.problem.gram, h.chosen) for h in (one, other))
     cost = [
         (h.problem.gram.yy - h.problem.gram.reduction(h.columns)) / variance
-        + h.selector.price(h.chosen, [h.problem.gram.degrees(h.columns)])
+        + h.selector.price(h.chosen, [h.problem.gram.rank(h.columns)])
         for h in (one, other)
     ]
     return bool(one.chosen) and cost[0] < cost[1]

@@ -1,10 +1,4 @@
-"""Inner products of data and candidates: all that a selection needs, conditioned on one set of columns after another.
-
-Nearly dependent columns fade out by one rule: ``VISIBLE`` is added to the square of each. What a set takes is then what a
-part of it takes and what the rest takes given that part, to rounding, and so is the number of its directions: the scan for
-what to add and the criterion of the whole set cannot disagree. With a limit on eigenvalues they did: the scan saw directions
-that the whole set did not see, took their columns in for a gain that was none, and exchanges ran in a circle.
-"""
+"""Inner products of data and candidates: all that a selection needs, conditioned on one set of columns after another."""
 
 from __future__ import annotations
 
@@ -15,14 +9,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from kilter_core.gap.kernels.independent import rooted
 from kilter_core.gap.search.recent import Recent
 from kilter_core.types import Floats, Ints
 
 T = TypeVar("T")
 
-VISIBLE = 1e-7  # share of a column's square left off geometry and others at which it is one of them
-PLACES = 3  # decimals of a number of directions: beyond, all of what is left of a column counts
+VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
 
 
 @dataclass(frozen=True)
@@ -61,44 +53,20 @@ class Gram:
         A = self.whole - self.K @ self.whole[list(self.taken)]
         return np.asarray(0.5 * (A + A.T))
 
-    def block(self, columns: Sequence[int]) -> Floats:
-        """Part (d, d) of A that belongs to a set of columns."""
-        index = list(columns)
-        out = self.whole[np.ix_(index, index)]
+    def blocks(self, columns: Ints) -> Floats:
+        """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
+        out = self.whole[columns[:, :, None], columns[:, None, :]]
         if self.K is not None:
-            out = out - self.K[index] @ self.whole[np.ix_(self.taken, index)]
+            out = out - self.K[columns] @ self.whole[list(self.taken)][:, columns].transpose(1, 0, 2)
         return np.asarray(out)
-
-    @property
-    def factors(self) -> tuple[Floats, Floats, Ints]:
-        """``whole``, ``K`` and ``taken`` as the kernel reads them."""
-        K = np.zeros((len(self.whole), 0)) if self.K is None else self.K
-        return self.whole, K, np.array(self.taken, dtype=np.int64)
 
     def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
 
-    def root(self, columns: Sequence[int]) -> Floats:
-        """Root (d, d) of the inverse of the columns' own block, ``VISIBLE`` added to their squares."""
-
-        def made() -> Floats:
-            half = np.empty((len(columns),) * 2)
-            rooted(np.ascontiguousarray(self.block(columns)), VISIBLE, half)
-            return half
-
-        return self.kept("root", columns, made)
-
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
         """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
-
-        def made() -> tuple[Floats, int]:
-            w, V = np.linalg.eigh(self.block(columns))
-            rank = self.rank(columns)
-            w, V = w[len(w) - rank :], V[:, len(w) - rank :]
-            return (V / w) @ V.T, rank
-
-        return self.kept("inverse", columns, made)
+        return self.kept("inverse", columns, lambda: _inverted(self.blocks(np.array([columns], dtype=np.int64))[0]))
 
     def solve(self, columns: Sequence[int]) -> Floats:
         """Least-squares coefficients of unit columns."""
@@ -106,15 +74,11 @@ class Gram:
 
     def reduction(self, columns: Sequence[int]) -> float:
         """How much chi-square the columns take together."""
-        return float(np.sum((self.c[list(columns)] @ self.root(columns)) ** 2)) if len(columns) else 0.0
-
-    def degrees(self, columns: Sequence[int]) -> float:
-        """How many independent directions the columns have; of one of which hardly more is left than counts, a part."""
-        return round(len(columns) - VISIBLE * float(np.sum(self.root(columns) ** 2)), PLACES) if len(columns) else 0.0
+        return float(self.c[list(columns)] @ self.solve(columns)) if len(columns) else 0.0
 
     def rank(self, columns: Sequence[int]) -> int:
-        """The same as a whole number."""
-        return round(self.degrees(columns))
+        """How many independent directions the columns have."""
+        return self.inverse(columns)[1] if len(columns) else 0
 
     def given(self, columns: Sequence[int]) -> Gram:
         """Conditioned on a set of columns: their space projected off everything."""
@@ -123,13 +87,18 @@ class Gram:
         index = list(columns)
         if self.taken:
             return Gram(self.A, self.c, self.yy, self.nu).given(index)
-        half = self.root(index)
-        K = self.kept("given", index, lambda: self.whole[:, index] @ (half @ half.T))
+        K = self.kept("given", index, lambda: self.whole[:, index] @ self.inverse(index)[0])
         return replace(
-            self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.degrees(index),
+            self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
             taken=tuple(index), K=K,
         )  # fmt: skip
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""
         return replace(self, c=c, yy=yy, held=None)
+
+
+def _inverted(A: Floats) -> tuple[Floats, int]:
+    w, V = np.linalg.eigh(A)
+    keep = w > VISIBLE
+    return (V[:, keep] / w[keep]) @ V[:, keep].T, int(keep.sum())

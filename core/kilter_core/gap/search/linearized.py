@@ -15,7 +15,7 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.gap.noise.from_repeats import Noise
-from kilter_core.gap.search.bases import lengths, seen
+from kilter_core.gap.search.bases import lengths, orthonormal, seen
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.ranges import ends, exactly_within
@@ -181,8 +181,7 @@ class LinearizedProblem:
         """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
         if not len(columns):
             return self.U
-        u = np.linalg.svd(self.projected(list(columns)), full_matrices=False)[0]
-        return np.hstack([self.U, u[:, : self.gram.rank(columns)]])
+        return np.hstack([self.U, orthonormal(self.projected(list(columns)))])
 
 
 def linearize_at(

@@ -15,10 +15,9 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from kilter_core.gap.kernels.independent import scanned, taken_off
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.gram import PLACES, VISIBLE, Gram
+from kilter_core.gap.search.gram import VISIBLE, Gram
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.projection import Projection
 from kilter_core.gap.search.tails import tail
@@ -29,10 +28,18 @@ from kilter_core.types import Bools, Floats, Ints
 CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
-OWN = 0.5  # of a direction that a candidate must have of its own
 _NUMBERS = itertools.count()
 AT_A_TIME = 100  # flips of signs: all of thousands of poses fill the memory
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
+
+
+@dataclass(frozen=True)
+class Block:
+    """Candidates of equal size: their places (K,), columns (K, d), and which have one parameter of known sign."""
+
+    place: Ints
+    columns: Ints
+    one_sided: Bools
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,7 @@ class Scores:
     """Per candidate (K,): chi-square taken ``S``, degrees ``d``, ``T`` = S over the noise left, and its ``p``."""
 
     S: Floats
-    d: Floats
+    d: Ints
     T: Floats
     p: Floats
 
@@ -50,19 +57,21 @@ class Scorer:
     """Scores many candidates, and many data sets, at once."""
 
     candidates: tuple[Candidate, ...]
+    blocks: tuple[Block, ...]
     absolute: bool
     freedom: float
 
     @staticmethod
     def of(candidates: Sequence[Candidate], absolute: bool, freedom: float) -> Scorer:
-        """For candidates under a noise that is known, or not, as well as so much ``freedom`` tells."""
-        return Scorer(tuple(candidates), absolute, freedom)
-
-    @cached_property
-    def _layout(self) -> tuple[Ints, Ints]:
-        """Columns of all candidates one after another, and where each begins (K + 1,)."""
-        columns = np.array([k for c in self.candidates for k in c.columns], dtype=np.int64)
-        return columns, np.cumsum([0, *(len(c.columns) for c in self.candidates)]).astype(np.int64)
+        """Sort candidates by size."""
+        sizes = sorted({len(c.columns) for c in candidates})
+        blocks = []
+        for size in sizes:
+            place = [k for k, c in enumerate(candidates) if len(c.columns) == size]
+            columns = np.array([candidates[k].columns for k in place], dtype=np.int64)
+            signed = np.array([candidates[k].positive and size == 1 for k in place])
+            blocks.append(Block(np.array(place, dtype=np.int64), columns, signed))
+        return Scorer(tuple(candidates), tuple(blocks), absolute, freedom)
 
     def knowing(self, noise: Noise) -> Scorer:
         """The same with the noise as well known as this one is; itself where it is."""
@@ -89,30 +98,32 @@ class Scorer:
         """Candidates (K,) of the empirical tier."""
         return np.array([c.empirical for c in self.candidates], dtype=bool)
 
-    def reductions(self, gram: Gram, data: Floats) -> tuple[Floats, Floats]:
-        """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,), 0 of what is not a direction of its own."""
-        halves, degrees = self._scanned(gram)
-        S = np.empty((len(data), len(self.candidates)))
-        taken_off(np.ascontiguousarray(data), *self._layout, halves, S)
-        own = self._signed
-        S[:, own] *= data[:, [self.candidates[k].columns[0] for k in own]] >= 0.0
-        return S, degrees
+    def reductions(self, gram: Gram, data: Floats) -> tuple[Floats, Ints]:
+        """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,)."""
+        S = np.zeros((len(data), len(self.candidates)))
+        d = np.zeros(len(self.candidates), dtype=np.int64)
+        for block, (half, degrees) in zip(self.blocks, self._halves(gram), strict=True):
+            z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
+            taken = np.sum(z**2, axis=2).T
+            if block.one_sided.any():
+                wrong = block.one_sided & (data[:, block.columns[:, 0]] < 0.0)
+                taken = np.where(wrong, 0.0, taken)
+            S[:, block.place], d[block.place] = taken, degrees
+        return S, d
 
-    def _scanned(self, gram: Gram) -> tuple[Floats, Floats]:
-        """Roots of the inverse of each candidate's own matrix, one after another, and its degrees (K,)."""
+    def _halves(self, gram: Gram) -> list[tuple[Floats, Ints]]:
+        """Per block, roots (K, d, d) of the inverse of each candidate's own matrix, and its rank (K,)."""
 
-        def made() -> tuple[Floats, Floats]:
-            columns, starts = self._layout
-            halves, degrees = np.empty(int(np.sum(np.diff(starts) ** 2))), np.empty(len(self.candidates))
-            scanned(*gram.factors, columns, starts, VISIBLE, halves, degrees)
-            return halves, np.where(degrees >= OWN, np.round(degrees, PLACES), 0.0)
+        def made() -> list[tuple[Floats, Ints]]:
+            out = []
+            for block in self.blocks:
+                w, V = np.linalg.eigh(gram.blocks(block.columns))
+                keep = w > VISIBLE
+                root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
+                out.append((V * root[:, None, :], keep.sum(axis=1)))
+            return out
 
-        return gram.kept(("scanned", self._number), (), made)
-
-    @cached_property
-    def _signed(self) -> Ints:
-        """Places of candidates with one parameter of known sign."""
-        return np.flatnonzero(self.one_sided)
+        return gram.kept(("halves", self._number), (), made)
 
     def scores(self, gram: Gram) -> Scores:
         """Scores of the data themselves."""
@@ -120,7 +131,7 @@ class Scorer:
         T = self.scaled(S, d, np.array([gram.yy]), gram.nu, np.ones(1))[0]
         return Scores(S[0], d, T, self.tail(T[None], d, gram.nu)[0])
 
-    def scaled(self, S: Floats, d: Floats, yy: Floats, nu: float, noise: Floats) -> Floats:
+    def scaled(self, S: Floats, d: Ints, yy: Floats, nu: float, noise: Floats) -> Floats:
         """S over the noise variance: that of what is left, or pooled with that of the repeats (``noise``, about 1)."""
         free = np.maximum(nu - d, 1.0)
         left = np.maximum(yy[:, None] - S, 0.0) / free
@@ -143,13 +154,13 @@ class Scorer:
             return np.asarray(free, dtype=np.float64)
         return np.asarray(free, dtype=np.float64) + self.freedom
 
-    def tail(self, T: Floats, d: Floats, nu: float) -> Floats:
+    def tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Tail probability (B, K) given ``nu`` numbers free, half of it where the sign is known, 1 where nothing is left."""
         p = tail(T, d, self.known(np.maximum(nu - d, 1.0)))
         p = np.minimum(np.where(self.one_sided, 0.5 * p, p) * self.places, 1.0)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
-    def tail_of_ratio(self, place: int, d: float, without: float, within: float, nu: float) -> float:
+    def tail_of_ratio(self, place: int, d: int, without: float, within: float, nu: float) -> float:
         """Tail probability of a candidate of ``d`` directions by chi-square without and with it; ``nu`` free without."""
         if d == 0:
             return 1.0
@@ -158,11 +169,11 @@ class Scorer:
         p = float(tail(T, np.array([d]), self.known(np.array([max(nu - d, 1.0)])))[0, 0])
         return min(1.0, (0.5 * p if self.one_sided[place] else p) * float(self.places[place]))
 
-    def best_tail(self, T: Floats, d: Floats, nu: float) -> Floats:
+    def best_tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Smallest tail probability (B,): the largest T of each kind decides, so few tails are computed."""
         one, places = self.one_sided, self.places
         best = np.ones(len(T))
-        for kind in {(float(k), bool(o), float(n)) for k, o, n in zip(d, one, places, strict=True) if k > 0}:
+        for kind in {(int(k), bool(o), float(n)) for k, o, n in zip(d, one, places, strict=True) if k > 0}:
             own = (d == kind[0]) & (one == kind[1]) & (places == kind[2])
             known = self.known(max(nu - kind[0], 1.0))
             p = tail(T[:, own].max(axis=1), kind[0], known) * (0.5 if kind[1] else 1.0) * kind[2]

@@ -70,7 +70,7 @@ class Selector:
             return gram
         return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in members) else gram
 
-    def price(self, places: Sequence[int], degrees: Sequence[float]) -> float:
+    def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
         """What parameters cost; an empirical term must beat every physical one by the margin."""
         beyond = float(np.sum(self.extra[list(places)]))
         return float(sum(degrees)) * float(np.log(self.rows)) + beyond
@@ -83,12 +83,12 @@ class Selector:
     def criterion(self, gram: Gram, chosen: Sequence[int], variance: float) -> float:
         """Chi-square taken over the noise variance, less the price."""
         columns = self.columns(chosen)
-        return gram.reduction(columns) / variance - self.price(chosen, [gram.degrees(columns)])
+        return gram.reduction(columns) / variance - self.price(chosen, [gram.rank(columns)])
 
     def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
         """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
         columns = self.columns(chosen)
-        free = max(gram.nu - gram.degrees(columns), 1.0)
+        free = max(gram.nu - gram.rank(columns), 1.0)
         return float(self.scorer.variance(np.asarray((gram.yy - gram.reduction(columns)) / free), free))
 
     def entry(
