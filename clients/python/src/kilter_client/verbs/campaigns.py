@@ -26,28 +26,15 @@ MOST_LINES = 8  # of a file that are named in a refusal
 
 
 def upload(
-    robot: Thing,
-    data: Data,
-    *,
-    columns: Sequence[str] | None = None,
-    name: str | None = None,
-    role: Literal["train", "validation", "confirmation"] = "train",
-    device: str | None = None,
-    column_map: str | PathLike[str] | None = None,
-    preset: str | None = None,
-    euler: str | None = None,
-    joints: str | PathLike[str] | None = None,
-    payload_kg: float | None = None,
-    payload_com_mm: Sequence[float] | None = None,
-    temperature_c: float | None = None,
-    tool_force_n: Sequence[float] | None = None,
-    tool_moment_nm: Sequence[float] | None = None,
-    notes: str = "",
-    measured_at: datetime | date | str | None = None,
-    instrument: str | None = None,
-    campaign: Thing | None = None,
+    robot: Thing, data: Data, *, columns: Sequence[str] | None = None, name: str | None = None,
+    role: Literal["train", "validation", "confirmation"] = "train", device: str | None = None,
+    column_map: str | PathLike[str] | None = None, preset: str | None = None, euler: str | None = None,
+    joints: str | PathLike[str] | None = None, payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None, temperature_c: float | None = None,
+    tool_force_n: Sequence[float] | None = None, tool_moment_nm: Sequence[float] | None = None, notes: str = "",
+    measured_at: datetime | date | str | None = None, instrument: str | None = None, campaign: Thing | None = None,
     progress: Watching = True,
-) -> Steps[Uploaded]:
+) -> Steps[Uploaded]:  # fmt: skip
     """Upload measurements as a campaign of a robot; the same rows again change nothing.
 
     Args:
@@ -55,13 +42,17 @@ def upload(
         data: a path; or columns by name (``{"q1_deg": ..., "x_mm": ...}``), a structured array, a pandas DataFrame.
         columns: names of the columns of an array of two dimensions, with units.
         name: name of the campaign; without one it is the file's, with a number added where that is taken.
-        role, device: what the rows are for, and the measuring device; files of some devices are converted.
+        role: what the rows are for.
+        device: the measuring device; files of some devices are converted.
         column_map: column map of a lab's own file.
-        preset, euler: program whose text export of points it is (``"leica"``, ...), and the order of its angles.
+        preset: program whose text export of points it is (``"leica"``, ...).
+        euler: order of the preset's angles.
         joints: file with the joints of the preset's points, in order; or the second file of a map with a [join].
-        payload_kg, payload_com_mm: mass at the tool point during the campaign, kg, and its centre in the tool frame, mm.
+        payload_kg: mass at the tool point during the campaign, kg.
+        payload_com_mm: its centre in the tool frame, mm.
         temperature_c: temperature of the arm, degrees Celsius.
-        tool_force_n, tool_moment_nm: force and moment on the tool point in its frame, N and N m.
+        tool_force_n: force on the tool point in its frame, N.
+        tool_moment_nm: moment on the tool point in its frame, N m.
         notes: anything else worth knowing.
         measured_at: when the last row was measured, as ``"2026-11-02T14:30"``, in this machine's zone where none is given.
         instrument: name of the instrument it was measured with (``k.add_instrument``).
@@ -83,8 +74,8 @@ def upload(
     if campaign is not None and (name or notes or conditions or measured_at or instrument):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
     wanted: Document = {"name": name or name_of(data), "device": device or preset or "", "role": role, "notes": notes}
-    wanted |= {"conditions": conditions, "numbered": name is None, "instrument": instrument}
-    wanted |= {"measured_at": moment_of(measured_at)}
+    at = moment_of(measured_at)
+    wanted |= {"conditions": conditions, "numbered": name is None, "measured_at": at, "instrument": instrument}
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
     into = None if campaign is None else reference("campaign", campaign)
     return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, prepared, progress)))
