@@ -20,6 +20,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import LEAST_ROWS, contacts_of
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.spread import evenly
 from kilter_core.types import Bools, Floats
 
 FEWEST_POSES = 8  # base and tool have 9 to 12 unknowns: fewer poses are explained by them whatever the arm is like
@@ -97,7 +98,7 @@ def thinned(observations: Observations, poses: int) -> Observations:
     groups = observations.pose_groups()
     first = np.unique(groups, return_index=True)[1]
     in_order = groups[np.sort(first)]
-    chosen = in_order[np.linspace(0, len(in_order) - 1, min(poses, len(in_order))).round().astype(np.int64)]
+    chosen = in_order[evenly(len(in_order), poses)]
     by_pose = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[by_pose], np.arange(len(in_order)))
     repeat = np.empty(len(groups), dtype=np.int64)
@@ -105,8 +106,7 @@ def thinned(observations: Observations, poses: int) -> Observations:
     kept = np.isin(groups, chosen) & (repeat < ROWS_OF_A_POSE)
     for contact in contacts_of(observations):
         if int(kept[contact.rows].sum()) < LEAST_ROWS[contact.kind]:
-            least = min(LEAST_ROWS[contact.kind], len(contact.rows))
-            kept[contact.rows[np.linspace(0, len(contact.rows) - 1, least).round().astype(np.int64)]] = True
+            kept[contact.rows[evenly(len(contact.rows), LEAST_ROWS[contact.kind])]] = True
     return observations.select(np.flatnonzero(kept))
 
 

@@ -117,13 +117,13 @@ class RobotModel:
                 f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
             )
         o, robot = observations, self.load_robot
-        o = o.with_tilt_as_condition() if "base_tilt_x" in self._needs else o
+        o = o.with_tilt_as_condition() if "base_tilt_x" in self.needs else o
         loads = self._loads(o)
         return Batch(
             q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
             link_vectors=robot.chain.link_vectors, **o.under(),
-            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self._needs else None,
+            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self.needs else None,
             slopes=LoadSlopes(robot, o) if any(e.changes_loads for e in self.effects) else None,
         )  # fmt: skip
 
@@ -137,7 +137,8 @@ class RobotModel:
         return Reader(self.effects, self._slices)
 
     @cached_property
-    def _needs(self) -> frozenset[str]:
+    def needs(self) -> frozenset[str]:
+        """Columns that its effects need."""
         return frozenset[str]().union(*(effect.needs for effect in self.effects))
 
     def _loads(self, o: Observations) -> Loads:

@@ -45,7 +45,7 @@ def expansion(calibration: Calibration, rows: Observations, fitted_c: tuple[floa
         ObservationError: more than 15 K outside.
 
     """
-    if fitted_c is None or rows.temperature_c is None or _modelled(calibration):
+    if fitted_c is None or rows.temperature_c is None or "temperature_c" in calibration.model.needs:
         return None
     low, high = fitted_c
     beyond = rows.temperature_c - np.clip(rows.temperature_c, low, high)
@@ -62,7 +62,3 @@ def expansion(calibration: Calibration, rows: Observations, fitted_c: tuple[floa
     grown = np.zeros((len(rows), 6, 1))
     grown[:, :3, 0] = GROWTH * (found.position - calibration.model.T_base[:3, 3])
     return np.concatenate([grown, ZEROS * motions], axis=2) * beyond[:, None, None]
-
-
-def _modelled(calibration: Calibration) -> bool:
-    return any("temperature_c" in effect.needs for effect in calibration.model.effects)

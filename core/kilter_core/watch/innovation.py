@@ -12,6 +12,7 @@ from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
+from kilter_core.observations.spread import evenly
 from kilter_core.types import Bools, Floats
 from kilter_core.watch.conditions import expansion, refuse_another_tool
 
@@ -121,7 +122,7 @@ def _some(measurement: Measurement) -> Measurement:
     groups = rows.pose_groups()
     poses = np.unique(groups)
     share = max(FEWEST_POSES, int(most * len(poses) / len(rows)))
-    chosen = poses[np.linspace(0, len(poses) - 1, min(share, len(poses))).round().astype(np.int64)]
+    chosen = poses[evenly(len(poses), share)]
     for pose in chosen:  # of a pose that was repeated without end, the first rows
         kept[np.flatnonzero(groups == pose)[: max(1, most // len(chosen))]] = True
     return Measurement.of(rows.select(kept), measurement.marker_points).of_tool()

@@ -23,7 +23,7 @@ def add(session: Session, new: NewInstrument) -> bool:
     """
     found = session.get(InstrumentRow, new.name)
     if found is None:
-        session.add(InstrumentRow(**_values(new)))
+        session.add(InstrumentRow(**new.model_dump(mode="json")))
         session.flush()
         return True
     if NewInstrument(**_told(found)) != new:
@@ -67,15 +67,6 @@ def listed(session: Session, page: Page) -> list[Instrument]:
     if page.name is not None:
         query = query.where(InstrumentRow.name > page.name)
     return [_instrument(row) for row in session.execute(query).scalars()]
-
-
-def _values(new: NewInstrument) -> dict[str, Any]:
-    days = {name: None if day is None else day.isoformat() for name, day in _days(new).items()}
-    return new.model_dump() | days
-
-
-def _days(new: NewInstrument) -> dict[str, Any]:
-    return {"certified_on": new.certified_on, "valid_until": new.valid_until}
 
 
 def _told(row: InstrumentRow) -> dict[str, Any]:

@@ -26,15 +26,14 @@ def budget_of(
     refit: Sequence[str] = (),
 ) -> dict[str, Any] | None:
     """Return the budget of rows as a document; None where a version knows nothing of itself, or no place is measured."""
-    import numpy as np
-
     from kilter_core.evaluate.uncertainty import Budget
     from kilter_core.measurement import Measurement
+    from kilter_core.observations.spread import evenly
 
     if known is None or (rows.position is None and rows.markers is None):
         return None
     if len(rows) > MOST_ROWS and not refit:  # frames are known by all rows that they were fitted to
-        rows = rows.select(np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(np.int64)))
+        rows = rows.select(evenly(len(rows), MOST_ROWS))
     measurement = Measurement.of(rows, calibration.marker_points, held=True)
     found = Budget.of(calibration, known, measurement, permissible(instrument), refit)
     return None if found is None else {"instrument": instrument and instrument.name, **found.to_document()}

@@ -16,13 +16,14 @@ MOST_POSES = 500  # looked at, evenly chosen
 def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that it refuses too many poses, with what helps; activation looks again."""
     from kilter_core.model import Calibration
+    from kilter_core.observations.spread import evenly
     from kilter_service.versions import ability, preview
 
     version = output.version
     if version is None or not job.campaigns:
         return output
     q = np.concatenate([rows.q for rows in job.campaigns.values()])
-    q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), MOST_POSES)).round().astype(np.int64))]
+    q = q[evenly(len(q), MOST_POSES)]
     calibration = Calibration.from_document(job.robot, version.calibration)
     try:
         found = preview.at_poses(calibration, None, version.limits, q)

@@ -80,7 +80,9 @@ def of_poses(
 
 def _remedy(calibration: Calibration, found: Foreseen, limits: CorrectionLimits, temperature_c: float | None) -> str:
     """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
-    some = np.unique(np.linspace(0, len(found.q) - 1, min(len(found.q), TRIED)).round().astype(np.int64))
+    from kilter_core.observations.spread import evenly
+
+    some = evenly(len(found.q), TRIED)
     wide = preview.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
     if sum(wide.refused.values()) + wide.counts.get("LIMITED", 0) > MOST_REFUSED * len(some):
         return (

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.transforms import rotations_about
 from kilter_core.types import Floats, Ints
 
 MASS = 4  # numbers of a mass on a link: kg, then its place m
@@ -93,20 +94,9 @@ def _walked(robot: Robot, q: Floats) -> tuple[dict[int, Floats], dict[int, Place
             before[k] = p
         axis = element.axis % 3
         if element.axis.rotates:
-            R = R @ _about(axis, amount)
+            R = R @ rotations_about(np.eye(3)[axis], amount)
         else:
             p = p + R[:, :, axis] * amount[:, None]
         if element.joint is not None:
             after[k] = R, p
     return before, after, p
-
-
-def _about(axis: int, angles: Floats) -> Floats:
-    """Rotations (N, 3, 3) about a coordinate axis."""
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    out = np.zeros((len(angles), 3, 3))
-    out[:, axis, axis] = 1.0
-    out[:, a, a] = out[:, b, b] = np.cos(angles)
-    out[:, b, a] = np.sin(angles)
-    out[:, a, b] = -out[:, b, a]
-    return out

@@ -92,15 +92,16 @@ class Budget:
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm: root mean squares over rows and coordinates."""
-        total = float(np.mean(self.predicted**2)) or 1.0
+        predicted, measured = _rms(self.predicted**2), _rms(self.measured**2)
+        total = predicted**2 or 1.0
         sizes = {name: _rms(values) for name, values in self.variances.items()}
         return {
             "rows": len(self.variances["left_over"]),
             "k": K,
-            "standard_mm": mm(_size(self.predicted)),
-            "expanded_mm": mm(K * _size(self.predicted)),
-            "measured_standard_mm": mm(_size(self.measured)),
-            "measured_expanded_mm": mm(K * _size(self.measured)),
+            "standard_mm": mm(predicted),
+            "expanded_mm": mm(K * predicted),
+            "measured_standard_mm": mm(measured),
+            "measured_expanded_mm": mm(K * measured),
             "contributions": [
                 {
                     "source": name, "type": TYPES[name][0], "distribution": TYPES[name][1], "standard_mm": mm(sizes[name]),
@@ -118,14 +119,10 @@ def _rms(variances: Floats) -> float:
     return float(np.sqrt(np.mean(variances)))
 
 
-def _size(standard: Floats) -> float:
-    return float(np.sqrt(np.mean(standard**2)))
-
-
 def _lengths(measurement: Measurement) -> Floats:
     """Distances (N,) m of the measured points from their middle, where the registration ties the frames together."""
     rows = measurement.observations
-    points = rows.position if rows.position is not None else None
+    points = rows.position
     if points is None:
         assert rows.markers is not None
         seen = ~np.isnan(rows.markers)
@@ -142,7 +139,7 @@ def _temperature(calibration: Calibration, measurement: Measurement) -> Floats |
     celsius = measurement.observations.temperature_c
     if celsius is None or np.isnan(celsius).any():
         return None
-    if any("temperature_c" in effect.needs for effect in calibration.model.effects):
+    if "temperature_c" in calibration.model.needs:
         return None
     position = calibration.predict(measurement.observations).position
     lengths = np.linalg.norm(position - calibration.model.T_base[:3, 3], axis=1)

@@ -19,6 +19,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import norm
 from scipy.stats import t as t_distribution
 
+from kilter_core.gap.evidence.amounts import amounts
 from kilter_core.gap.search.bases import orthonormal
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import LinearizedProblem
@@ -202,11 +203,9 @@ class _Asked:
         B = problem.projected(columns)
         B -= self.contrasts(B)
         y = problem.y - self.contrasts(problem.y)
-        prior = np.maximum(problem.settings.source.library_sigma[columns] * problem.size[columns], 1e-300)
-        variance = search.selector.variance(problem.gram, search.chosen)
-        covariance = np.asarray(np.linalg.inv(B.T @ B / variance + np.diag(1.0 / prior**2)), dtype=np.float64)
+        amount, covariance = amounts(search, columns, B, y)
         own = slice(0, len(self.columns))
-        return (covariance @ (B.T @ y) / variance)[own], covariance[own, own]
+        return amount[own], covariance[own, own]
 
     def _fitted(self) -> Floats:
         """Amounts (K,) of unit columns by all data."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL
+from kilter_core.gap.evidence.amounts import amounts
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import LinearizedProblem
@@ -133,11 +134,9 @@ def _by_tool(search: SearchResult, place: int) -> tuple[Floats, Floats]:
     size = problem.settings.whitener.shape[-1]
     tool = np.arange(len(X)) % size < problem.settings.source.tool_numbers
     X, r = X[tool], residual_given(problem, rest, basis)[tool]
-    prior = np.maximum(problem.settings.source.library_sigma[columns] * problem.size[columns], 1e-300)
-    variance = search.selector.variance(problem.gram, search.chosen)
-    covariance = np.asarray(np.linalg.inv(X.T @ X / variance + np.diag(1.0 / prior**2)), dtype=np.float64)
+    amount, covariance = amounts(search, columns, X, r)
     scale = problem.scale[columns]
-    return scale * (covariance @ (X.T @ r) / variance), covariance * np.outer(scale, scale)
+    return scale * amount, covariance * np.outer(scale, scale)
 
 
 def _name(candidate: Candidate) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -93,11 +95,7 @@ def poses(
         payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
         payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
     )
-
-    def files(job: dict[str, Any]) -> None:
-        if output is not None:
-            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
-
+    files = partial(_write, output, as_json)
     run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
 
 
@@ -125,12 +123,14 @@ def check(
         option, purpose="check", count=poses, version=start, noise_mm=noise_mm, floor_mm=floor_mm, box_mm=_corners(box),
         keep_out_mm=_zones(keep_out), within="limits" if anywhere else None, without_joints=joints, seed=seed,
     )  # fmt: skip
-
-    def files(job: dict[str, Any]) -> None:
-        if output is not None:
-            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
-
+    files = partial(_write, output, as_json)
     run_job("plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
+
+
+def _write(output: Path | None, as_json: bool, job: Mapping[str, Any]) -> None:
+    """Write the poses of a job where that was asked for."""
+    if output is not None:
+        write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
 
 def _zones(texts: list[str] | None) -> list[list[list[float]]] | None:

@@ -19,6 +19,7 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.sending import send
 from kilter_client.errors import UsageError
 from kilter_client.given import moment_of
+from kilter_client.verbs import campaigns
 from kilter_files import DEVICES, Prepared, prepare, preset_of
 from kilter_files.formats.points.tracker_header import PRESETS
 from kilter_files.formats.reader import LogHints
@@ -163,14 +164,13 @@ def conditions_of(
     moment: str | None = None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
-    told = {
-        "payload_kg": payload_kg,
-        "payload_com_mm": arguments.three("--payload-com-mm", payload_com_mm),
-        "temperature_c": temperature_c,
-        "tool_force_n": arguments.three("--tool-force-n", force),
-        "tool_moment_nm": arguments.three("--tool-moment-nm", moment),
-    }
-    return {key: value for key, value in told.items() if value is not None}
+    return campaigns.conditions_of(
+        payload_kg=payload_kg,
+        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
+        temperature_c=temperature_c,
+        tool_force_n=arguments.three("--tool-force-n", force),
+        tool_moment_nm=arguments.three("--tool-moment-nm", moment),
+    )
 
 
 def _preset(
