@@ -60,6 +60,7 @@ class Budget:
         """
         if not measurement.observes_places:
             return None
+        measurement = measurement.of_tool()
         parts = known.parts(calibration, measurement, refit)
         count = len(measurement.observations)
         whole = np.ones((count, 3))
