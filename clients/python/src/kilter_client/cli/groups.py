@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
@@ -23,6 +23,18 @@ class Group(TyperGroup):
         if rows:
             with formatter.section("Commands"):
                 formatter.write_dl(rows)
+
+
+class WithDefault(Group):
+    """A group one of whose commands may be left out: ``kilter versions ur10`` lists as it always did."""
+
+    by_default: ClassVar[str]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the command before what is none."""
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = [self.by_default, *args]
+        return super().parse_args(ctx, args)
 
 
 class FirstLevel(TyperGroup):

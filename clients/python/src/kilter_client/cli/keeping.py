@@ -8,7 +8,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json, Robot
-from kilter_client.cli.groups import Group
+from kilter_client.cli.groups import WithDefault
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.errors import ApiError, UsageError
@@ -21,14 +21,10 @@ Text = Annotated[str, typer.Argument(help="The text.", show_default=False)]
 Yes = Annotated[bool, typer.Option("--yes", help="Confirm: this cannot be undone.")]
 
 
-class ListsByDefault(Group):
-    """A group whose ``list`` may be left out: ``kilter versions ur10`` lists as it always did."""
+class ListsByDefault(WithDefault):
+    """A group whose ``list`` may be left out."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put ``list`` before what is not a command."""
-        if args and args[0] not in self.commands and args[0] != "--help":
-            args = ["list", *args]
-        return super().parse_args(ctx, args)
+    by_default = "list"
 
 
 def register(group: typer.Typer, kind: Kind) -> None:

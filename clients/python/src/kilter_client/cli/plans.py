@@ -12,7 +12,7 @@ import typer
 from kilter_client.cli import arguments
 from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_poses
 from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
-from kilter_client.cli.groups import Group
+from kilter_client.cli.groups import WithDefault
 from kilter_client.cli.option_texts import PLAN
 from kilter_client.errors import UsageError
 
@@ -30,14 +30,10 @@ Output = Annotated[
 ]  # fmt: skip
 
 
-class PosesByDefault(Group):
-    """A group whose ``poses`` may be left out: ``kilter plan ur10`` plans as it always did."""
+class PosesByDefault(WithDefault):
+    """A group whose ``poses`` may be left out."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put ``poses`` before what is not a command."""
-        if args and args[0] not in self.commands and args[0] != "--help":
-            args = ["poses", *args]
-        return super().parse_args(ctx, args)
+    by_default = "poses"
 
 
 group = typer.Typer(

@@ -97,7 +97,8 @@ def command_of(arguments: Sequence[str]) -> Any:
     inside = getattr(found, "commands", None)
     if inside is None:
         return found
-    return inside.get(words[1] if len(words) > 1 else "list", inside.get("list"))
+    default = getattr(found, "by_default", "list")
+    return inside.get(words[1] if len(words) > 1 else default, inside.get(default))
 
 
 def _shown(parameter: Any) -> str:
