@@ -13,7 +13,7 @@ from kilter_core.correct.program import CorrectionOptions, Track, compile_progra
 from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.corrector.test_runtime_effects import AT_RUN_TIME, TEMPERATURE_C, calibration_with, landing
+from tests.corrector.test_runtime_effects import BASE_TILT, OF_ARMS, TEMPERATURE_C, calibration_with, landing
 
 LOADS = (
     "axial_compliance", "radial_compliance", "clearance_tilt", "backlash_load", "hardening", "reading_tilt",
@@ -50,10 +50,10 @@ def test_the_corrector_takes_loads_on_the_chain_of_the_version(effect: str, payl
 
 
 def test_all_effects_at_once_and_through_a_document() -> None:
-    calibration = on_its_own_chain(*AT_RUN_TIME)
+    calibration = on_its_own_chain(*OF_ARMS)
     document = json.loads(json.dumps(calibration.to_document()))
     calibration = Calibration.from_document(calibration.robot, document)
-    options = replace(OPTIONS, largest_rad=0.1, farthest_m=0.1, largest_m=0.1)
+    options = replace(OPTIONS, largest_rad=0.1, farthest_m=0.1, largest_m=0.1, base_tilt=BASE_TILT)
     program = compile_program(calibration, options)
     assert np.quantile(landing(calibration, program, True), 0.95) < 2e-6
     drawn = replace(calibration, model=replace(calibration.model, load_chain=None))

@@ -54,6 +54,7 @@ def test_every_line_is_json_whatever_happens_to_the_processes(settings: Settings
         headers = {"Authorization": f"Bearer {admin_token(settings)}"}
         with httpx.Client(base_url=url, headers=headers, timeout=60, trust_env=False) as client:
             client.post("/v1/robots", json={"name": "arm", "convention": "preset", "preset": "ur10"}).raise_for_status()
+            until(lambda: "POST /v1/robots 201" in log.read_text())  # or the API is killed before it writes the line
             for name in ("worker", "api"):
                 os.kill(children(server.pid)[name], signal.SIGKILL)
             until(lambda: all(f"{name} " in log.read_text() for name in ("worker", "api")))

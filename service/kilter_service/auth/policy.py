@@ -124,6 +124,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /logout": OPEN,
     "GET /": READ,
     "GET /robots/{robot}": READ,
+    "POST /robots/{robot}/compensation": ADMINISTER,
     "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/arm.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/places.json": READ_COMPUTED.timed(LATER),
