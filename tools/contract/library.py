@@ -25,6 +25,8 @@ GROUPS = {
         "robot",
         "robots",
         "today",
+        "drift_history",
+        "drift_list",
         "meshes",
         "set_mesh",
         "set_urdf_meshes",

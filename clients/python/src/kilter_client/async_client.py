@@ -56,6 +56,8 @@ class AsyncKilter:
     find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
     today = awaited(described.today)
+    drift_history = awaited(described.drift_history)
+    drift_list = awaited(described.drift_list)
     robots = awaited(described.robots)
     meshes = awaited(shapes.meshes)
     set_mesh = awaited(shapes.set_mesh)

@@ -72,6 +72,8 @@ class Kilter:
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
     today = waiting(robots.today)
+    drift_history = waiting(robots.drift_history)
+    drift_list = waiting(robots.drift_list)
     meshes = waiting(shapes.meshes)
     set_mesh = waiting(shapes.set_mesh)
     set_urdf_meshes = waiting(shapes.set_urdf_meshes)
