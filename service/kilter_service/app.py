@@ -20,6 +20,7 @@ from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.correction.routes import router as correction
 from kilter_service.db import Database, revision
 from kilter_service.docs_page import router as docs_page
+from kilter_service.drift.routes import router as drift
 from kilter_service.frames.routes import router as frames
 from kilter_service.gate import Gate
 from kilter_service.health.routes import router as health
@@ -49,8 +50,8 @@ from kilter_service.versions.routes import router as versions
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
 ROUTERS: tuple[APIRouter, ...] = (
-    robots, today, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams, tokens,
-    audit, metrics, instruments,
+    robots, today, drift, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams,
+    tokens, audit, metrics, instruments,
 )  # fmt: skip
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 

@@ -71,6 +71,11 @@ def test_a_check_says_what_moved_and_its_exit_code_says_so_too(
     assert "moved: zero of joint 3 by 0.2" in said
     assert "such rows show" in said
     job = command.json("check", calibrated, "--campaign", "crashed.csv", code=3)
+    said = command("drift", calibrated)
+    assert f"{calibrated}: moved: zero of joint 3" in said
+    assert "activated" in said
+    told = command.json("drift")["robots"]
+    assert [one["state"] for one in told if one["robot"] == calibrated] == ["moved"]
     (cause,) = job["result"]["causes"]
     (number,) = cause["numbers"]
     assert (cause["name"], cause["joint"], number["unit"]) == ("zero_3", 3, "deg")
@@ -90,6 +95,8 @@ def test_the_library_checks_rows_and_campaigns(k: Kilter, calibrated: str, arm: 
     assert [one.name for one in found.causes] == ["sag_2"]
     assert repr(found).startswith("moved: sag of joint 2 by")
     again = k.drift(calibrated, campaign="sagging.csv", progress=False)
+    assert k.drift_history(calibrated).state == "moved"
+    assert calibrated in [one.robot for one in k.drift_list().robots]
     assert again.sentence == found.sentence
     moved = arm.after("base", 0.3)
     anew = k.drift(calibrated, written(tmp_path / "anew.csv", moved, 6, 6), new_setup=["base"], progress=False)

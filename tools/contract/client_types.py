@@ -32,7 +32,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
-    "drifts": ("DriftResult", "RezeroResult"),
+    "drifts": ("DriftResult", "RezeroResult", "DriftHistory", "DriftList"),
     "checks": (
         "IdentifyCheck",
         "GapCheck",

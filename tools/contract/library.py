@@ -26,6 +26,8 @@ GROUPS = {
         "robots",
         "set_controller_compensation",
         "today",
+        "drift_history",
+        "drift_list",
         "meshes",
         "set_mesh",
         "set_urdf_meshes",

@@ -1,7 +1,8 @@
 """Whether an arm is still as its version says: a few poses measured again, and the one cause that explains them."""
 
 from kilter_core.watch.check import Check, check
+from kilter_core.watch.history import Chart, chart, limit_of
 from kilter_core.watch.poses import CheckPlan, check_poses
 from kilter_core.watch.rezero import Rezeroed, rezero
 
-__all__ = ["Check", "CheckPlan", "Rezeroed", "check", "check_poses", "rezero"]
+__all__ = ["Chart", "Check", "CheckPlan", "Rezeroed", "chart", "check", "check_poses", "limit_of", "rezero"]

@@ -50,6 +50,8 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots": READ,
     "GET /v1/robots/{robot}": READ,
     "GET /v1/robots/{robot}/today": READ,
+    "GET /v1/robots/{robot}/drift": READ_COMPUTED.timed(LATER),
+    "GET /v1/drift": READ_COMPUTED.timed(LATER),
     "GET /v1/robots/{robot}/campaigns": READ,
     "GET /v1/instruments": READ,
     "POST /v1/instruments": SERVER,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,14 +74,14 @@ def smallest_documents(found: Check) -> list[dict[str, Any]]:
     return out
 
 
-def sentence(found: Check, since: str | None = None) -> str:
+def sentence(found: Check, agreed_at: datetime | None = None) -> str:
     """Return the verdict in one sentence."""
     if found.verdict == "ok":
         return (
             f"ok: {found.poses} poses agree with the version, {to_mm(found.misfit):.3g} mm rms. An arm that has not moved "
             f"shows as much with a chance of {found.p_value:.2g}."
         )
-    after = f" since {since}" if since else ""
+    after = "" if agreed_at is None else f" since {agreed_at:%Y-%m-%d}"
     chance = f" An arm that has not moved shows as much with a chance of {found.p_value:.1g}."
     if found.verdict == "moved":
         return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"

@@ -1,4 +1,4 @@
-"""What a version was fitted to, as far as a check of the arm asks: at which temperatures, and whether to the same rows."""
+"""What a version was fitted to, as far as a check asks: at which temperatures, to which rows; and when a check last agreed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Session
+from kilter_service.drift import store as drift
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.kind import FitOfVersion
 from kilter_service.versions import store as versions
@@ -17,7 +18,8 @@ def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion
     hashes = {sha256 for _, each in trained for sha256 in each}
     shared = [c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of(session, c))]
     seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
-    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared))
+    agreed = drift.agreed_at(session, versions.get(session, version).robot_id, version, named)
+    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreed)
 
 
 def _temperatures(session: Session, campaign: str) -> Iterator[float]:

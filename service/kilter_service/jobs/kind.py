@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.units import Asked
@@ -25,11 +26,12 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class FitOfVersion:
     """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
-    and which campaigns of the job have rows of it.
+    and which campaigns of the job have rows of it. ``agreed_at`` is when a check last agreed with it, None: never.
     """
 
     temperatures_c: tuple[float, float] | None = None
     shared: tuple[str, ...] = ()
+    agreed_at: datetime | None = None
 
 
 Progress = Callable[[float, str], None]

@@ -11,7 +11,9 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
+from kilter_service.contract.drift import CheckOfRobot
 from kilter_service.db import Database, Session
+from kilter_service.drift.service import last_checks
 from kilter_service.failure_log import Failing
 from kilter_service.observability import histograms, machine, store
 from kilter_service.observability.metrics import REGISTRY
@@ -23,6 +25,7 @@ reading = Failing(logging.getLogger("kilter.api"), "the metrics of the database 
 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 DATABASE_UP = "Whether the database answers."
+VERDICTS = ("ok", "moved", "cannot_tell")
 HELD_BACK = ("reversing", "damped", "saturated", "slowed")  # counters of a stream's status
 
 
@@ -74,7 +77,22 @@ def _of(session: Session) -> Iterable[Metric]:
     beats = [((process, name), age_s) for process, name, age_s in store.beats(session)]
     text = "Time since a process last said that it is alive."
     yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
+    yield from _of_checks(last_checks(session))
     yield from _of_streams(store.streams(session))
+
+
+def _of_checks(checks: Mapping[str, CheckOfRobot]) -> Iterable[Metric]:
+    """What the last check of each robot's active version said."""
+    verdicts = [
+        ((robot, verdict), float(one.verdict == verdict)) for robot, one in checks.items() for verdict in VERDICTS
+    ]
+    yield _gauge("kilter_drift_verdict", "1 for what the last check of a robot said.", ("robot", "verdict"), verdicts)
+    chances = [((robot,), one.p_value) for robot, one in checks.items()]
+    text = "Chance of the last check from an arm that has not moved."
+    yield _gauge("kilter_drift_p_value", text, ("robot",), chances)
+    measured = [((robot,), one.at.timestamp()) for robot, one in checks.items()]
+    text = "When the rows of the last check were measured, s since 1970."
+    yield _gauge("kilter_drift_last_check_seconds", text, ("robot",), measured)
 
 
 def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:

@@ -59,6 +59,8 @@ class AsyncKilter:
     robot = awaited(described.robot)
     set_controller_compensation = awaited(described.set_controller_compensation)
     today = awaited(described.today)
+    drift_history = awaited(described.drift_history)
+    drift_list = awaited(described.drift_list)
     robots = awaited(described.robots)
     meshes = awaited(shapes.meshes)
     set_mesh = awaited(shapes.set_mesh)

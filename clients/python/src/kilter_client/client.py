@@ -74,6 +74,8 @@ class Kilter:
     robot = waiting(robots.robot)
     set_controller_compensation = waiting(robots.set_controller_compensation)
     today = waiting(robots.today)
+    drift_history = waiting(robots.drift_history)
+    drift_list = waiting(robots.drift_list)
     meshes = waiting(shapes.meshes)
     set_mesh = waiting(shapes.set_mesh)
     set_urdf_meshes = waiting(shapes.set_urdf_meshes)

@@ -62,6 +62,14 @@ class Robots:
         """Return how good a robot is today, and what is missing in its active version."""
         return self._run(robots.today(name))
 
+    def drift(self, name: str) -> Document:
+        """Return the checks of a robot and how it stands by them."""
+        return self._run(robots.drift(name))
+
+    def drifts(self) -> Document:
+        """Return how all robots stand by their checks, the worst first."""
+        return self._run(robots.drifts())
+
     def remove(self, name: str) -> None:
         """Delete a robot nothing was measured on."""
         self._run(robots.remove(name))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -83,6 +84,7 @@ class DriftResult(Stored):
     smallest: list[SmallestChange] | None = Field(None, description="The smallest changes that these rows show.")
     unseen: list[str] | None = Field(None, description="Causes that move nothing that was measured, in words.")
     new_setup: list[str] | None = Field(None, description="Frames that were set up anew.")
+    agreed_at: datetime | None = Field(None, description="When a check last agreed with the version; null: never.")
     temperature_c: Celsius | None = Field(
         None, description="Mean temperature of the rows, degrees Celsius; null: not known."
     )

@@ -108,7 +108,8 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     options: DriftOptions = job.options
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
-        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found),
+        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
+        "agreed_at": None if job.fit.agreed_at is None else job.fit.agreed_at.isoformat(),
         "remedy": wire.remedy(found), "causes": [documents[one.cause.name] for one in found.causes],
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,

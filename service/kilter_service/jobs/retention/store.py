@@ -16,7 +16,8 @@ def ended_before(session: Session, moment: datetime, most: int) -> list[str]:
     """Return the oldest jobs that were over before a moment and that nothing needs.
 
     Needed are the jobs of versions, their evaluations while a robot is corrected with them, the newest completed search of
-    each robot, which says what is missing, and jobs of fleet jobs, which list them.
+    each robot, which says what is missing, all checks that were completed, which are a robot's history, and jobs of fleet
+    jobs, which list them.
     """
     row = JobRow
     query = select(row.id).where(row.state.in_(FINAL), row.finished_at < moment, *_not_needed())
@@ -34,6 +35,7 @@ def _not_needed() -> tuple[ColumnElement[bool], ...]:
         row.id.not_in(select(VersionRow.job_id)),
         row.id.not_in(listed),
         ~((row.kind == "evaluate") & func.coalesce(version, "").in_(active)),
+        ~((row.kind == "drift") & (row.state == "succeeded")),
         ~(searched & row.created_at.in_(later)),
     )
 

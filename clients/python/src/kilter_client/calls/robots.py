@@ -21,6 +21,16 @@ def today(name: str) -> Steps[Document]:
     return get(address("robots", name, "today"))
 
 
+def drift(name: str) -> Steps[Document]:
+    """Return the checks of a robot and how it stands by them."""
+    return get(address("robots", name, "drift"))
+
+
+def drifts() -> Steps[Document]:
+    """Return how all robots stand by their checks."""
+    return get("/v1/drift")
+
+
 def check(document: Mapping[str, Any]) -> Steps[Document]:
     """Look at a robot without adding it."""
     return post("/v1/robots/check", document, again=True)

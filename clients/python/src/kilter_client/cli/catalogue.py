@@ -40,6 +40,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "gap": Entry("analyse", "Find and name what the model lacks; makes a version."),
         "evaluate": Entry("analyse", "Compare a version with a campaign."),
         "check": Entry("drift", "Say whether an arm has moved since its version."),
+        "drift": Entry("drift", "Show the checks of a robot, or how all robots stand."),
         "rezero": Entry("drift", "Make a version of what moved, and nothing else."),
         "joint-parameters": Entry("joints", "Measure clearance, backlash and stiffness directly."),
         "fleet": Entry("fleet", "Identify many robots anew, and show what came out."),

@@ -1,4 +1,4 @@
-"""``kilter check | rezero``: say by a few poses whether the arm has moved, and make a version of what did."""
+"""``kilter check | drift | rezero``: say by a few poses whether the arm has moved, and make a version of what did."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.analyse import run_job
 from kilter_client.cli.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
-from kilter_client.cli.drift_report import EXIT_CODES
+from kilter_client.cli.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.option_texts import DRIFT, REZERO
 from kilter_client.cli.output import emit, note
@@ -34,6 +34,7 @@ Rows = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter check ur10 today.csv --temperature-c 23.5")(check)
+    app.command(epilog="Example: kilter drift ur10")(drift)
     app.command(epilog="Example: kilter rezero ur10 --campaign today.csv --cause zero_1")(rezero)
 
 
@@ -86,6 +87,20 @@ def check(
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
         raise typer.Exit(code)
+
+
+def drift(
+    robot: Annotated[
+        str | None, typer.Argument(help="Name of the robot; left out: all, the worst first.", metavar="ROBOT")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Show the checks of a robot and what creeps, or how all robots stand, the worst first."""
+    with Kilter() as kilter:
+        if robot is None:
+            emit(kilter.robots.drifts(), as_json, show_robots)
+        else:
+            emit(kilter.robots.drift(robot), as_json, show_history)
 
 
 def rezero(

@@ -36,6 +36,39 @@ def show_smallest(result: Mapping[str, Any]) -> None:
         say(f"they do not show: {', '.join(result['unseen'])}")
 
 
+def show_history(found: Mapping[str, Any]) -> None:
+    """Print how a robot stands, its checks with what was done between them, and the charts that say most."""
+    say(f"{found['robot']}: {found['sentence']}")
+    events = [(str(one["at"]), one["verdict"].replace("_", " "), one["sentence"]) for one in found["history"]]
+    events += [(str(one["at"]), one["what"], one["version_id"]) for one in found["marks"]]
+    show_rows(("when", "", ""), [(at[:16].replace("T", " "), what, said) for at, what, said in sorted(events)])
+    charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
+    rows = [
+        (
+            one["words"], f"{number(one['values'][-1], 3)} {one['unit']}", number(one["scatter"], 2),
+            f"{number(_height(one), 2)} of {number(one['limit'], 2)}", str(one["since"] or "")[:10],
+        )
+        for one in charts
+    ]  # fmt: skip
+    show_rows(("chart", "last", "scatter", "sum", "since"), rows)
+
+
+def _height(chart: Mapping[str, Any]) -> float:
+    return max(chart["up"][-1] or 0.0, chart["down"][-1] or 0.0)
+
+
+def show_robots(found: Mapping[str, Any]) -> None:
+    """Print how all robots stand, the worst first."""
+    rows = [
+        (
+            one["robot"], one["state"].replace("_", " "), str(one["checks"]),
+            "" if one["age_days"] is None else f"{one['age_days']} days ago", one["sentence"],
+        )
+        for one in found["robots"]
+    ]  # fmt: skip
+    show_rows(("robot", "stands", "checks", "last", ""), rows)
+
+
 def _show_causes(result: Mapping[str, Any]) -> None:
     rows = [
         (one["words"], _changes(one), number(one["gain"], 3), "refuted" if one["refuted"] else "may be")

@@ -50,6 +50,8 @@ class DriftCause(Record):
 class DriftResult(ShownDrift, Record):
     """Whether an arm has moved since its version was made, and by what."""
 
+    agreed_at: str | None
+    """When a check last agreed with the version; None: never."""
     causes: Records[DriftCause]
     """What explains the rows, best first; empty: nothing did."""
     chi_square: float | None
@@ -116,3 +118,119 @@ class RezeroResult(ShownDrift, Record):
     """Id of the version it made; None: none."""
     warnings: Records[Remark]
     """What to know before trusting the result."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CheckOfRobot(Record):
+    """A check of an arm."""
+
+    at: str
+    """When its rows were measured; where nobody stated it, when they were sent."""
+    campaign_id: str
+    """Its campaign."""
+    job_id: str
+    """The job that made it."""
+    p_value: float
+    """Chance of so much from an arm that has not moved."""
+    sentence: str
+    """The same in words."""
+    temperature_c: float | None
+    """Mean temperature, degrees Celsius; None: not known."""
+    verdict: str
+    """What it said."""
+    version_id: str
+    """The version it was checked against."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ControlChart(Record):
+    """Sums of one number over the checks of the active version: what it differs by from the checks before, and keeps doing."""
+
+    alarms: bool
+    """Whether the last check is beyond the limit."""
+    down: tuple[float | None, ...]
+    """Sum downwards."""
+    limit: float
+    """Sum beyond which it alarms."""
+    name: str
+    """Name of the cause; of base and tool with the axis of the shift, `base_x`."""
+    scatter: float | None
+    """Standard deviation of the values; None: too few checks."""
+    since: str | None
+    """When the change that alarms most likely began; None: none does."""
+    unit: str
+    """Unit of the values: deg, mm, deg/(N m), mm/N, ppm."""
+    up: tuple[float | None, ...]
+    """Sum upwards, in standard deviations; None: too few checks."""
+    values: tuple[float | None, ...]
+    """What each check says it changed by; None: it does not show it."""
+    words: str
+    """The same as people say it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftMark(Record):
+    """Something that was done to a robot's version between checks."""
+
+    at: str
+    """When."""
+    version_id: str
+    """The version."""
+    what: str
+    """What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftHistory(Record):
+    """The checks of a robot, oldest first, and the control charts of its active version."""
+
+    age_days: int | None
+    """Whole days since then; None: none."""
+    charts: Records[ControlChart]
+    """A chart for each number, over the checks of the active version."""
+    checks: int
+    """Checks of the active version."""
+    history: Records[CheckOfRobot]
+    """All checks against any version, oldest first; at most 1000."""
+    last: CheckOfRobot | None
+    """The last of them; None: none."""
+    marks: Records[DriftMark]
+    """What was done to its version, oldest first."""
+    robot: str
+    """Name of the robot."""
+    run_length: int
+    """Checks between two false alarms of all charts together."""
+    sentence: str
+    """The same in words."""
+    state: str
+    """`never`: not checked since its version was activated; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
+    version_id: str | None
+    """The active version; None: none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftSummary(Record):
+    """How a robot stands by its checks."""
+
+    age_days: int | None
+    """Whole days since then; None: none."""
+    checks: int
+    """Checks of the active version."""
+    last: CheckOfRobot | None
+    """The last of them; None: none."""
+    robot: str
+    """Name of the robot."""
+    sentence: str
+    """The same in words."""
+    state: str
+    """`never`: not checked since its version was activated; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
+    version_id: str | None
+    """The active version; None: none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftList(Record):
+    """How all robots stand, the worst first."""
+
+    robots: Records[DriftSummary]
+    """The robots, the worst first."""

@@ -15,6 +15,7 @@ from kilter_client.steps import Steps
 from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
+    from kilter_client.typed.drifts import DriftHistory, DriftList
     from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
     from kilter_client.typed.server import Today
 
@@ -133,6 +134,25 @@ def today(robot: Thing) -> Steps[Today]:
     from kilter_client.typed.server import Today
 
     return Today.read((yield from calls.today(reference("robot", robot))))
+
+
+def drift_history(robot: Thing) -> Steps[DriftHistory]:
+    """Return the checks of a robot, the control charts of its active version, and how it stands by them.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    from kilter_client.typed.drifts import DriftHistory
+
+    return DriftHistory.read((yield from calls.drift(reference("robot", robot))))
+
+
+def drift_list() -> Steps[DriftList]:
+    """Return how all robots stand by their checks, the worst first."""
+    from kilter_client.typed.drifts import DriftList
+
+    return DriftList.read((yield from calls.drifts()))
 
 
 def find_robot(

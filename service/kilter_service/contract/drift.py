@@ -1,0 +1,82 @@
+"""The checks of robots one after another: whether each has moved, and what creeps."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Literal
+
+from pydantic import Field
+
+from kilter_service.contract.jobs.drift import DriftVerdict
+from kilter_service.contract.units import Celsius, Strict
+
+Mark = Literal["activated", "re-zeroed", "rolled back"]
+State = Literal["never", "ok", "creeping", "cannot_tell", "moved"]
+
+
+class CheckOfRobot(Strict):
+    """A check of an arm."""
+
+    job_id: str = Field(description="The job that made it.")
+    campaign_id: str = Field(description="Its campaign.")
+    version_id: str = Field(description="The version it was checked against.")
+    at: datetime = Field(description="When its rows were measured; where nobody stated it, when they were sent.")
+    verdict: DriftVerdict = Field(description="What it said.")
+    sentence: str = Field(description="The same in words.")
+    p_value: float = Field(description="Chance of so much from an arm that has not moved.")
+    temperature_c: Celsius | None = Field(description="Mean temperature, degrees Celsius; null: not known.")
+
+
+class ControlChart(Strict):
+    """Sums of one number over the checks of the active version: what it differs by from the checks before, and keeps doing."""
+
+    name: str = Field(description="Name of the cause; of base and tool with the axis of the shift, `base_x`.")
+    words: str = Field(description="The same as people say it.")
+    unit: str = Field(description="Unit of the values: deg, mm, deg/(N m), mm/N, ppm.")
+    values: list[float | None] = Field(description="What each check says it changed by; null: it does not show it.")
+    up: list[float | None] = Field(description="Sum upwards, in standard deviations; null: too few checks.")
+    down: list[float | None] = Field(description="Sum downwards.")
+    limit: float = Field(description="Sum beyond which it alarms.")
+    scatter: float | None = Field(description="Standard deviation of the values; null: too few checks.")
+    alarms: bool = Field(description="Whether the last check is beyond the limit.")
+    since: datetime | None = Field(description="When the change that alarms most likely began; null: none does.")
+
+
+class DriftMark(Strict):
+    """Something that was done to a robot's version between checks."""
+
+    at: datetime = Field(description="When.")
+    what: Mark = Field(
+        description="What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`."
+    )
+    version_id: str = Field(description="The version.")
+
+
+class DriftSummary(Strict):
+    """How a robot stands by its checks."""
+
+    robot: str = Field(description="Name of the robot.")
+    state: State = Field(
+        description="`never`: not checked since its version was activated; `ok`; `creeping`: no check says so, all together "
+        "do; `cannot_tell` and `moved`: the last check."
+    )
+    version_id: str | None = Field(description="The active version; null: none.")
+    sentence: str = Field(description="The same in words.")
+    checks: int = Field(description="Checks of the active version.")
+    last: CheckOfRobot | None = Field(description="The last of them; null: none.")
+    age_days: int | None = Field(description="Whole days since then; null: none.")
+
+
+class DriftHistory(DriftSummary):
+    """The checks of a robot, oldest first, and the control charts of its active version."""
+
+    history: list[CheckOfRobot] = Field(description="All checks against any version, oldest first; at most 1000.")
+    marks: list[DriftMark] = Field(description="What was done to its version, oldest first.")
+    charts: list[ControlChart] = Field(description="A chart for each number, over the checks of the active version.")
+    run_length: int = Field(description="Checks between two false alarms of all charts together.")
+
+
+class DriftList(Strict):
+    """How all robots stand, the worst first."""
+
+    robots: list[DriftSummary] = Field(description="The robots, the worst first.")

@@ -1,0 +1,64 @@
+"""Control charts over the checks of a version: one for each number that all of them show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from kilter_service.contract.drift import ControlChart
+from kilter_service.drift.records import StoredCheck
+
+RUN_LENGTH = 1000  # checks between two false alarms of all charts together
+SHIFTS = ("value", "x", "y", "z")  # of a frame its shift: rotations of five poses are shifts for the most part
+
+
+def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
+    """Return the charts, in the order of the first check's causes by name; a number that some check does not show has none."""
+    numbers = [_numbers(one) for one in made]
+    names = sorted(set.intersection(*map(set, numbers))) if numbers else []
+    if not names:
+        return []
+    from kilter_core.watch.history import chart, limit_of
+
+    limit = limit_of(len(names), RUN_LENGTH)
+    felt = [one.result.get("temperature_c") for one in made]
+    known = None if any(value is None for value in felt) else np.array(felt, dtype=np.float64)
+    out = []
+    for name in names:
+        values = np.array([one[name][0] for one in numbers])
+        found = chart(values, limit, known)
+        words, unit = numbers[0][name][1:]
+        out.append(
+            ControlChart(
+                name=name,
+                words=words,
+                unit=unit,
+                values=values.tolist(),
+                up=_listed(found.up),
+                down=_listed(found.down),
+                limit=limit,
+                scatter=None if math.isnan(found.scatter) else found.scatter,
+                alarms=found.alarms,
+                since=None if found.since is None else made[found.since].at,
+            )
+        )
+    return out
+
+
+def _numbers(one: StoredCheck) -> dict[str, tuple[float, str, str]]:
+    """Change, words and unit by name of every number that a check shows."""
+    found: dict[str, tuple[float, str, str]] = {}
+    for cause in one.result.get("looked_at") or []:
+        for number in cause["numbers"]:
+            if number["name"] in SHIFTS and number["u95"] is not None:
+                named = "" if number["name"] == "value" else f"_{number['name']}"
+                along = f" along {number['name']}" if named else ""
+                found[cause["name"] + named] = (float(number["change"]), f"{cause['words']}{along}", number["unit"])
+    return found
+
+
+def _listed(sums: Any) -> list[float | None]:
+    return [None if np.isnan(value) else float(value) for value in sums]

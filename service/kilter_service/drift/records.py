@@ -1,0 +1,28 @@
+"""What is stored of checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+
+@dataclass(frozen=True)
+class StoredCheck:
+    """A check that was made, and when its rows were measured, or sent."""
+
+    job_id: str
+    campaign_id: str
+    at: datetime
+    result: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Activated:
+    """An entry of the log of active versions; ``rezeroed``: a version of what moved."""
+
+    version_id: str
+    at: datetime
+    action: str
+    rezeroed: bool

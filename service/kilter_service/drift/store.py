@@ -1,0 +1,95 @@
+"""Rows of checks: the jobs that made them, which are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from datetime import datetime
+
+from sqlalchemy import func, select
+
+from kilter_service.db import Session
+from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
+from kilter_service.drift.records import Activated, StoredCheck
+from kilter_service.robots import store as robots
+from kilter_service.versions.guard import REZEROED
+
+MOST = 1000  # checks of a robot, the newest
+MOST_LOOKED = 30  # looked through for one that agreed
+
+
+def robots_seen(session: Session, robot: str | None) -> dict[int, str]:
+    """Return the robots that are asked for, by their keys: the one of a name, or all in use that may be seen."""
+    if robot is not None:
+        found = robots.get(session, robot)
+        return {found.id: found.name}
+    query = robots.visible(select(RobotRow.id, RobotRow.name).where(RobotRow.retired_at.is_(None)))
+    return dict(session.execute(query).all())
+
+
+def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int, list[StoredCheck]]:
+    """Return the newest checks by robot, by when their rows were measured: a clock that was set back changes no order of jobs.
+
+    Checks of frames that were set up anew are left out: the frames took up what they would have said.
+    """
+    row = JobRow
+    place = func.row_number().over(partition_by=row.robot_id, order_by=(row.created_at.desc(), row.id))
+    newest = (
+        select(row.id, place.label("place"))
+        .where(row.robot_id.in_(of), row.kind == "drift", row.state == "succeeded")
+        .subquery()
+    )
+    query = (
+        select(row.robot_id, row.id, row.request, row.result)
+        .join(newest, newest.c.id == row.id)
+        .where(newest.c.place <= most)
+        .order_by(row.created_at, row.id)
+    )
+    found = [one for one in session.execute(query) if one.result and not one.result.get("new_setup")]
+    at = _measured(session, {one.request["campaigns"][0] for one in found})
+    out: dict[int, list[StoredCheck]] = {}
+    for one in found:
+        campaign = one.request["campaigns"][0]
+        if campaign in at:
+            out.setdefault(one.robot_id, []).append(StoredCheck(one.id, campaign, at[campaign], one.result))
+    return {robot: _once(made) for robot, made in out.items()}
+
+
+def agreed_at(session: Session, robot: int, version: str, besides: Collection[str]) -> datetime | None:
+    """Return when a check of a robot, other than of these campaigns, last agreed with a version; None: never."""
+    found = checks(session, [robot], MOST_LOOKED).get(robot, [])
+    own = (one for one in found if one.result.get("version_id") == version and one.campaign_id not in besides)
+    return max((one.at for one in own if one.result.get("verdict") == "ok"), default=None)
+
+
+def _once(made: list[StoredCheck]) -> list[StoredCheck]:
+    """Of several checks of a campaign against a version the last; by when they were measured."""
+    newest = {(one.campaign_id, one.result.get("version_id")): one for one in made}
+    return sorted(newest.values(), key=lambda one: one.at)
+
+
+def _measured(session: Session, campaigns: Collection[str]) -> dict[str, datetime]:
+    row = CampaignRow
+    sent = func.max(UploadRow.created_at)
+    query = (
+        select(row.id, row.measured_at, sent)
+        .join(UploadRow, UploadRow.campaign_id == row.id)
+        .where(row.id.in_(campaigns))
+        .group_by(row.id, row.measured_at)
+    )
+    return {key: stated or came for key, stated, came in session.execute(query)}
+
+
+def activations(session: Session, of: Collection[int]) -> dict[int, list[Activated]]:
+    """Return the logs of active versions, oldest first, by robot."""
+    row = ActivationRow
+    rezeroed = VersionRow.report[REZEROED]["campaign"].as_string()
+    query = (
+        select(row.robot_id, row.version_id, row.at, row.action, rezeroed)
+        .join(VersionRow, VersionRow.id == row.version_id)
+        .where(row.robot_id.in_(of))
+        .order_by(row.id)
+    )
+    out: dict[int, list[Activated]] = {}
+    for robot, version, at, action, campaign in session.execute(query):
+        out.setdefault(robot, []).append(Activated(version, at, action, campaign is not None))
+    return out
