@@ -26,6 +26,7 @@ GROUPS = {
         "robots",
         "set_controller_compensation",
         "today",
+        "accept",
         "meshes",
         "set_mesh",
         "set_urdf_meshes",

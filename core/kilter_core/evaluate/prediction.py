@@ -44,8 +44,8 @@ def evaluate(
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
-        "registration_only": _refitted(nominal, measurement, ("base", "tool")),
-        "identified": _refitted(calibration, measurement, tuple(refit)),
+        "registration_only": refitted(nominal, measurement, ("base", "tool")),
+        "identified": refitted(calibration, measurement, tuple(refit)),
     }
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only
@@ -55,7 +55,7 @@ def evaluate(
             "within_u95": None, "rows": none.to_document(), "warnings": [],
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
-    stages["without"] = _refitted(nominal, measurement, tuple(refit))
+    stages["without"] = refitted(nominal, measurement, tuple(refit))
     within = None if known is None else table.within
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
@@ -138,7 +138,8 @@ def _numbers(metres: Floats) -> list[float | None]:
     return [None if np.isnan(v) else mm(float(v)) for v in metres]
 
 
-def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[str, ...]) -> Calibration:
+def refitted(calibration: Calibration, measurement: Measurement, frames: tuple[str, ...]) -> Calibration:
+    """The calibration with frames fitted to a measurement, all else held."""
     if not frames:
         return calibration
     model, values = calibration.model.absorb_frame_increments(calibration.values)

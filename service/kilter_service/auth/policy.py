@@ -50,6 +50,7 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots": READ,
     "GET /v1/robots/{robot}": READ,
     "GET /v1/robots/{robot}/today": READ,
+    "GET /v1/robots/{robot}/acceptance": READ_COMPUTED.timed("Name fewer campaigns."),
     "GET /v1/robots/{robot}/campaigns": READ,
     "GET /v1/instruments": READ,
     "POST /v1/instruments": SERVER,

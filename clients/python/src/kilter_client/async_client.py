@@ -57,6 +57,7 @@ class AsyncKilter:
     find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
     set_controller_compensation = awaited(described.set_controller_compensation)
+    accept = awaited(described.accept)
     today = awaited(described.today)
     robots = awaited(described.robots)
     meshes = awaited(shapes.meshes)

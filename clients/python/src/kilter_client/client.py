@@ -72,6 +72,7 @@ class Kilter:
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
     set_controller_compensation = waiting(robots.set_controller_compensation)
+    accept = waiting(robots.accept)
     today = waiting(robots.today)
     meshes = waiting(shapes.meshes)
     set_mesh = waiting(shapes.set_mesh)

@@ -21,6 +21,12 @@ def today(name: str) -> Steps[Document]:
     return get(address("robots", name, "today"))
 
 
+def accept(name: str, wanted: Mapping[str, Any]) -> Steps[Document]:
+    """Decide whether a robot keeps a tolerance."""
+    given = {key: value for key, value in wanted.items() if value is not None}
+    return read(Request("GET", address("robots", name, "acceptance"), params=given))
+
+
 def check(document: Mapping[str, Any]) -> Steps[Document]:
     """Look at a robot without adding it."""
     return post("/v1/robots/check", document, again=True)

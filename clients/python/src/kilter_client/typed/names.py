@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 MODULE_OF = {
+    "Acceptance": "acceptance",
     "ActivatedVersion": "versions",
     "Activation": "versions",
     "Adequacy": "search_numbers",
@@ -80,6 +81,7 @@ MODULE_OF = {
     "JointParametersResult": "identifications",
     "JointPreview": "versions",
     "JointSummary": "robots",
+    "JudgedCampaign": "acceptance",
     "KindErrors": "identifications",
     "KindOfMeasurement": "identifications",
     "Layout": "fits",
