@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from kilter_service.page import words
 from tests.service.conftest import Katana, WorkerProcess
 from tests.service.test_budgets import TRACKER, campaign, done
 
@@ -126,3 +129,44 @@ def test_what_proves_nothing_is_refused(
     found = decide(client, 5.0, campaign=made, refit="none")
     assert found["decision"] == "rejected"
     assert decide(client, 5.0, campaign=made, refit="base")["decision"] == "accepted"
+
+
+def plain(text: str) -> str:
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<(title|desc)>.*?</\1>|<[^>]+>", " ", text)))
+
+
+def test_the_first_page_of_the_report_has_the_numbers_of_the_interface(
+    client: httpx.Client, arm: dict[str, str]
+) -> None:
+    pdfium = pytest.importorskip("pypdfium2")
+    pytest.importorskip("weasyprint")
+    report, asked = f"/versions/{arm['version']}/report", {"tolerance_mm": 0.3, "campaign": arm["second"]}
+    found = decide(client, 0.3, campaign=arm["second"])
+    (one,) = found["campaigns"]
+    shown = client.get(report, params=asked).raise_for_status().text
+    page = plain(shown.partition('class="first"')[2].partition("</section>")[0])
+    document = pdfium.PdfDocument(client.get(f"{report}.pdf", params=asked, timeout=240).raise_for_status().content)
+    pages = [re.sub(r"\s+", " ", one.get_textpage().get_text_bounded()) for one in document]
+    document.close()
+    budget = one["budget"]
+    numbers = [
+        *(words.mm(one[stage][size]) for stage in ("before", "after") for size in ("mean_mm", "rms_mm", "p95_mm", "max_mm")),
+        *(words.mm(part["standard_mm"]) for part in budget["contributions"]),
+        words.mm(budget["expanded_mm"]), words.mm(budget["measured_expanded_mm"]), words.mm(found["provable_mm"]),
+        found["sentence"], "ISO 14253-1", "Katana".lower(), "with tracker",
+    ]  # fmt: skip
+    for text in (page, pages[0]):
+        for number in numbers:
+            assert number in text, (number, text)
+    joined = pages[0].replace(" ", "")
+    for sha256 in (found["version_sha256"], found["robot_sha256"], *one["sha256"]):
+        assert sha256 in page
+        assert sha256 in joined
+    assert shown.count("<circle") + shown.count("<rect") + shown.count("<path") > 40  # the places, from two sides
+    # One page that stands for itself; the rest of the report follows.
+    assert "CALIBRATION REPORT" in pages[1].upper()
+    assert "CALIBRATION REPORT" not in pages[0].upper()
+    assert f"report.pdf?{shown.partition('report.pdf?')[2].partition(chr(34))[0]}".count("tolerance_mm=0.3") == 1
+    plain_report = client.get(report).raise_for_status().text
+    assert 'id="acceptance"' not in plain_report
+    assert client.get(report, params={"tolerance_mm": "-1"}).status_code == 422

@@ -31,7 +31,7 @@ OWN, OTHER = "mine", "theirs"
 NEEDED = {
     "viewer": """GET /v1/whoami GET /v1/robots GET /v1/robots/{robot} GET /v1/robots/{robot}/campaigns
         GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/robots/{robot}/meshes
-        GET /v1/robots/{robot}/today
+        GET /v1/robots/{robot}/today GET /v1/robots/{robot}/acceptance GET /v1/instruments
         GET /v1/robots/{robot}/meshes/{link} GET /v1/campaigns/{campaign} GET /v1/jobs
         GET /v1/jobs/{job} GET /v1/jobs/{job}/events GET /v1/versions/{version} GET /v1/resolve GET /v1/tombstones
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals
@@ -49,11 +49,19 @@ NEEDED = {
         POST /v1/fleet-jobs POST /v1/fleet-jobs/{fleet_job}/cancel""",
     "admin": """POST /v1/robots PATCH /v1/robots/{robot} DELETE /v1/robots/{robot} POST /v1/robots/{robot}/retire
         POST /v1/robots/{robot}/restore POST /v1/robots/{robot}/purge POST /v1/campaigns/{campaign}/purge
-        POST /v1/versions/{version}/purge GET /v1/tokens POST /v1/tokens DELETE /v1/tokens/{token} GET /v1/audit
+        POST /v1/versions/{version}/purge POST /v1/instruments
+        GET /v1/tokens POST /v1/tokens DELETE /v1/tokens/{token} GET /v1/audit
         PUT /v1/robots/{robot}/meshes/{link} DELETE /v1/robots/{robot}/meshes/{link}""",
 }
 ROLES = ("viewer", "operator", "admin")
-WHOLE_SERVER = ("GET /v1/tokens", "POST /v1/tokens", "DELETE /v1/tokens/{token}", "GET /v1/audit", "GET /metrics")
+WHOLE_SERVER = (
+    "POST /v1/instruments",
+    "GET /v1/tokens",
+    "POST /v1/tokens",
+    "DELETE /v1/tokens/{token}",
+    "GET /v1/audit",
+    "GET /metrics",
+)
 
 
 def routes(role: str) -> list[str]:
