@@ -10,6 +10,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service import problems
+from kilter_service.acceptance.routes import router as acceptance
 from kilter_service.audit.refusals import Refusals
 from kilter_service.audit.routes import router as audit
 from kilter_service.auth.described import described
@@ -51,7 +52,7 @@ SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from meas
 
 ROUTERS: tuple[APIRouter, ...] = (
     robots, today, drift, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams,
-    tokens, audit, metrics, instruments,
+    tokens, audit, metrics, instruments, acceptance,
 )  # fmt: skip
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 

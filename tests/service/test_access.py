@@ -32,7 +32,8 @@ OWN, OTHER = "mine", "theirs"
 NEEDED = {
     "viewer": """GET /v1/whoami GET /v1/robots GET /v1/robots/{robot} GET /v1/robots/{robot}/campaigns
         GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/robots/{robot}/meshes
-        GET /v1/robots/{robot}/today GET /v1/robots/{robot}/drift GET /v1/drift
+        GET /v1/robots/{robot}/today GET /v1/robots/{robot}/drift GET /v1/drift GET /v1/robots/{robot}/acceptance
+        GET /v1/instruments
         GET /v1/robots/{robot}/meshes/{link} GET /v1/campaigns/{campaign} GET /v1/jobs
         GET /v1/jobs/{job} GET /v1/jobs/{job}/events GET /v1/versions/{version} GET /v1/resolve GET /v1/tombstones
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals

@@ -28,7 +28,7 @@ Serve = Callable[[FastAPI], httpx.Client]
 # Reads are what the contract calls so; each of them only looks up what is stored.
 OPEN = {
     "GET /v1/health", "GET /v1/health/live", "GET /v1/health/ready",
-    "GET /v1/robots", "GET /v1/robots/{robot}",
+    "GET /v1/robots", "GET /v1/robots/{robot}", "GET /v1/robots/{robot}/acceptance", "GET /v1/instruments",
     "GET /v1/robots/{robot}/campaigns", "GET /v1/robots/{robot}/meshes",
     "GET /v1/robots/{robot}/meshes/{link}", "GET /v1/robots/{robot}/urdf-shapes", "GET /v1/campaigns/{campaign}",
     "GET /v1/jobs", "GET /v1/jobs/{job}", "GET /v1/jobs/{job}/events",

@@ -15,6 +15,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame", "Mesh"),
     "budgets": ("Budget",),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
+    "acceptance": ("Acceptance",),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),

@@ -28,6 +28,7 @@ GROUPS = {
         "today",
         "drift_history",
         "drift_list",
+        "accept",
         "meshes",
         "set_mesh",
         "set_urdf_meshes",

@@ -30,10 +30,11 @@ MOST_ROWS = 1_000_000  # read of campaigns nobody trained on, the newest first: 
 
 @dataclass(frozen=True)
 class Unseen:
-    """Rows by campaign, and the campaigns that were left unread or could not be."""
+    """Rows by campaign, the campaigns that were left unread or could not be, and where in its campaign each row is, from 0."""
 
     rows: dict[str, Observations]
     left_out: dict[str, str]
+    places: dict[str, Ints] = field(default_factory=dict)
 
 
 @dataclass
@@ -79,15 +80,15 @@ class Archive:
         for training in trainings:
             trained.add(training)
         poses = trained.poses()
-        out = {}
+        out, places = {}, {}
         for campaign_id in self._worth_reading(set(trained.rows)):
             rows = self.rows(campaign_id)
             if rows is None:
                 continue
             free = _free(rows, trained.mask(campaign_id), poses)
             if free.any():
-                out[campaign_id] = rows.select(free)
-        return Unseen(out, dict(self.left_out))
+                out[campaign_id], places[campaign_id] = rows.select(free), np.flatnonzero(free)
+        return Unseen(out, dict(self.left_out), places)
 
     def _worth_reading(self, always: set[str]) -> list[str]:
         chosen, read = [], 0

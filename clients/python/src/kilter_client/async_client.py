@@ -58,6 +58,7 @@ class AsyncKilter:
     find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
     set_controller_compensation = awaited(described.set_controller_compensation)
+    accept = awaited(described.accept)
     today = awaited(described.today)
     drift_history = awaited(described.drift_history)
     drift_list = awaited(described.drift_list)

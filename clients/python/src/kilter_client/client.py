@@ -73,6 +73,7 @@ class Kilter:
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
     set_controller_compensation = waiting(robots.set_controller_compensation)
+    accept = waiting(robots.accept)
     today = waiting(robots.today)
     drift_history = waiting(robots.drift_history)
     drift_list = waiting(robots.drift_list)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
+from kilter_service.acceptance.routes import LARGEST_MM, REFITS, Refit
+from kilter_service.acceptance.service import Wish
+from kilter_service.contract.units import MAX_NAMED
 from kilter_service.db import Database
 from kilter_service.page.report import service
 from kilter_service.page.report.pdf import pdf
@@ -18,11 +21,27 @@ from kilter_service.state import DatabaseOfApp, scratch_of
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 
 
+def wish_of(
+    tolerance_mm: Annotated[float | None, Query(gt=0, le=LARGEST_MM)] = None,
+    campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
+    refit: Refit | None = None,
+    instrument: Annotated[str | None, Query(max_length=64)] = None,
+) -> Wish | None:
+    """Return what the first page is to decide; None where no tolerance is stated."""
+    if tolerance_mm is None:
+        return None
+    return Wish(tolerance_mm, None, campaign or (), None if refit is None else REFITS[refit], instrument)
+
+
+WishOfReport = Annotated[Wish | None, Depends(wish_of)]
+
+
 @router.get("/versions/{version}/report")
-def of_version(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
-    """Show the report of a version."""
+def of_version(version: str, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> HTMLResponse:
+    """Show the report of a version; where a tolerance is stated, with the decision about it on the first page."""
+    sheet = service.of_version(database, version, wish)
     return render(
-        request, "report/page.html", sheet=service.of_version(database, version), place=f"/versions/{version}"
+        request, "report/page.html", sheet=sheet, place=f"/versions/{version}", query=request.url.query if wish else ""
     )
 
 
@@ -33,9 +52,9 @@ def of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
 
 
 @router.get("/versions/{version}/report.pdf")
-def version_pdf(version: str, request: Request, database: DatabaseOfApp) -> Response:
+def version_pdf(version: str, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> Response:
     """Return the report of a version as PDF."""
-    return _pdf(request, database, service.of_version(database, version))
+    return _pdf(request, database, service.of_version(database, version, wish))
 
 
 @router.get("/jobs/{job}/report.pdf")

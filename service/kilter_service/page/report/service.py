@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
+from kilter_service.acceptance.service import Wish
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.figures import IdentifyFigures
@@ -22,8 +23,10 @@ from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
+from kilter_service.page.report import first
 from kilter_service.page.report.effects import Contributions, closing, effects_of
 from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, SIZES, STAGES, before_and_after
+from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.paging import Page
@@ -78,12 +81,16 @@ class Sheet:
     ranges: list[list[str]]
     suspicious: list[SuspiciousRows]
     today: list[str]
+    first: First | None = None
 
 
-def of_version(database: Database, version_id: str) -> Sheet:
-    """Return the report of a version."""
+def of_version(database: Database, version_id: str, wish: Wish | None = None) -> Sheet:
+    """Return the report of a version, with a first page that decides about a tolerance where one is stated."""
     version = versions.get(database, version_id)
-    return _sheet(database, version, jobs.get(database, version.job_id))
+    sheet = _sheet(database, version, jobs.get(database, version.job_id))
+    if wish is None:
+        return sheet
+    return replace(sheet, first=first.of(database, version.robot, wish._replace(version=version_id)))
 
 
 def of_job(database: Database, job_id: str) -> Sheet:

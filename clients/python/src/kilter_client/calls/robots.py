@@ -31,6 +31,12 @@ def drifts() -> Steps[Document]:
     return get("/v1/drift")
 
 
+def accept(name: str, wanted: Mapping[str, Any]) -> Steps[Document]:
+    """Decide whether a robot keeps a tolerance."""
+    given = {key: value for key, value in wanted.items() if value is not None}
+    return read(Request("GET", address("robots", name, "acceptance"), params=given))
+
+
 def check(document: Mapping[str, Any]) -> Steps[Document]:
     """Look at a robot without adding it."""
     return post("/v1/robots/check", document, again=True)

@@ -53,6 +53,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "version": Entry("versions", "Show a version: where it comes from, its parameters."),
         "activate": Entry("versions", "Make a version the one that corrects."),
         "rollback": Entry("versions", "Return to the version that was active before."),
+        "accept": Entry("accept", "Decide by ISO 14253-1 whether an arm keeps a tolerance."),
         "today": Entry("versions", "Show how good a robot is today, and what is missing."),
         "activations": Entry("versions", "List who activated which version, when and why."),
         "diff": Entry("versions", "Compare the parameters of two versions."),

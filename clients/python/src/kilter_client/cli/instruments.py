@@ -61,9 +61,10 @@ def add(
     notes: Annotated[str, typer.Option(help="Notes kept with the instrument.")] = "",
     as_json: Json = False,
 ) -> None:
-    """Add an instrument with its maximum permissible error, um + um/m x length, and its certificate.
+    """Add an instrument with its permissible error and certificate.
 
-    With the next certificate it is added under another name: what was measured before keeps the certificate of then.
+    The error of a length is um + um/m x length. With the next certificate it is added under another name: what was
+    measured before keeps the certificate of then.
     """
     wanted: dict[str, Any] = {
         "name": name,
@@ -83,7 +84,7 @@ def add(
 
 @instrument.command("list", epilog="Example: kilter instrument list")
 def list_(as_json: Json = False) -> None:
-    """List the instruments with their permissible errors and certificates."""
+    """List the instruments with their errors and certificates."""
     with Kilter() as kilter:
         emit({"instruments": kilter.run(calls.listed())}, as_json, _show)
 

@@ -118,10 +118,9 @@ def compensation(
     ],
     as_json: Json = False,
 ) -> None:
-    """Say whether the controller corrects by itself.
+    """Say whether the controller corrects the arm by itself.
 
-    Then nothing is corrected twice. none: it does not; factory: by its maker's calibration; kilter: by a calibration that
-    Kilter exported.
+    Nothing is then corrected twice. none; factory: by its maker's calibration; kilter: by a calibration that Kilter exported.
     """
     with Kilter() as kilter:
         emit(kilter.robots.compensation(robot, compensation.value), as_json, lambda found: say(_controller(found)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 MODULE_OF = {
+    "Acceptance": "acceptance",
     "ActivatedVersion": "versions",
     "Activation": "versions",
     "Adequacy": "search_numbers",
@@ -91,6 +92,7 @@ MODULE_OF = {
     "JointParametersResult": "identifications",
     "JointPreview": "versions",
     "JointSummary": "robots",
+    "JudgedCampaign": "acceptance",
     "KindErrors": "identifications",
     "KindOfMeasurement": "identifications",
     "Layout": "fits",

@@ -15,6 +15,7 @@ from kilter_client.steps import Steps
 from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
+    from kilter_client.typed.acceptance import Acceptance
     from kilter_client.typed.drifts import DriftHistory, DriftList
     from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
     from kilter_client.typed.server import Today
@@ -153,6 +154,45 @@ def drift_list() -> Steps[DriftList]:
     from kilter_client.typed.drifts import DriftList
 
     return DriftList.read((yield from calls.drifts()))
+
+
+def accept(
+    robot: Thing,
+    tolerance_mm: float,
+    *,
+    version: str | None = None,
+    campaigns: Sequence[str] = (),
+    refit: Sequence[str] | None = None,
+    instrument: str | None = None,
+) -> Steps[Acceptance]:
+    """Decide by ISO 14253-1 whether an arm keeps a tolerance, on rows that its version was not fitted to.
+
+    Its ``decision`` is ``"accepted"``, ``"rejected"`` or ``"not_proved"``.
+
+    Args:
+        robot: name of the robot.
+        tolerance_mm: of the distance of the tool from where it should be, mm.
+        version: id of the version; without one the active one.
+        campaigns: ids of campaigns; without any those of today's number, or all.
+        refit: frames to fit to the rows of each campaign: ``[]``, ``["base"]`` or ``["base", "tool"]``; None: as today's
+            number does.
+        instrument: name of the instrument of campaigns that name none.
+
+    Raises:
+        NotFoundError: there is no such robot, version, campaign or instrument.
+        ConflictError: no row is left that was not fitted.
+
+    """
+    from kilter_client.typed.acceptance import Acceptance
+
+    wanted = {
+        "tolerance_mm": tolerance_mm,
+        "version": version,
+        "campaign": list(campaigns) or None,
+        "refit": None if refit is None else ",".join(refit) or "none",
+        "instrument": instrument,
+    }
+    return Acceptance.read((yield from calls.accept(reference("robot", robot), wanted)))
 
 
 def find_robot(

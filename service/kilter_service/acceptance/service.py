@@ -1,0 +1,180 @@
+"""Whether a robot keeps a tolerance, on rows that its version was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from kilter_service.acceptance import words
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
+from kilter_service.contract.fits import Errors, Remark
+from kilter_service.db import Database, Session
+from kilter_service.db.tables import now
+from kilter_service.errors import ServiceError
+from kilter_service.instruments import store as instruments
+from kilter_service.instruments.validity import remarks
+from kilter_service.robots import store as robots
+from kilter_service.today import sentences
+from kilter_service.today import service as today
+from kilter_service.versions import store as versions
+from kilter_service.wire import to_metres, to_mm
+
+if TYPE_CHECKING:
+    from kilter_service.acceptance.rows import Judged
+    from kilter_service.contract.instruments import Instrument
+    from kilter_service.versions.unseen import Unseen
+
+
+class Wish(NamedTuple):
+    """What is to be judged: null version: the active one; no campaigns: those of today's number, else all that there are.
+
+    ``refit`` None: as today's number does, else no frame. ``instrument`` counts for campaigns that name none.
+    """
+
+    tolerance_mm: float
+    version: str | None = None
+    campaigns: Sequence[str] = ()
+    refit: Sequence[str] | None = None
+    instrument: str | None = None
+
+
+def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
+    """Decide whether a robot keeps a tolerance.
+
+    Raises:
+        ServiceError: no such robot, version, campaign or instrument, or no row that was not fitted.
+        CoreError: too few rows for the frames to fit.
+
+    """
+    version_id = wish.version or _active(database, robot)
+    wish = _with_todays(database, robot, version_id, wish)
+    with database.reading() as session:
+        stored = robots.get(session, robot)
+        version = versions.get(session, version_id)
+        if version.robot != robot:
+            raise ServiceError(
+                f"Version {version_id} is of robot {version.robot!r}, not of {robot!r}.", code="version_not_found"
+            )
+        parts = [*_parts(session, stored.id, version_id, wish)]
+    if not parts:
+        raise _nothing(robot, version_id, wish)
+    parts.sort(key=lambda one: -one.campaign.provable_mm)
+    decision, worst, lacking = _decision(parts)
+    provable = max(one.campaign.provable_mm for one in parts)
+    rows = sum(one.campaign.rows for one in parts)
+    low, high = _span(parts)
+    return Acceptance(
+        robot=robot, robot_sha256=stored.sha256, version_id=version_id, version_name=version.name,
+        version_sha256=version.sha256, tolerance_mm=wish.tolerance_mm, decision=decision, rule=words.RULE,
+        sentence=words.sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
+        provable_mm=provable, span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
+        campaigns=[one.campaign for one in parts], lacking=lacking,
+        warnings=[said for one in parts for said in words.warnings_of(one.campaign)],
+    )  # fmt: skip
+
+
+class Part(NamedTuple):
+    """A campaign that was judged, what its certificate has against it, and its rows."""
+
+    campaign: JudgedCampaign
+    certificate: list[Remark]
+    judged: Judged
+
+
+def _active(database: Database, robot: str) -> str:
+    with database.reading() as session:
+        last = versions.active_entry(session, robots.get(session, robot).id)
+    if last is None:
+        raise ServiceError(
+            f"Robot {robot!r} has no active version: activate one, or name the version to judge.",
+            code="no_active_version",
+            robot=robot,
+        )
+    return last.version_id
+
+
+def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) -> Wish:
+    """Take the rows, and the frames fitted to them, of today's number where nobody named any."""
+    if wish.campaigns:
+        return wish._replace(refit=wish.refit or ())
+    found = today.of_robot(database, robot)
+    newest = found.newest if found.version_id == version_id else None
+    if newest is None or newest.source == "fitted":
+        return wish._replace(refit=wish.refit or ())
+    ids = tuple(one.id for one in newest.campaigns)
+    return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
+
+
+def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iterable[Part]:
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_service.acceptance.rows import judged
+    from kilter_service.versions.unseen import Archive
+
+    calibration = versions.calibration(session, version_id)
+    known = Predictive.from_document(versions.covariance(session, version_id), versions.get(session, version_id).report)
+    if known is None:
+        raise ServiceError(
+            f"Version {version_id} does not say how well it is known: identify again.", code="nothing_held_out"
+        )
+    for one in wish.campaigns:
+        campaigns.get(session, one)
+    stated = None if wish.instrument is None else instruments.get(session, wish.instrument)
+    unseen: Unseen = Archive(session, robot_id).unseen([version_id])
+    for key, rows in unseen.rows.items():
+        if wish.campaigns and key not in wish.campaigns:
+            continue
+        used = campaigns.instruments(session, [key]).get(key) or stated
+        tolerance = to_metres(wish.tolerance_mm)
+        found = judged(calibration, known, rows, unseen.places[key], used, wish.refit or (), tolerance)
+        if found is not None:
+            yield _part(session, key, found, used, wish.refit or ())
+
+
+def _part(session: Session, key: str, found: Judged, used: Instrument | None, refit: Sequence[str]) -> Part:
+    from kilter_service.acceptance.rows import shown
+
+    record, uploads = campaigns.get(session, key), campaigns.uploads_of(session, key)
+    at = record.measured_at or max(one.created_at for one in uploads)
+    days = max((now() - at).days, 0)
+    places, sizes = shown(found)
+    worst = found.conformity
+    campaign = JudgedCampaign(
+        id=key, name=record.name, when=sentences.when(at, days, stated=record.measured_at is not None),
+        instrument=used and used.name, rows=len(found.sizes), sha256=[one.sha256 for one in uploads], refit=[*refit],
+        before=Errors(**found.metrics["registration_only"]), after=Errors(**found.metrics["identified"]),
+        largest_mm=to_mm(float(found.sizes.max())), row=int(found.rows[worst.row]) + 1, error_mm=to_mm(worst.error),
+        guard_band_mm=to_mm(worst.guard), provable_mm=to_mm(worst.needed), budget=found.budget,
+        at_mm=to_mm(places).tolist(), error_at_mm=to_mm(sizes).tolist(),
+    )  # fmt: skip
+    return Part(campaign, remarks(used, record.measured_at, at), found)
+
+
+def _decision(parts: Sequence[Part]) -> tuple[Decision, JudgedCampaign, list[Remark]]:
+    """The decision of all campaigns, the one that it rests on, and what lacks for any."""
+    lacking = [said for one in parts for said in words.lacking_of(one.campaign, one.certificate)]
+    if lacking:
+        return "not_proved", parts[0].campaign, lacking
+    for decision in ("rejected", "not_proved", "accepted"):
+        for one in parts:
+            if one.judged.conformity.decision == decision:
+                return decision, one.campaign, []
+    raise AssertionError("unreachable")
+
+
+def _span(parts: Sequence[Part]) -> tuple[list[float], list[float]]:
+    from kilter_service.acceptance.rows import span
+
+    low, high = span([one.judged for one in parts])
+    return to_mm(low).tolist(), to_mm(high).tolist()
+
+
+def _nothing(robot: str, version_id: str, wish: Wish) -> ServiceError:
+    named = f" of {', '.join(wish.campaigns)}" if wish.campaigns else ""
+    return ServiceError(
+        f"No row{named} with a measured place is left that version {version_id} was not fitted to, and rows that were fitted "
+        f"prove nothing. Measure some poses that are only checked (`kilter upload {robot} FILE --role confirmation`), or "
+        "identify with `--validation 0.3`.",
+        code="nothing_held_out",
+        version=version_id,
+    )

@@ -1,0 +1,117 @@
+"""The first page of a report that states a tolerance: the decision, and all that it rests on, on one page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_service.acceptance import service as acceptance
+from kilter_service.acceptance.service import Wish
+from kilter_service.contract.acceptance import Acceptance, JudgedCampaign
+from kilter_service.contract.budgets import Budget
+from kilter_service.db import Database
+from kilter_service.page import words
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import around
+from kilter_service.page.report.figures import INK, SIZES
+
+WIDE, TALL = 320.0, 240.0
+MOST_CAMPAIGNS = 4  # named on the page, those that decide first
+SHADES = ("#b8b8b8", "#777777", INK)
+WITHIN, BAND, BEYOND = "within by the guard band", "within it or its band", "beyond"
+VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
+SOURCES = {
+    "instrument": "instrument, by its permissible error",
+    "repeatability": "repeatability",
+    "registration": "registration: base and tool",
+    "temperature": "temperature",
+    "model": "all other parameters of the model",
+    "left_over": "what the fit left beyond the noise",
+}
+
+
+@dataclass(frozen=True)
+class First:
+    """The decision, the figure of merit before and after, the budget of the campaign that decides, and its picture."""
+
+    found: Acceptance
+    merits: list[list[str]]
+    budget: list[list[str]]
+    sums: list[list[str]]
+    missing: str
+    views: list[Plot]
+
+    @property
+    def campaigns(self) -> list[JudgedCampaign]:
+        """The campaigns that are named."""
+        return self.found.campaigns[:MOST_CAMPAIGNS]
+
+    @property
+    def more(self) -> int:
+        """How many others were judged."""
+        return len(self.found.campaigns) - len(self.campaigns)
+
+
+def of(database: Database, robot: str, wish: Wish) -> First:
+    """Return the first page.
+
+    Raises:
+        CoreError: no row is left that was not fitted, or what else speaks against a decision.
+
+    """
+    found = acceptance.of_robot(database, robot, wish)
+    worst = found.campaigns[0]
+    return First(
+        found, _merits(found), _budget(worst.budget), _sums(worst.budget),
+        ", ".join(SOURCES[one] for one in worst.budget.not_assessed if one in SOURCES), _views(found, worst),
+    )  # fmt: skip
+
+
+def _merits(found: Acceptance) -> list[list[str]]:
+    out = []
+    for one in found.campaigns[:MOST_CAMPAIGNS]:
+        for label, errors in (("base and tool fitted only", one.before), ("calibrated", one.after)):
+            sizes = [words.mm(getattr(errors, size)) for size, _ in SIZES]
+            out.append([f"{one.name} ({one.rows} rows), {label}", *sizes])
+    return out
+
+
+def _budget(budget: Budget) -> list[list[str]]:
+    return [
+        [
+            SOURCES.get(one.source, one.source), one.type, one.distribution, words.mm(one.half_width_mm),
+            words.mm(one.standard_mm), "yes" if one.of_measured else "no",
+        ]
+        for one in budget.contributions
+    ]  # fmt: skip
+
+
+def _sums(budget: Budget) -> list[list[str]]:
+    k = words.number(budget.k, 2)
+    return [
+        [
+            "of a measured error",
+            words.mm(budget.measured_standard_mm),
+            f"{words.mm(budget.measured_expanded_mm)} (k = {k})",
+        ],
+        ["of a prediction", words.mm(budget.standard_mm), f"{words.mm(budget.expanded_mm)} (k = {k})"],
+    ]
+
+
+def _views(found: Acceptance, worst: JudgedCampaign) -> list[Plot]:
+    """Where the rows were measured, from above and from the side, told apart by what their errors come to."""
+    safe = found.tolerance_mm - worst.budget.measured_expanded_mm
+    sides = [WITHIN if e <= safe else BAND if e <= found.tolerance_mm else BEYOND for e in worst.error_at_mm]
+    out = []
+    for title, across, up in VIEWS:
+        xs, ys = ([place[axis] for place in worst.at_mm] for axis in (across, up))
+        plot = Plot(
+            f"Measured places {title}", around(f"{'xyz'[across]}, mm", xs), around(f"{'xyz'[up]}, mm", ys), WIDE, TALL,
+            f"Measured places {title}, by their errors against {found.tolerance_mm:g} mm",
+        )  # fmt: skip
+        for number, side in enumerate((WITHIN, BAND, BEYOND)):
+            some = [k for k, one in enumerate(sides) if one == side]
+            if some:
+                names = [f"{worst.error_at_mm[k]:.3g} mm" for k in some]
+                plot.points([xs[k] for k in some], [ys[k] for k in some], side, number, SHADES[number], names)
+        out.append(plot)
+    return out
