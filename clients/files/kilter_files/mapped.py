@@ -12,7 +12,7 @@ from kilter_files.column_map import ColumnMap, Keep, Orientation
 from kilter_files.errors import FileError
 from kilter_files.map_columns import TIMESTAMP, Column, expanded
 from kilter_files.map_join import partners, refuse_alone, stamps
-from kilter_files.orientation import from_euler, upright
+from kilter_files.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.source import Source, open_source
 from kilter_files.source_text import Layout, TextSource
 from kilter_files.table import Table
@@ -37,7 +37,7 @@ def read_mapped(path: Path, column_map: ColumnMap, joined: Path | None = None) -
     columns = expanded(column_map.columns, source.choices, column_map.path, path)
     measured = {c.target: _convert(c, source, path) for c in columns if c.source is not None}
     if column_map.orientation:
-        measured |= _orientation(source, column_map.orientation)
+        measured |= _orientation(source, column_map.orientation, path)
     table = _table(path, source, measured, column_map.join is not None)
     table.notes += [_understood(column) for column in columns]
     for column in columns:
@@ -175,9 +175,14 @@ def _table(path: Path, source: Source, measured: dict[str, list[float]], joined:
     return Table(measured, source.lines or list(range(1, rows + 1)))
 
 
-def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
+def _orientation(source: Source, orientation: Orientation, path: Path) -> dict[str, list[float]]:
     parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
-    if len(orientation.sources) == 4:
+    if len(orientation.sources) == 9:
+        turned = [
+            _of_matrix(part, orientation.order, path, source.lines[k] if source.lines else k + 1)
+            for k, part in enumerate(parts)
+        ]
+    elif len(orientation.sources) == 4:
         order = [orientation.order.index(axis) for axis in "wxyz"]
         turned = [upright((p[order[0]], p[order[1]], p[order[2]], p[order[3]])) for p in parts]
     else:
@@ -185,6 +190,17 @@ def _orientation(source: Source, orientation: Orientation) -> dict[str, list[flo
         assert convert is not None  # the map was checked when it was read
         turned = [from_euler((convert(a), convert(b), convert(c)), orientation.order) for a, b, c in parts]
     return {name: [quaternion[i] for quaternion in turned] for i, name in enumerate(QUATERNION)}
+
+
+def _of_matrix(parts: tuple[float, ...], order: str, path: Path, line: int) -> Quaternion:
+    found = from_matrix(parts, order)
+    if found is None:
+        raise FileError(
+            f"{path}, line {line}: the nine columns of the orientation are not a rotation matrix (rows of length 1, at right "
+            'angles, right-handed). Check their order and matrix = "rows" or "columns".',
+            file=str(path), line=line,
+        )  # fmt: skip
+    return found
 
 
 def _filter(source: Source, table: Table, keep: tuple[Keep, ...]) -> None:
