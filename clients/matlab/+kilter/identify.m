@@ -16,8 +16,9 @@ function job = identify(robot, campaigns, varargin)
 %     noise_mm             Standard deviation of a coordinate, mm, above 0; left out: estimated from the rows.
 %     reference            Frames that corrections work in: the robot's own, those of the registration, or auto: the
 %                          robot's own for a frame that is fixed or found within 10 mm and 1 degree of it.
-%     refit                ["base"]: every campaign and session has a base of its own; []: all rows share one; left
-%                          out: the device decides, and sheets and ball bars have their own.
+%     refit                ["base"]: every campaign and session has a base of its own; ["tool"]: a tool (a remounted
+%                          marker); []: all rows share one of each; left out: the device decides, and sheets and ball
+%                          bars have bases of their own.
 %     sheet_order          given: the quarter points of drawn sheets are in the right order, do not check; left out:
 %                          checked.
 %     seed                 Seed of everything that is drawn by chance, 0 or more.

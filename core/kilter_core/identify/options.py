@@ -35,7 +35,8 @@ class IdentifyOptions:
     should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
     that is fixed or that the registration finds within 10 mm and 1 degree of it. ``refit`` ("base",) gives every campaign
-    and session a base of its own, () one base to all; None leaves that to the device of the campaign. ``masses``
+    and session a base of its own, ("tool",) a tool (a marker that was mounted anew), () one of each to all; None leaves
+    the base to the device of the campaign. ``masses``
     "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not, "auto"
     does where none of them follows the sign of a load, and else lets the covariance hold what they do;
     ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says.
@@ -71,8 +72,9 @@ class IdentifyOptions:
         self._one_of("intervals", (None, "bootstrap", "profile"))
         self._one_of("reference", ("auto", "robot", "registration"))
         self._check_masses()
-        if self.refit not in (None, (), ("base",)):
-            raise OptionError(f'refit is {self.refit!r}: give ["base"] or [].', option="refit", value=self.refit)
+        if self.refit is not None and (set(self.refit) - {"base", "tool"} or len(set(self.refit)) < len(self.refit)):
+            message = f'refit is {self.refit!r}: give ["base"], ["tool"], ["base", "tool"] or [].'
+            raise OptionError(message, option="refit", value=self.refit)
         if self.noise_mm is not None and not self.noise_mm > 0:
             raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
         for name in ("search_mm", "search_deg"):

@@ -129,7 +129,10 @@ class Identification:
             "masses": self.masses,
             **_together(self.fit),
             **({} if self.shares is None else self.shares.to_document(self.fitted_kinds, self.held_kinds)),
-            "base_refitted": [frame.to_document() for frame in self.own_frames],
+            **{
+                f"{which}_refitted": [frame.to_document() for frame in self.own_frames if frame.which == which]
+                for which in ("base", "tool")
+            },
             "reference": named(self.calibration),
         }
 

@@ -1,12 +1,13 @@
-"""Set-ups of an instrument that each have a frame of their own: a sheet of paper is laid anew for every drawing.
+"""Set-ups that each have a frame of their own: a sheet of paper is laid anew for every drawing, a marker mounted anew.
 
-Rows of several set-ups share the arm and not the base. Every set-up after the first gets six increments of the base
-beside the arm's parameters, so that where a sheet lay can neither pass for an error of the arm nor hide one.
+Rows of several set-ups share the arm and not the base, or not the tool. Every set-up after the first gets increments of
+the base or the tool beside the arm's parameters, so that where a sheet lay, or a marker sat, can neither pass for an error
+of the arm nor hide one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from kilter_core.arm.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
 from kilter_core.arm.robot import Robot
-from kilter_core.effects import BASE, Batch, Effect, Local
+from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.estimate import bounded, frames_alone
@@ -69,13 +70,52 @@ class SetupFrames(Effect):
 
 
 @dataclass(frozen=True)
+class SetupTools(Effect):
+    """Twists of the tool in each of the ``codes`` after the first, without rotation unless ``turns``: in no version."""
+
+    id = "setup_tools"
+    summary = "tool of every set-up"
+    source = "a marker or a reflector that was mounted anew"
+    stage = "measurement"
+    at_joints = False
+
+    codes: tuple[int, ...] = ()
+    turns: bool = False
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Three or six numbers per later set-up, m and rad, as wide as those of the tool itself."""
+        wide = [FRAME_LENGTH_PRIOR_M] * 3 + [FRAME_ANGLE_PRIOR_RAD] * 3
+        return tuple(
+            Parameter(f"setup_tool_{code}_{name}", "rad" if name[0] == "r" else "m", 0.0, sigma)
+            for code in self.codes[1:]
+            for name, sigma in zip(FRAME_NAMES[: self.each], wide, strict=False)
+        )
+
+    @property
+    def each(self) -> int:
+        """How many numbers a set-up has."""
+        return 6 if self.turns else 3
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the tool; rows without a set-up are of the first."""
+        if batch.setup is None:
+            return Local()
+        columns = [axis * (batch.setup == code)[:, None] for code in self.codes[1:] for axis in np.eye(6)[: self.each]]
+        return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(columns)])
+
+
+OF_SETUPS = (SetupFrames, SetupTools)
+
+
+@dataclass(frozen=True)
 class OwnFrame:
-    """A set-up whose base was fitted to its own rows, and how far (m, rad) it is from that of the version."""
+    """A set-up whose base or tool was fitted to its own rows, and how far (m, rad) it is from that of the version."""
 
     code: int
     use: str
     moved: float
     turned: float
+    which: str = "base"
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm and degrees."""
@@ -85,9 +125,14 @@ class OwnFrame:
 
 @dataclass(frozen=True)
 class Frames:
-    """The set-ups of the training rows: ``lays`` (4, 4) take what each measured into the frame of the first."""
+    """The set-ups of the training rows: ``lays`` (4, 4) take what each measured into the frame of the first.
+
+    ``own`` names what each has of its own, base or tool; the tools rotate where ``turns``.
+    """
 
     lays: Mapping[int, Floats]
+    own: tuple[str, ...] = ("base",)
+    turns: bool = False
 
     @staticmethod
     def of(begin: Calibration, train: Observations, options: IdentifyOptions) -> Frames | None:
@@ -97,14 +142,17 @@ class Frames:
             OptionError: a method that cannot fit several frames. TooFewPosesError: a set-up with too few poses.
 
         """
-        if train.setup is None or options.base == "fixed" or held(train):
+        own = tuple(which for which in options.refit or ("base",) if getattr(options, which) != "fixed")
+        if train.setup is None or not own or held(train):
             return None
         codes = [int(code) for code in np.unique(train.setup)]
         if len(codes) > 1:
             _refuse(train, codes, options)
         if options.base == "removed":
             return None
-        return Frames(dict(zip(codes, _lays(begin, train, codes), strict=True)))
+        lays = _lays(begin, train, codes) if "base" in own else [np.eye(4)] * len(codes)
+        turns = train.rotation is not None or train.markers is not None
+        return Frames(dict(zip(codes, lays, strict=True)), own, turns)
 
     def laid(self, rows: Observations) -> Observations:
         """Rows of these set-ups, given in the frame of the first; others as they are."""
@@ -117,12 +165,27 @@ class Frames:
         """The model to fit, with the frames of the later set-ups."""
         if len(self.lays) < 2:
             return begin
-        return begin.with_effects([*begin.model.effects, SetupFrames(codes=tuple(self.lays))])
+        codes = tuple(self.lays)
+        made = {"base": SetupFrames(codes=codes), "tool": SetupTools(codes=codes, turns=self.turns)}
+        return begin.with_effects([*begin.model.effects, *(made[which] for which in self.own)])
 
     def fitted(self, calibration: Calibration) -> list[OwnFrame]:
         """Frames that a fit of several training set-ups found."""
-        out = []
         values = dict(zip(calibration.names, calibration.values, strict=True))
+        return [*(self._bases(calibration, values) if "base" in self.own else ()), *self._tools(values)]
+
+    def _tools(self, values: Mapping[str, float]) -> list[OwnFrame]:
+        """Tools of the later set-ups, none where they share one."""
+        out = []
+        for code in list(self.lays)[1:] if "tool" in self.own else ():
+            twist = np.array([values.get(f"setup_tool_{code}_{name}", 0.0) for name in FRAME_NAMES])
+            sizes = (float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:])))
+            out.append(OwnFrame(code, "train", *sizes, "tool"))
+        return out
+
+    def _bases(self, calibration: Calibration, values: Mapping[str, float]) -> list[OwnFrame]:
+        """Bases of the later set-ups."""
+        out = []
         T = calibration.model.absorb_frame_increments(calibration.values)[0].T_base
         for code, lay in list(self.lays.items())[1:]:
             six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
@@ -190,13 +253,13 @@ def _moved(rows: Observations, T: Floats, which: Bools) -> Observations:
 
 def without_frames(calibration: Calibration) -> Calibration:
     """The calibration of the arm alone, in the frame of the first set-up."""
-    effects = [effect for effect in calibration.model.effects if not isinstance(effect, SetupFrames)]
+    effects = [effect for effect in calibration.model.effects if not isinstance(effect, OF_SETUPS)]
     return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
 
 
 def of_the_arm(fit: Fit) -> Bools:
     """Which of a fit's free parameters (F,) are not frames of later set-ups."""
-    frames = {p.name for e in fit.problem.model.effects if isinstance(e, SetupFrames)
+    frames = {p.name for e in fit.problem.model.effects if isinstance(e, OF_SETUPS)
               for p in e.parameters(fit.problem.model.robot)}  # fmt: skip
     return np.array([name not in frames for name in fit.names])
 
@@ -233,13 +296,14 @@ def held_out(
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
     kinds: list[KindErrors] = []
+    which = ("base",) if frames is None else frames.own
     for code in [None, *new]:
         mask = np.ones(len(rows), bool) if rows.setup is None or not new else _of(rows.setup, code, new)
         if not mask.any():
             continue
         shown = measurement_for(rows.select(mask), options, train.marker_points, train)
         here = {
-            name: stage if code is None or name == "nominal" else with_base(stage, shown, options.loss)
+            name: stage if code is None or name == "nominal" else with_own(stage, shown, options.loss, which)
             for name, stage in compared.items()
         }
         for name in stages:
@@ -248,8 +312,8 @@ def held_out(
         kinds.append(errors_of({name: here[name] for name in stages}, shown))
         by_row.append(RowErrors.of({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
         if code is not None:
-            before = without_frames(stages["identified"]).model.T_base
-            own.append(_apart(code, "validation", before, here["identified"].model.T_base))
+            before, after = without_frames(stages["identified"]), here["identified"]
+            own += [_between(code, one, before, after) for one in which]
     held = {name: Errors.concatenate(found) for name, found in parts.items()}
     return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pooled(kinds), own
 
@@ -264,15 +328,28 @@ def _of(setup: Ints, code: int | None, new: list[int]) -> Bools:
     return ~np.isin(setup, new) if code is None else setup == code
 
 
-def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> Calibration:
-    """The calibration with its base fitted to other rows, all else held."""
+def with_own(
+    calibration: Calibration, measurement: Measurement, loss: str, which: Sequence[str] = ("base",)
+) -> Calibration:
+    """The calibration with its base, its tool or both fitted to other rows, all else held."""
     alone = without_frames(calibration)
     model, values = alone.model.absorb_frame_increments(alone.values)
-    options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
+    n = model.n_geometric
+    held = {"base": model.names[:6], "tool": model.names[n - 6 : n]}
+    fixed = [name for frame, names in held.items() if frame not in which for name in names]
+    base, tool = ("free" if frame in which else "fixed" for frame in held)
+    fix = (*model.names[6 : n - 6], *model.names[n:], *fixed)
+    options = IdentifyOptions(fix=fix, base=base, tool=tool, loss=bounded(loss))
     return frames_alone(Calibration(model, values, measurement.marker_points), measurement, options)
 
 
-def _apart(code: int, use: str, before: Floats, after: Floats) -> OwnFrame:
+def _between(code: int, which: str, before: Calibration, after: Calibration) -> OwnFrame:
+    """How far a frame of held-out rows is from that of the version."""
+    frame = f"T_{which}"
+    return _apart(code, "validation", getattr(before.model, frame), getattr(after.model, frame), which)
+
+
+def _apart(code: int, use: str, before: Floats, after: Floats, which: str = "base") -> OwnFrame:
     between = inverse(before) @ after
     turned = float(np.linalg.norm(rotation_log(between[None, :3, :3])))
-    return OwnFrame(code, use, float(np.linalg.norm(between[:3, 3])), turned)
+    return OwnFrame(code, use, float(np.linalg.norm(between[:3, 3])), turned, which)

@@ -275,12 +275,12 @@ class Learned(Stored):
 
 
 class OwnBase(Stored):
-    """A base that was fitted to rows of its own."""
+    """A base, or a tool, that was fitted to rows of its own."""
 
     campaign: str | None = Field(None, description="Id of the campaign; null: the campaigns of other devices.")
     session: int | None = Field(None, description="Session of the campaign; null: all of it.")
     use: str | None = Field(None, description="What the rows were used for.")
-    moved_mm: Mm | None = Field(None, description="How far the base lies from the others', mm.")
+    moved_mm: Mm | None = Field(None, description="How far it lies from the others', mm.")
     turned_deg: Deg | None = Field(None, description="How far it is rotated, degrees.")
 
 
@@ -354,6 +354,7 @@ class FitDetails(Stored):
     observability: Observability | None = Field(None, description="Observability indices of the poses.")
     correlated_groups: list[CorrelatedGroup] | None = Field(None, description="Parameters that go together.")
     base_refitted: list[OwnBase] | None = Field(None, description="Bases that were fitted to rows of their own.")
+    tool_refitted: list[OwnBase] | None = Field(None, description="Tools that were fitted to rows of their own.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     measurements: list[KindOfMeasurement] | None = Field(None, description="What each kind of measurement says.")
     known_together: list[str] | None = Field(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 # A tracker keeps its frame, and a base fitted to each campaign would hide that it, or the arm, has moved.
 LAID_AGAIN = ("pencil", "sheet", "ballbar")
 ALL_OTHERS = 0
+FRAMES = ("base", "tool")
 
 
 @dataclass
@@ -51,17 +52,18 @@ class Setups:
             out.append({"campaign": campaign, "session": session, **told})
         return out
 
-    def warning(self, refitted: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-        """Say which bases were fitted to rows of their own."""
-        if not refitted:
-            return None
+    def warnings(self, report: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Say which bases and tools were fitted to rows of their own."""
+        return [self._warning(which, report[f"{which}_refitted"]) for which in FRAMES if report[f"{which}_refitted"]]
+
+    def _warning(self, which: str, refitted: Sequence[dict[str, Any]]) -> dict[str, Any]:
         said = ", ".join(_said(frame) for frame in refitted)
         why = "as asked" if self.own else "the frame of a pencil's sheet or a ball bar is new every time"
         return {
-            "code": "base_refitted",
+            "code": f"{which}_refitted",
             "campaigns": [frame["campaign"] for frame in refitted if frame["campaign"] is not None],
-            "message": f"The base was refitted to {said}: {why}. Errors there say nothing about where the base was; "
-            'with "refit": [] all rows share one base.',
+            "message": f"The {which} was refitted to {said}: {why}. Errors there say nothing about where the {which} was; "
+            f'with "refit": [] all rows share one {which}.',
         }
 
 

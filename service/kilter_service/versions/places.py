@@ -131,7 +131,7 @@ def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[s
 
     rows = np.flatnonzero(where)
     shape = calibration.marker_points
-    here = refitted(calibration, Measurement.of(part.rows.select(where), shape)) if refit else calibration
+    here = refitted(calibration, Measurement.of(part.rows.select(where), shape), refit) if refit else calibration
     found = [_sizes(part, here, rows[k : k + SLICE]) for k in range(0, len(rows), SLICE)]
     if any(one is None for one in found):
         return None

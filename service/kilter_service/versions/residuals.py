@@ -103,7 +103,7 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
     point_noise, turn_noise = wire.noise_of(report)
     for where, refit in frames_of(part, report):
         measurement = Measurement.of(part.rows.select(where), shape)
-        here = refitted(calibration, measurement) if refit else calibration
+        here = refitted(calibration, measurement, refit) if refit else calibration
         found = rows_of(here, measurement, refit, known)
         left = measurement.residual(here.predict(measurement.observations))
         if np.isnan(turn_noise):
@@ -118,19 +118,23 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
 
 def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
     """Rows given in one frame, and the frames that were fitted to them alone: a sheet lies in another place every time."""
-    own = [one for one in report.get("base_refitted") or [] if one["campaign"] == part.campaign]
+    which: dict[int | None, tuple[str, ...]] = {}
+    for frame in ("base", "tool"):
+        for one in report.get(f"{frame}_refitted") or []:
+            if one["campaign"] == part.campaign:
+                which[one["session"]] = (*which.get(one["session"], ()), frame)
     session = np.zeros(len(part.rows)) if part.rows.session is None else part.rows.session
     rest = np.ones(len(part.rows), dtype=bool)
-    for one in own:
-        mine = rest & (session == one["session"]) if one["session"] is not None else rest.copy()
+    for number, frames in which.items():
+        mine = rest & (session == number) if number is not None else rest.copy()
         rest &= ~mine
-        yield mine, ("base",)
+        yield mine, frames
     if rest.any():
         yield rest, ()
 
 
-def refitted(calibration: Calibration, measurement: Any) -> Calibration:
-    """Return a calibration with the base in which it predicts these rows best."""
-    from kilter_core.identify.setups import with_base
+def refitted(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
+    """Return a calibration with the frames in which it predicts these rows best."""
+    from kilter_core.identify.setups import with_own
 
-    return with_base(calibration, measurement, "huber")
+    return with_own(calibration, measurement, "huber", frames)

@@ -139,7 +139,7 @@ def test_a_base_that_is_believed_is_not_refitted() -> None:
     assert rms(found) > 0.3
 
 
-@pytest.mark.parametrize("refit", ["base", ("tool",), ("base", "tool")])
+@pytest.mark.parametrize("refit", ["base", ("marker",), ("base", "base")])
 def test_other_refits_are_refused(refit: Any) -> None:
     with pytest.raises(OptionError, match="refit is"):
         IdentifyOptions(refit=refit)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 Quaternion = tuple[float, float, float, float]
 
+MATRICES = ("rows", "columns")
+ORTHOGONAL = 2e-3  # by which squares and products of a matrix's rows may be off: of three written digits
 SEQUENCE = re.compile(r"[xyz]{3}|[XYZ]{3}")
 
 
@@ -21,6 +24,33 @@ def from_euler(angles: tuple[float, float, float], sequence: str) -> Quaternion:
     if sequence.islower():
         turns.reverse()
     return upright(product(product(turns[0], turns[1]), turns[2]))
+
+
+def from_matrix(parts: Sequence[float], order: str) -> Quaternion | None:
+    """Return the quaternion of a rotation matrix (9), ``"rows"`` or ``"columns"`` one after the other; None if it is none."""
+    a, b, c = parts[0:3], parts[3:6], parts[6:9]
+    if order == "columns":
+        a, b, c = tuple(zip(a, b, c, strict=True))
+    if any(math.isnan(part) for part in parts):
+        return (math.nan, math.nan, math.nan, math.nan)
+    lengths = [_dot(x, x) - 1.0 for x in (a, b, c)]
+    angles = [_dot(a, b), _dot(a, c), _dot(b, c)]
+    third = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    if max(map(abs, lengths + angles)) > ORTHOGONAL or _dot(third, c) < 0.0:
+        return None
+    # The largest of the four parts is divided by, so that none is lost to rounding.
+    squares = (a[0] + b[1] + c[2], a[0] - b[1] - c[2], b[1] - a[0] - c[2], c[2] - a[0] - b[1])
+    rows = (
+        (1.0 + squares[0], c[1] - b[2], a[2] - c[0], b[0] - a[1]),
+        (c[1] - b[2], 1.0 + squares[1], b[0] + a[1], a[2] + c[0]),
+        (a[2] - c[0], b[0] + a[1], 1.0 + squares[2], c[1] + b[2]),
+        (b[0] - a[1], a[2] + c[0], c[1] + b[2], 1.0 + squares[3]),
+    )
+    return upright(rows[squares.index(max(squares))])
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.orientation import is_sequence
+from kilter_files.ground.orientation import MATRICES, is_sequence
 from kilter_files.ground.units import UNKNOWN, units_like
 from kilter_files.maps.columns import Columns, read_columns
 from kilter_files.maps.join import Join, read_join
@@ -26,7 +26,7 @@ QUATERNIONS = ("wxyz", "xyzw")
 
 @dataclass(frozen=True)
 class Orientation:
-    """Three Euler angles, or four quaternion parts, that become qw, qx, qy, qz."""
+    """Three Euler angles, four quaternion parts, or a matrix of nine by ``order``, that become qw, qx, qy, qz."""
 
     sources: tuple[str | int, ...]
     order: str
@@ -116,9 +116,14 @@ def _orientation(top: Section) -> Orientation | None:
         return None
     sources = tuple(section.items("from"))
     euler, quaternion, unit = section.text("euler"), section.text("quaternion"), section.text("unit")
+    matrix = section.text("matrix")
     section.finish()
     if UNKNOWN in (euler, quaternion, unit, *sources):
         raise section.error('the draft could not determine: fill in what is "?", or delete the table')
+    if matrix is not None and (matrix not in MATRICES or euler or quaternion or unit or len(sources) != 9):
+        raise section.error('a rotation matrix is nine columns and matrix = "rows" or "columns", without unit')
+    if matrix is not None:
+        return Orientation(sources, matrix)
     if quaternion is not None and (quaternion not in QUATERNIONS or euler or unit or len(sources) != 4):
         raise section.error('a quaternion is four columns and quaternion = "wxyz" or "xyzw", without unit')
     if quaternion is not None:

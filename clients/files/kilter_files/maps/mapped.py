@@ -9,7 +9,7 @@ from shlex import quote
 
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.orientation import from_euler, upright
+from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.ground.time_stamps import seconds_of
 from kilter_files.ground.units import TIMESTAMP, converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation
@@ -186,7 +186,12 @@ def _table(source: Source, measured: dict[str, list[float]], joined: bool = Fals
 
 def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
     parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
-    if len(orientation.sources) == 4:
+    if len(orientation.sources) == 9:
+        turned = [
+            _of_matrix(part, orientation.order, source.path, source.lines[k] if source.lines else k + 1)
+            for k, part in enumerate(parts)
+        ]
+    elif len(orientation.sources) == 4:
         order = [orientation.order.index(axis) for axis in "wxyz"]
         turned = [upright((p[order[0]], p[order[1]], p[order[2]], p[order[3]])) for p in parts]
     else:
@@ -194,6 +199,17 @@ def _orientation(source: Source, orientation: Orientation) -> dict[str, list[flo
         assert convert is not None  # the map was checked when it was read
         turned = [from_euler((convert(a), convert(b), convert(c)), orientation.order) for a, b, c in parts]
     return {name: [quaternion[i] for quaternion in turned] for i, name in enumerate(QUATERNION)}
+
+
+def _of_matrix(parts: tuple[float, ...], order: str, path: Path, line: int) -> Quaternion:
+    found = from_matrix(parts, order)
+    if found is None:
+        raise FileError(
+            f"{path}, line {line}: the nine columns of the orientation are not a rotation matrix (rows of length 1, at right "
+            'angles, right-handed). Check their order and matrix = "rows" or "columns".',
+            file=str(path), line=line,
+        )  # fmt: skip
+    return found
 
 
 def _filter(source: Source, table: Table, keep: tuple[Keep, ...]) -> None:

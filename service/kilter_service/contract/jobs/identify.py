@@ -56,10 +56,10 @@ class IdentifyOptions(Asked):
     )
     noise_mm: NoiseMm | None = Field(None, description=NOISE)
     reference: ReferenceFrames = Field("auto", description=REFERENCE)
-    refit: Annotated[list[Literal["base"]], Field(max_length=1)] | None = Field(
+    refit: Annotated[list[Literal["base", "tool"]], Field(max_length=2)] | None = Field(
         None,
-        description='["base"]: every campaign and session has a base of its own; []: all rows share one; null: the '
-        "device decides, and sheets and ball bars have their own.",
+        description='["base"]: every campaign and session has a base of its own; ["tool"]: a tool (a remounted marker); '
+        "[]: all rows share one of each; null: the device decides, and sheets and ball bars have bases of their own.",
     )
     sheet_order: Literal["checked", "given"] | None = Field(
         None,

@@ -13,7 +13,7 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, Ver
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
 from kilter_service.jobs.rows_of_campaigns import by_campaign
-from kilter_service.jobs.setups import Setups
+from kilter_service.jobs.setups import FRAMES, Setups
 from kilter_service.jobs.sheets import bar_lengths, doubts
 
 if TYPE_CHECKING:
@@ -49,14 +49,13 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each)
     report = found.to_document()
     remarks += bar_lengths(found, job.robot, named, lambda name, rows: _again(job, name, rows))
-    report["base_refitted"] = setups.named(report["base_refitted"])
+    report |= {f"{which}_refitted": setups.named(report[f"{which}_refitted"]) for which in FRAMES}
     apart = validation if isinstance(validation, Observations) else None
     held = tuple(job.validation) if isinstance(job.validation, dict) else ()
     add_to_metrics(report["metrics"], found, train, apart, job.instruments, tuple(job.campaigns), held)
     counts = {name: len(rows) for name, rows in job.campaigns.items()}
     report["set_aside"] = by_campaign(report["set_aside"], counts)
-    warning = setups.warning(report["base_refitted"])
-    report["warnings"] += [*([] if warning is None else [warning]), *remarks]
+    report["warnings"] += [*setups.warnings(report), *remarks]
     covariance = found.predictive.to_document()
     content = VersionContent(
         found.calibration.to_document(), report, covariance, job.options.limits or CorrectionLimits()

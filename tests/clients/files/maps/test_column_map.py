@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError, prepare
 from kilter_files import Prepared
@@ -127,6 +129,41 @@ def test_a_quaternion_is_reordered_and_made_unit(tmp_path: Path) -> None:
     """
     (row,) = rows(convert(tmp_path, column_map, "q,a,b,c,d\n1,0,0,-2,-2\n"))
     assert [row[k] for k in ("qw", "qx", "qy", "qz")] == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
+
+
+@pytest.mark.parametrize("order", ["rows", "columns"])
+def test_a_pose_matrix_becomes_a_place_and_a_quaternion(tmp_path: Path, order: str) -> None:
+    """Rotations of every kind, among them half turns, as scipy has them."""
+    rng = np.random.default_rng(4)
+    turns = [
+        *Rotation.random(20, rng=rng),
+        *(Rotation.from_rotvec(np.pi * axis) for axis in np.eye(3)),
+        Rotation.identity(),
+    ]
+    names = [f"m{i}{k}" for i in range(3) for k in range(3)]
+    listed = names if order == "rows" else [f"m{i}{k}" for k in range(3) for i in range(3)]
+    column_map = f"""
+        [columns]
+        q1_deg = {{ from = "q", unit = "deg" }}
+        x_mm = {{ from = "m03", unit = "m" }}
+        y_mm = {{ from = "m13", unit = "m" }}
+        z_mm = {{ from = "m23", unit = "m" }}
+        [orientation]
+        from = {json.dumps(listed)}
+        matrix = "{order}"
+    """
+    lines = ["q,m03,m13,m23," + ",".join(names)]
+    lines += [f"{k},0.1,0.2,0.3," + ",".join(f"{v:.6f}" for v in R.as_matrix().ravel()) for k, R in enumerate(turns)]
+    found = rows(convert(tmp_path, column_map, "\n".join(lines) + "\n"))
+    for row, turn in zip(found, turns, strict=True):
+        given = Rotation.from_quat([row[k] for k in ("qx", "qy", "qz", "qw")])
+        assert (given.inv() * turn).magnitude() < 1e-5
+        assert (row["x_mm"], row["z_mm"]) == pytest.approx((100.0, 300.0))
+    wrong = [lines[0], "1,0.1,0.2,0.3,1,0,0,0,1,0,0,0,-1"]  # left-handed
+    with pytest.raises(FileError, match=r"line 2: .*not a rotation matrix"):
+        convert(tmp_path, column_map, "\n".join(wrong) + "\n")
+    with pytest.raises(FileError, match="nine columns"):
+        convert(tmp_path, column_map.replace(f'"{order}"', '"cols"'), "\n".join(lines) + "\n")
 
 
 @pytest.mark.parametrize(

@@ -75,9 +75,9 @@ def identify(
     ] = None,
     tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
     refit: Annotated[
-        Literal["base", "none"] | None,
+        Literal["base", "tool", "base,tool", "none"] | None,
         typer.Option(
-            help="base: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
+            help="base, tool: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
         ),
     ] = None,
     loss: Loss = None,
@@ -114,7 +114,7 @@ def identify(
         start=start,
     )
     if refit is not None:
-        chosen["refit"] = ["base"] if refit == "base" else []
+        chosen["refit"] = [] if refit == "none" else refit.split(",")
     drawn = partial(write_figures, figures, as_json)
     run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name, check=check)
 

@@ -180,12 +180,12 @@ class Observability(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OwnBase(Record):
-    """A base that was fitted to rows of its own."""
+    """A base, or a tool, that was fitted to rows of its own."""
 
     campaign: str | None
     """Id of the campaign; None: the campaigns of other devices."""
     moved_mm: float | None
-    """How far the base lies from the others', mm."""
+    """How far it lies from the others', mm."""
     session: int | None
     """Session of the campaign; None: all of it."""
     turned_deg: float | None
@@ -272,6 +272,8 @@ class IdentifyResult(ShownFit, Record):
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
     """Rows that a robust loss or a search set aside."""
+    tool_refitted: Records[OwnBase]
+    """Tools that were fitted to rows of their own."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]

@@ -104,8 +104,8 @@ class IdentifyOptions(TypedDict, total=False):
     """Standard deviation of a coordinate, mm, above 0; None: estimated from the rows."""
     reference: Literal["auto", "robot", "registration"]
     """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
-    refit: Sequence[Literal["base"]] | None
-    """["base"]: every campaign and session has a base of its own; []: all rows share one; None: the device decides, and sheets and ball bars have their own."""
+    refit: Sequence[Literal["base", "tool"]] | None
+    """["base"]: every campaign and session has a base of its own; ["tool"]: a tool (a remounted marker); []: all rows share one of each; None: the device decides, and sheets and ball bars have bases of their own."""
     search_deg: float
     """Half the width of a global search in angles, degrees, above 0."""
     search_mm: float

@@ -122,6 +122,8 @@ class Details(Record):
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
     """Rows that a robust loss or a search set aside."""
+    tool_refitted: Records[OwnBase]
+    """Tools that were fitted to rows of their own."""
     workspace: Workspace | None
     """What it does all over the joint limits when it was stored, and why its limits are what they are."""
 
