@@ -31,8 +31,8 @@ from kilter_service.jobs.routes import router as jobs
 from kilter_service.kept.routes import router as references
 from kilter_service.live.followers import viewers_of
 from kilter_service.meshes.routes import router as meshes
+from kilter_service.metrics.routes import router as metrics
 from kilter_service.observability.requests import Observed
-from kilter_service.observability.routes import router as metrics
 from kilter_service.page.drop.drafts import Drafts
 from kilter_service.page.routes import ROUTERS as PAGE
 from kilter_service.path_lookups import look_up

@@ -9,7 +9,7 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
 from kilter_service.db import Database, revision
-from kilter_service.observability import service
+from kilter_service.metrics import service
 from kilter_service.settings import Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -18,7 +18,7 @@ from kilter_service.jobs import store
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.retention import service as retention
-from kilter_service.observability import service as metrics
+from kilter_service.metrics import service as metrics
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana
 

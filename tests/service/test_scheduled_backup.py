@@ -15,7 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from kilter_service import backup_folder
 from kilter_service.db import Database
 from kilter_service.doctor import checks
-from kilter_service.observability import service as metrics
+from kilter_service.metrics import service as metrics
 from kilter_service.settings import Settings
 from tests.service.conftest import ready
 

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.evaluate import evaluate, rows_of
-from kilter_core.identify.estimate import refitted
 from kilter_core.evaluate.uncertainty import Budget, Conformity, judge
 from kilter_core.evaluate.uncertainty.budget import K
+from kilter_core.identify.estimate import refitted
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_service.contract.instruments import Instrument
-from kilter_service.jobs.budgets import permissible
+from kilter_service.instruments.permissible import permissible
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,7 +10,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors, Remark
 from kilter_service.db import Database, Session
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
 from kilter_service.instruments import store as instruments
 from kilter_service.instruments.validity import remarks

@@ -133,7 +133,6 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/places.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/reach.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/meshes/{link}": READ_COMPUTED.timed(LATER),
-    "POST /robots/{robot}/compensation": ADMINISTER,
     "POST /robots/{robot}/meshes/{link}": ADMINISTER,
     "POST /robots/{robot}/meshes/{link}/remove": ADMINISTER,
     "GET /robots/{robot}/versions": READ,

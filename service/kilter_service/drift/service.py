@@ -7,7 +7,7 @@ from typing import Any
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftList, DriftSummary, State
 from kilter_service.db import Database, Session
-from kilter_service.db.tables import now
+from kilter_service.db.row import now
 from kilter_service.drift import store
 from kilter_service.drift import wire_history as wire
 from kilter_service.drift.charts import RUN_LENGTH, charts_of

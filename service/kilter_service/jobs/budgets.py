@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from kilter_service.wire import from_um
+from kilter_service.instruments.permissible import permissible
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification
@@ -37,15 +37,6 @@ def budget_of(
     measurement = Measurement.of(rows, calibration.marker_points, held=True)
     found = Budget.of(calibration, known, measurement, permissible(instrument), refit)
     return None if found is None else {"instrument": instrument and instrument.name, **found.to_document()}
-
-
-def permissible(instrument: Instrument | None) -> Any:
-    """Return an instrument's permissible error as core has it; None without one."""
-    from kilter_core.evaluate.uncertainty import PermissibleError
-
-    if instrument is None:
-        return None
-    return PermissibleError(from_um(instrument.mpe_um), from_um(instrument.mpe_um_per_m))
 
 
 def coarsest(instruments: Instruments, campaigns: Iterable[str]) -> Instrument | None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from kilter_service.db import Database
 from kilter_service.health import service as health
-from kilter_service.observability import service as observability
+from kilter_service.metrics import service as observability
 from kilter_service.robots.compensation import CORRECTS, WORDS
 from kilter_service.settings import Settings
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 
-from kilter_service.observability import service
+from kilter_service.metrics import service
 from kilter_service.routing import GuardedRoute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 

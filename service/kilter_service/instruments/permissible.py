@@ -1,0 +1,19 @@
+"""The permissible error of an instrument, as core has it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.wire import from_um
+
+if TYPE_CHECKING:
+    from kilter_service.contract.instruments import Instrument
+
+
+def permissible(instrument: Instrument | None) -> Any:
+    """Return an instrument's permissible error as core has it; None without one."""
+    from kilter_core.evaluate.uncertainty import PermissibleError
+
+    if instrument is None:
+        return None
+    return PermissibleError(from_um(instrument.mpe_um), from_um(instrument.mpe_um_per_m))
