@@ -29,8 +29,9 @@ from kilter_service.auth.token import admin_token
 from kilter_service.corrector.fast_path import bin_edges_us
 from kilter_service.db import Database
 from kilter_service.health import store as health
+from kilter_service.metrics import service
 from kilter_service.metrics.service import HELD_BACK
-from kilter_service.observability import logs, service, tracing
+from kilter_service.observability import logs, tracing
 from kilter_service.observability.requests import UNKNOWN
 from kilter_service.settings import Settings
 
