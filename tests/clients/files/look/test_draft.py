@@ -244,6 +244,24 @@ def test_layouts(tmp_path: Path) -> None:
     assert '"q*" = { from = "?", unit = "?" }' in bare
 
 
+def bare_table(tmp_path: Path, *blocks: np.ndarray) -> str:
+    """Draft of a table without a header."""
+    lines = [",".join(f"{v:.4f}" for v in row) for row in np.hstack(blocks)]
+    return drafted(tmp_path, "\n".join(lines) + "\n")
+
+
+def test_columns_without_a_header_within_half_a_turn_are_the_joints(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    q = rng.uniform(-1.0, 1.0, (30, 6)) * [170, 90, 120, 3, 100, 175]  # the fourth hardly moved
+    mm, number = rng.uniform(-900.0, 900.0, (30, 3)), np.arange(1.0, 31.0)[:, None]
+    for blocks, first in (((q, mm), 0), ((number, q, mm / 1e3), 1), ((mm, q), 3)):
+        text = bare_table(tmp_path, *blocks)
+        assert [f'q{k}_deg = {{ from = {first + k - 1}, unit = "deg" }}' in text for k in range(1, 7)] == [True] * 6
+        assert "there is no header" in text
+    for undecided in ((q, mm / 10.0), (np.radians(q), mm), (q, mm, q), (q[:, :2], mm)):
+        assert '"q*" = { from = "?"' in bare_table(tmp_path, *undecided)
+
+
 @pytest.mark.parametrize("name", ["german", "kuka", "lists", "workbook"])
 def test_damaged_files_are_drafted_or_refused_and_nothing_else(tmp_path: Path, name: str) -> None:
     whole, _ = write_lab(tmp_path, name)

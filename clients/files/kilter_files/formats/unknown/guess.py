@@ -28,6 +28,8 @@ TURNED = re.compile(
 )
 COMPUTED = re.compile(r"\b(?:tcp|flange|flansch|tool|cart\w*)\b")
 ASK_INSTRUMENT = "is this an instrument's reading? What the controller computes from its joints is not a measurement"
+HALF_TURN, JOINTS = 180.0, range(3, 8)
+BARE = "there is no header: these lie side by side within ±180, as joints in degrees do"
 VECTORS = (3, 6, 7)  # a point, a point with three angles, a point with a quaternion
 ARMS = (
     ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"),
@@ -107,6 +109,9 @@ def joints(columns: Columns) -> tuple[list[Entry], list[str]]:
     named = _named_joints(columns)
     if named:
         return _single_joints(columns, named), []
+    bare = _bare_joints(columns)
+    if bare:
+        return [Entry(f"q{k}_deg", name, "deg", BARE, (name,)) for k, name in enumerate(bare, 1)], []
     ranked = sorted(
         ((_joint_score(columns, family), family) for family in families(columns.names)), key=lambda f: -f[0]
     )
@@ -138,6 +143,31 @@ def _single_joints(columns: Columns, names: Sequence[str]) -> list[Entry]:
         slides = unit in SIZES["length"]
         out.append(Entry(f"q{number}_{'mm' if slides else 'deg'}", name, unit, remark, (name,)))
     return out
+
+
+def _bare_joints(columns: Columns) -> list[str]:
+    """Columns of a table without a header that are probably joints: one run of 3 to 7 within ±180, none of them a counter.
+
+    Its first and last go beyond a turn in rad, so that neither radians nor metres are among them.
+    """
+    runs: list[list[str]] = [[]]
+    for name in columns.names if not columns.shape.layout.header else ():
+        values = columns.numbers(name)
+        if values and max(map(abs, values)) <= HALF_TURN and not _counts(values):
+            runs[-1].append(name)
+        elif runs[-1]:
+            runs.append([])
+    for run in runs:
+        for end in (0, -1):
+            while run and (columns.largest([run[end]]) or 0.0) <= 2.0 * math.pi:
+                run.pop(end)
+    found = [run for run in runs if run]
+    return found[0] if len(found) == 1 and len(found[0]) in JOINTS else []
+
+
+def _counts(values: Sequence[float]) -> bool:
+    """Whether they only rise: a row number or a time."""
+    return len(values) > 1 and all(b > a for a, b in itertools.pairwise(values))
 
 
 def _named_joints(columns: Columns) -> tuple[str, ...]:
