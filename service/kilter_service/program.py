@@ -301,7 +301,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         COMMANDS[given.command][0](settings, given)
     except ValidationError as error:
         for item in error.errors():
-            print(f"kilterd: {'.'.join(str(p) for p in item['loc'])}: {item['msg']}", file=sys.stderr)
+            name, *inside = map(str, item["loc"])
+            by_option = overrides.get(name) is not None
+            said = f"--{name.replace('_', '-')}" if by_option else f"KILTER_{name.upper()}"
+            print(f"kilterd: {'.'.join([said, *inside])}: {item['msg']}", file=sys.stderr)
         sys.exit(2)
     except Exception as error:
         _end(error)

@@ -62,7 +62,7 @@ class Settings(BaseSettings):
     token: SecretStr | None = Field(default=None, description="admin token; default is the data folder's token file")
     zenoh_config: Path | None = Field(default=None, description="zenoh JSON5 configuration of the corrector")
     zenoh_listen: str = Field(
-        default="tcp/127.0.0.1:7447", description="endpoint the corrector listens on; port 0: free"
+        default="tcp/127.0.0.1:7447", min_length=1, description="endpoint the corrector listens on; port 0: free"
     )
     stream_keys: Path | None = Field(default=None, description="file of the stream's master secret")
     seal_key: Path | None = Field(default=None, description="file of the key that rows are sealed with")

@@ -1,4 +1,4 @@
-"""Characters that nobody sees, and what texts begin with that spreadsheets take for formulas."""
+"""Texts: a count with its thing, characters that nobody sees, what spreadsheets take for formulas."""
 
 from __future__ import annotations
 
@@ -20,3 +20,8 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")
 def text_cell(text: str) -> str:
     """Return a text for a cell of CSV: one that a spreadsheet would compute gets an apostrophe, which it hides."""
     return f"'{text}" if text.startswith((*FORMULA, "'")) else text
+
+
+def plural(count: int, thing: str) -> str:
+    """Write a count with its thing."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"

@@ -101,13 +101,13 @@ def test_a_restored_server_answers_the_same(source: tuple[Settings, httpx.Client
     done = kilterd(settings, "backup", str(tmp_path / "backups"))
     assert done.returncode == 0, done.stderr
     assert (
-        "holds 1 robots, 3 campaigns with 6 chunks, 2 versions, 1 shapes of links; every row of every table has its hash."
+        "holds 1 robot, 3 campaigns with 6 chunks, 2 versions, 1 link shape; every row of every table has its hash."
         in done.stdout
     )
     file, hashes = sorted((tmp_path / "backups").iterdir())
     assert file.stat().st_mode & 0o777 == 0o600
     assert hashes.name == f"{file.name}.sha256"
-    assert kilterd(settings, "verify", str(file)).stdout.startswith("All is whole: 1 robots, 3 campaigns with 6 chunks")
+    assert kilterd(settings, "verify", str(file)).stdout.startswith("All is whole: 1 robot, 3 campaigns with 6 chunks")
 
     new = plain(tmp_path, "new")
     restored = kilterd(new, "restore", str(file))
@@ -193,7 +193,7 @@ def test_verify_names_the_chunk_and_ends_with_1(source: tuple[Settings, httpx.Cl
     done = kilterd(other, "verify")
     assert done.returncode == 1
     assert "chunk 0 is damaged, its bytes do not have the hash" in done.stdout
-    assert " findings in " in done.stderr
+    assert "kilterd: 1 finding in " in done.stderr
     assert "`kilterd restore`" in done.stderr
     looked = kilterd(other, "doctor")
     assert looked.returncode == 1

@@ -128,7 +128,10 @@ def test_usage_errors_exit_2_and_name_the_remedy(tmp_path: Path) -> None:
     wide = run("serve", "--data", data, "--host", "0.0.0.0", "--port", "0")
     assert (wide.returncode, "KILTER_TOKEN" in wide.stderr) == (2, True)
     port = run("serve", "--data", data, "--port", "70000")
-    assert (port.returncode, "port" in port.stderr) == (2, True)
+    assert (port.returncode, "kilterd: --port: " in port.stderr) == (2, True)
+    for name, value in (("KILTER_PORT", "many"), ("KILTER_ZENOH_LISTEN", "")):
+        done = run("serve", "--data", data, **{name: value})
+        assert (done.returncode, f"kilterd: {name}: " in done.stderr) == (2, True), done.stderr
     assert run("paint").returncode == 2
 
 

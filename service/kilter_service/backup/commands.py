@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from kilter_service.settings import Settings
+from kilter_service.texts import plural
 
 
 def backup(settings: Settings, arguments: argparse.Namespace) -> None:
@@ -76,8 +77,8 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
         print(sentence)
     if found.damaged:
         print(
-            f"kilterd: {len(found.damaged)} findings in {found.looked_at()}. Stop the server, move its data folder away and "
-            "bring back the newest backup that is whole with `kilterd restore`.",
+            f"kilterd: {plural(len(found.damaged), 'finding')} in {found.looked_at()}. Stop the server, move its data "
+            "folder away and bring back the newest backup that is whole with `kilterd restore`.",
             file=sys.stderr,
         )
         sys.exit(1)

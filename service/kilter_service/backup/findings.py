@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from kilter_service.texts import plural
+
 
 @dataclass
 class Findings:
@@ -23,8 +25,9 @@ class Findings:
 
     def looked_at(self) -> str:
         """Say how much was looked at."""
-        meshes = f", {self.meshes} shapes of links" if self.meshes else ""
-        return f"{self.robots} robots, {self.campaigns} campaigns with {self.chunks} chunks, {self.versions} versions{meshes}"
+        campaigns = f"{plural(self.campaigns, 'campaign')} with {plural(self.chunks, 'chunk')}"
+        meshes = [plural(self.meshes, "link shape")] if self.meshes else []
+        return ", ".join([plural(self.robots, "robot"), campaigns, plural(self.versions, "version"), *meshes])
 
     def checked(self) -> str:
         """Say which of it was checked by a hash."""

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.page.gap.called import claimed, plural
+from kilter_service.page.gap.called import claimed
 from kilter_service.page.gap.claim import LEVELS
 from kilter_service.page.words import listed, number
+from kilter_service.texts import plural
 
 ORDER = tuple(LEVELS)
 

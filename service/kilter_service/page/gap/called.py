@@ -46,8 +46,3 @@ def chance(p: float | None) -> str:
     if p is None:
         return "–"
     return f"< {SMALLEST_P:g}" if p < SMALLEST_P else number(p, 2)
-
-
-def plural(count: int, thing: str) -> str:
-    """Write a count with its thing."""
-    return f"{count} {thing}{'' if count == 1 else 's'}"

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
-from kilter_service.page.gap.called import chance, claimed, plural
+from kilter_service.page.gap.called import chance, claimed
 from kilter_service.page.words import listed, number, percent
+from kilter_service.texts import plural
 
 LEVELS: Mapping[str, str] = {
     "provisional": "Likely, but a test was not passed.",
