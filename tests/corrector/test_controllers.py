@@ -125,6 +125,11 @@ def test_each_controller_reaches_its_robots_and_no_other(cell: Cell) -> None:
                     cell.stream(f"controller-{name}", robot, connect_timeout_s=1.0).__enter__()
 
 
+def test_an_observer_is_told_that_it_may_only_listen(cell: Cell) -> None:
+    with pytest.raises(StreamError, match=r"listen only: use the folder of a controller that has robot 'arm1'"):
+        cell.stream("observer", "arm1", connect_timeout_s=3.0).__enter__()
+
+
 def test_what_a_controller_sends_for_another_robot_does_not_arrive(cell: Cell) -> None:
     heard: dict[str, list[bytes]] = {"arm1": [], "arm3": []}
 

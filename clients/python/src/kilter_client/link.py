@@ -256,4 +256,9 @@ class Link:
                 "or correct the robot's name. Where the robot's controller corrects by itself (`kilter robot show`), no "
                 "setpoint is corrected a second time."
             )
+        if config is not None and self.alive:
+            raise StreamError(
+                f"{self._where} takes this certificate, and its access list lets it listen only: use the folder of a "
+                f"controller that has robot {robot!r} (`kilterd zenoh-config --controller NAME=ROBOT,...`)."
+            )
         raise StreamError(self._silent)
