@@ -9,6 +9,8 @@ TESTERS ?= 3
 SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
+# Where compiled modules may not be kept, each process of a test would compile anew all that it imports.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*## .*/\1/p' $(MAKEFILE_LIST))
@@ -43,16 +45,20 @@ test: $(KERNELS) ## run the tests, the numeric part first under another kind of 
 
 # While one area changes: its own tests. Each folder of tests is in one of these or in test-page.
 CORE_TESTS := tests/core tests/blind tests/frozen tests/thesis tests/mix_ups
-SERVER_TESTS := tests/service tests/corrector tests/fuzz
+SERVER_TESTS := tests/service tests/fuzz
+STREAM_TESTS := tests/corrector
 CLIENTS_TESTS := tests/clients tests/contract
 
 test-core: $(KERNELS) ## of the tests, those of the numeric part
 	$(BIN)/python -m pytest -q $(SHARED) $(CORE_TESTS)
 
-test-server: $(KERNELS) ## of the tests, those of the server and of the corrector
+test-server: $(KERNELS) ## of the tests, those of the server
 	$(BIN)/python -m pytest -q $(SHARED) $(SERVER_TESTS)
 
-test-clients: $(KERNELS) ## of the tests, those of the command, the library, the readers of files, the contract and the docs
+test-stream: $(KERNELS) ## of the tests, those of the corrector and what streams through it
+	$(BIN)/python -m pytest -q $(SHARED) $(STREAM_TESTS)
+
+test-clients: $(KERNELS) ## of the tests, those of the command, the library, the file readers, the contract and the docs
 	$(BIN)/python -m pytest -q $(SHARED) $(CLIENTS_TESTS)
 
 test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
@@ -181,7 +187,7 @@ test-slow: $(KERNELS) ## run the longer tests that make test leaves out and no o
 	$(BIN)/python -m pytest -m slow $(SHARED) tests/core tests/contract tests/clients
 
 test-page: $(KERNELS) ## run all tests of the page, the long ones too (needs Chromium; screenshots in build/page-screenshots)
-	$(BIN)/python -m pytest -m "slow or not slow" tests/page
+	$(BIN)/python -m pytest -m "slow or not slow" -q $(SHARED) tests/page
 
 test-many-jobs: $(KERNELS) ## run 1000 small jobs on four workers and PostgreSQL, kill two of them, and count (JOBS=1000)
 	JOBS=$(or $(JOBS),1000) $(BIN)/python -m pytest -m slow -q -s tests/service/test_many_jobs.py

@@ -20,10 +20,11 @@ from tests.blind.run import run
 from tests.blind.score import figures
 
 SEED = 20240229
-pytestmark = pytest.mark.timeout(1200)  # the sample takes two minutes on a quiet machine
+pytestmark = pytest.mark.timeout(1200)  # the sample takes a minute on a quiet machine
 
-
-QUOTA = {"no_gap": 12, "named": 12, "outside": 3, "undecidable": 3}
+# A fault that makes one claim in ten wrong is seen in three of four such samples, one in five in 24 of 25: of the 14 cases
+# whose truth can be told none may be wrong. A rate of wrong names of 1 % is for the 1000 cases of ``make blind``.
+QUOTA = {"no_gap": 6, "named": 6, "outside": 2, "undecidable": 2}
 OLD = {*PER_JOINT, *WHOLE_ARM, "joint_coupling", "gravity_spring"}  # what has always been in the library
 
 
@@ -60,7 +61,7 @@ def test_every_run_ends(records: list[dict[str, Any]]) -> None:
 
 def test_nothing_is_confirmed_when_nothing_is_hidden(by_title: dict[str, Figure]) -> None:
     assert by_title["confirmed when nothing is hidden"].k == 0
-    assert by_title["confirmed when nothing is hidden"].n >= 10
+    assert by_title["confirmed when nothing is hidden"].n >= 5
     assert by_title["any name when nothing is hidden"].k <= 1
 
 
