@@ -2,82 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
-from kilter_service.contract.jobs.job import NewDriftJob
 from kilter_service.db import Database
-from kilter_service.jobs import store as jobs
-from kilter_service.jobs.kinds.drift import DRIFT
 from kilter_service.jobs.retention import store as retention
-from kilter_service.robots import store as robots
-from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
+from tests.core.watch.drifting import DriftingArm, some_arm
 from tests.service.conftest import WorkerProcess
-
-Until = Callable[..., None]
-NOISE = 5e-5
-DAY = datetime(2026, 9, 1, 7, 0, tzinfo=UTC)
-
-
-class Watched:
-    """A robot that is measured again and again over HTTP."""
-
-    def __init__(self, client: httpx.Client, until: Until, arm: DriftingArm, name: str) -> None:
-        self.client, self.until, self.arm, self.name = client, until, arm, name
-        client.post("/v1/robots", json={**arm.document(), "name": name}).raise_for_status()
-
-    def sent(self, arm: DriftingArm, poses: int, seed: int, at: datetime) -> str:
-        rng = np.random.default_rng(seed)
-        q = some_poses(poses, rng)
-        seen = arm.measured(q, rng, NOISE).position
-        assert seen is not None
-        body = {"name": f"{at:%Y-%m-%d}", "numbered": True, "role": "validation", "measured_at": at.isoformat()}
-        made = self.client.post(f"/v1/robots/{self.name}/campaigns", json=body).raise_for_status().json()["id"]
-        columns = {f"q{k + 1}_deg": np.degrees(q[:, k]).tolist() for k in range(6)}
-        columns |= {f"{axis}_mm": (seen[:, k] * 1e3).tolist() for k, axis in enumerate("xyz")}
-        self.client.post(f"/v1/campaigns/{made}/observations", json=columns).raise_for_status()
-        return str(made)
-
-    def done(self, kind: str, campaigns: list[str], **options: Any) -> dict[str, Any]:
-        body = {"kind": kind, "robot": self.name, "campaigns": campaigns, "options": options}
-        job = self.client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
-
-        def read() -> dict[str, Any]:
-            return dict(self.client.get(f"/v1/jobs/{job}").json())
-
-        self.until(lambda: read()["state"] in ("succeeded", "failed"))
-        assert read()["state"] == "succeeded", read()["error"]
-        return dict(read()["result"])
-
-    def calibrated(self) -> str:
-        """Fit and activate a version."""
-        effects: list[Any] = [{"id": "axial_compliance", "joints": [2, 3]}]
-        fit = self.sent(self.arm, 60, 1, DAY - timedelta(days=1))
-        made = self.done("identify", [fit], effects=effects, noise_mm=0.05, masses="as_stated")["version_id"]
-        self.client.post(f"/v1/versions/{made}/activate", json={"force": True, "reason": "test"}).raise_for_status()
-        return str(made)
-
-    def checked(self, arm: DriftingArm, seed: int, day: int) -> dict[str, Any]:
-        return self.done("drift", [self.sent(arm, 6, seed, DAY + timedelta(days=day))])
-
-    def checked_here(self, database: Database, arm: DriftingArm, seed: int, day: int) -> dict[str, Any]:
-        """Check in this process as a worker does: many days take seconds."""
-        campaign = self.sent(arm, 6, seed, DAY + timedelta(days=day))
-        job = NewDriftJob(kind="drift", robot=self.name, campaigns=[campaign])
-        with database.transaction() as session:
-            robot = robots.get(session, self.name).id
-            made = jobs.add(session, robot, job)
-            output = DRIFT.run(jobs.load(session, made), lambda fraction, stage: None)
-            jobs.succeed(session, made, output.result, None)
-        return output.result
-
-    def history(self) -> dict[str, Any]:
-        return dict(self.client.get(f"/v1/robots/{self.name}/drift").raise_for_status().json())
+from tests.service.watched_robot import DAY, Until, Watched
 
 
 @pytest.fixture
@@ -140,13 +75,21 @@ def test_what_creeps_is_seen_by_all_checks_together(
     made = watched.done("rezero", [campaign])["version_id"]
     client.post(f"/v1/versions/{made}/activate", json={"force": True, "reason": "test"}).raise_for_status()
     found = watched.history()
-    assert [one["what"] for one in found["marks"]] == ["activated", "re-zeroed"]
+    assert [one["what"] for one in found["marks"] if one["what"] != "repaired"] == ["activated", "re-zeroed"]
     assert (found["state"], found["checks"], found["version_id"]) == ("never", 0, made)
     assert len(found["history"]) == 41
     assert [one["version_id"] for one in found["history"]] == 41 * [version]
     assert gauges(client) == {}
     watched.checked(arm.after("zero_3", 4e-3), 301, 46)
     assert watched.history()["state"] == "ok"
+    watched.checked(arm, 302, 47)  # back on its old marks: wrong for the new version
+    watched.checked(arm.after("zero_3", 4e-3), 303, 48)
+    found = watched.history()
+    assert (found["state"], found["checks"]) == ("ok", 3)
+    assert [one["at"][:10] for one in found["marks"] if (one["what"], one["version_id"]) == ("repaired", made)] == [
+        "2026-10-19"
+    ]
+    assert {len(chart["up"]) for chart in found["charts"]} == {3}
 
     with database.reading() as session:  # however old, checks are kept: they are the history
         gone = retention.ended_before(session, datetime.now(UTC) + timedelta(days=1), 1000)

@@ -10,7 +10,7 @@ from pydantic import Field
 from kilter_service.contract.jobs.drift import DriftVerdict
 from kilter_service.contract.units import Celsius, Strict
 
-Mark = Literal["activated", "re-zeroed", "rolled back"]
+Mark = Literal["activated", "re-zeroed", "rolled back", "repaired"]
 State = Literal["never", "ok", "creeping", "cannot_tell", "moved"]
 
 
@@ -34,20 +34,23 @@ class ControlChart(Strict):
     words: str = Field(description="The same as people say it.")
     unit: str = Field(description="Unit of the values: deg, mm, deg/(N m), mm/N, ppm.")
     values: list[float | None] = Field(description="What each check says it changed by; null: it does not show it.")
-    up: list[float | None] = Field(description="Sum upwards, in standard deviations; null: too few checks.")
+    up: list[float | None] = Field(
+        description="Sum upwards, in standard deviations; null: too few checks, or one that alarmed by itself."
+    )
     down: list[float | None] = Field(description="Sum downwards.")
     limit: float = Field(description="Sum beyond which it alarms.")
     scatter: float | None = Field(description="Standard deviation of the values; null: too few checks.")
-    alarms: bool = Field(description="Whether the last check is beyond the limit.")
+    alarms: bool = Field(description="Whether the sum is beyond the limit.")
     since: datetime | None = Field(description="When the change that alarms most likely began; null: none does.")
 
 
 class DriftMark(Strict):
-    """Something that was done to a robot's version between checks."""
+    """Something that was done to a robot or its version between checks."""
 
     at: datetime = Field(description="When.")
     what: Mark = Field(
-        description="What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`."
+        description="What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the "
+        "first check that agrees again with a version that the check before missed."
     )
     version_id: str = Field(description="The version.")
 
@@ -74,6 +77,7 @@ class DriftHistory(DriftSummary):
     marks: list[DriftMark] = Field(description="What was done to its version, oldest first.")
     charts: list[ControlChart] = Field(description="A chart for each number, over the checks of the active version.")
     run_length: int = Field(description="Checks between two false alarms of all charts together.")
+    false_alarm: float = Field(description="Chance at which a single check says that the arm has moved.")
 
 
 class DriftList(Strict):

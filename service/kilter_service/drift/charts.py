@@ -12,11 +12,15 @@ from kilter_service.contract.drift import ControlChart
 from kilter_service.drift.records import StoredCheck
 
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
+FALSE_ALARM = 1e-3  # chance at which a single check alarms (kilter_core.watch, which loads numpy and scipy)
 SHIFTS = ("value", "x", "y", "z")  # of a frame its shift: rotations of five poses are shifts for the most part
 
 
 def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
-    """Return the charts, in the order of the first check's causes by name; a number that some check does not show has none."""
+    """Return the charts, in the order of the first check's causes by name; a number that some check does not show has none.
+
+    A check that alarmed by itself is in no sum: it says what it saw, and after a repair the sums go on where they were.
+    """
     numbers = [_numbers(one) for one in made]
     names = sorted(set.intersection(*map(set, numbers))) if numbers else []
     if not names:
@@ -24,12 +28,13 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
     from kilter_core.watch.history import chart, limit_of
 
     limit = limit_of(len(names), RUN_LENGTH)
-    felt = [one.result.get("temperature_c") for one in made]
-    known = None if any(value is None for value in felt) else np.array(felt, dtype=np.float64)
+    summed = [k for k, one in enumerate(made) if one.result["verdict"] == "ok"]
+    felt = [made[k].result.get("temperature_c") for k in summed]
+    known = None if not felt or any(value is None for value in felt) else np.array(felt, dtype=np.float64)
     out = []
     for name in names:
         values = np.array([one[name][0] for one in numbers])
-        found = chart(values, limit, known)
+        found = chart(values[summed], limit, known)
         words, unit = numbers[0][name][1:]
         out.append(
             ControlChart(
@@ -37,15 +42,20 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
                 words=words,
                 unit=unit,
                 values=values.tolist(),
-                up=_listed(found.up),
-                down=_listed(found.down),
+                up=_listed(found.up, summed, len(made)),
+                down=_listed(found.down, summed, len(made)),
                 limit=limit,
                 scatter=None if math.isnan(found.scatter) else found.scatter,
                 alarms=found.alarms,
-                since=None if found.since is None else made[found.since].at,
+                since=None if found.since is None else made[summed[found.since]].at,
             )
         )
     return out
+
+
+def height(chart: ControlChart) -> float:
+    """Return the larger sum at the last check that has one, in standard deviations."""
+    return max(next((value for value in reversed(sums) if value is not None), 0.0) for sums in (chart.up, chart.down))
 
 
 def _numbers(one: StoredCheck) -> dict[str, tuple[float, str, str]]:
@@ -60,5 +70,8 @@ def _numbers(one: StoredCheck) -> dict[str, tuple[float, str, str]]:
     return found
 
 
-def _listed(sums: Any) -> list[float | None]:
-    return [None if np.isnan(value) else float(value) for value in sums]
+def _listed(sums: Any, places: Sequence[int], count: int) -> list[float | None]:
+    out: list[float | None] = [None] * count
+    for place, value in zip(places, sums, strict=True):
+        out[place] = None if np.isnan(value) else float(value)
+    return out

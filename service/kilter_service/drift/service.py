@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
-from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftList, DriftSummary, State
+from kilter_service.contract.drift import (
+    CheckOfRobot,
+    ControlChart,
+    DriftHistory,
+    DriftList,
+    DriftMark,
+    DriftSummary,
+    State,
+)
 from kilter_service.db import Database, Session
 from kilter_service.db.row import now
 from kilter_service.drift import store
 from kilter_service.drift import wire_history as wire
-from kilter_service.drift.charts import RUN_LENGTH, charts_of
+from kilter_service.drift.charts import FALSE_ALARM, RUN_LENGTH, charts_of, height
 from kilter_service.drift.records import Activated, StoredCheck
 
 MOST_OF_MANY = 100  # checks of each robot in the list of all
@@ -30,9 +39,10 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
     return DriftHistory(
         **_summary(name, log, own, charts).model_dump(),
         history=[wire.check(one) for one in made],
-        marks=[wire.mark(one) for one in log],
+        marks=sorted([*map(wire.mark, log), *_repairs(made)], key=lambda one: one.at),
         charts=charts,
         run_length=RUN_LENGTH,
+        false_alarm=FALSE_ALARM,
     )
 
 
@@ -55,6 +65,17 @@ def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     own = {key: [one for one in found if one.result.get("version_id") == _active(log.get(key, []))]
            for key, found in made.items()}  # fmt: skip
     return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}
+
+
+def _repairs(made: Sequence[StoredCheck]) -> list[DriftMark]:
+    """Checks that agree again with a version that the one before missed."""
+    return [
+        wire.repaired(after)
+        for before, after in pairwise(made)
+        if before.result.get("version_id") == after.result.get("version_id")
+        and before.result["verdict"] != "ok"
+        and after.result["verdict"] == "ok"
+    ]
 
 
 def _active(log: Sequence[Activated]) -> str | None:
@@ -96,7 +117,7 @@ def _stand(last: Mapping[str, Any] | None, alarmed: Sequence[ControlChart], corr
     verdict: State = last["verdict"]
     if verdict != "ok" or not alarmed:
         return verdict, str(last["sentence"])
-    most = max(alarmed, key=lambda one: max(one.up[-1] or 0.0, one.down[-1] or 0.0))
+    most = max(alarmed, key=height)
     since = "" if most.since is None else f" since {most.since:%Y-%m-%d}"
     return (
         "creeping",

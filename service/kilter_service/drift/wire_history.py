@@ -24,3 +24,8 @@ def mark(one: Activated) -> DriftMark:
     """Say what was done to a robot's version."""
     what: Mark = "rolled back" if one.action == "rollback" else "re-zeroed" if one.rezeroed else "activated"
     return DriftMark(at=one.at, what=what, version_id=one.version_id)
+
+
+def repaired(first: StoredCheck) -> DriftMark:
+    """Say that a version holds again since a check."""
+    return DriftMark(at=first.at, what="repaired", version_id=str(first.result["version_id"]))

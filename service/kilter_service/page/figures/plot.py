@@ -100,6 +100,17 @@ class Plot:
         self._drawn.append(f'<line x1="{LEFT}" x2="{self.width - RIGHT}" y1="{place}" y2="{place}" {style}/>')
         return self
 
+    def uprights(self, xs: Sequence[float], label: str, number: int, names: Sequence[str]) -> Plot:
+        """Draw lines from bottom to top at places where something was done; ``names`` are shown when one is pointed at."""
+        if xs:
+            style = _stroke(COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)])
+            self._key(label, f'<line x1="11" y1="-1" x2="11" y2="13" {style}/>')
+        for x, name in zip(xs, names, strict=True):
+            place = self._px(x)
+            line = f'x1="{place}" x2="{place}" y1="{TOP}" y2="{self.height - BOTTOM}" {style}'
+            self._drawn.append(f"<line {line}><title>{escape(name)}</title></line>")
+        return self
+
     def svg(self) -> Markup:
         """Return it as SVG."""
         legend, lines = self._legend_drawn()

@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import date, timedelta
 
 TICKS = 6  # about so many along an axis
+DATES = 5  # dates that have room along an axis
+DAYS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+EPOCH = date(1970, 1, 1)
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
@@ -33,6 +37,25 @@ class Axis:
         if self.names:
             return [(place + 0.5, name) for place, name in enumerate(self.names)]
         return _decades(self.low, self.high) if self.log else _round_numbers(self.low, self.high)
+
+
+@dataclass(frozen=True)
+class Days(Axis):
+    """An axis of days, counted from 1970; what is written along it are dates."""
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Return whole days along the axis, each with its place."""
+        step = next((days for days in DAYS if (self.high - self.low) / days <= DATES), math.ceil(self.high - self.low))
+        first = math.ceil(self.low / step - 1e-9)
+        last = math.floor(self.high / step + 1e-9)
+        return [(float(one * step), f"{EPOCH + timedelta(days=one * step):%Y-%m-%d}") for one in range(first, last + 1)]
+
+
+def days_around(label: str, days: Sequence[float]) -> Days:
+    """Return an axis that shows all these days, with a little room."""
+    low, high = min(days, default=0.0), max(days, default=0.0)
+    room = max(0.04 * (high - low), 0.5)
+    return Days(label, low - room, high + room)
 
 
 def named(label: str, names: Sequence[str]) -> Axis:

@@ -5,18 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.robot_reports import RobotSummary
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.db import Database
+from kilter_service.drift import service as drift
 from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
+from kilter_service.page.shared.control_chart import LOOKS, standing
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
 from kilter_service.today import service as today
 from kilter_service.versions import service as versions
+
+ALARMS = ("moved", "cannot_tell", "creeping")
 
 
 @dataclass(frozen=True)
@@ -29,23 +34,42 @@ class Card:
     accuracy: Accuracy | None
     correcting: Correcting
     open_jobs: int
+    drift: DriftSummary | None
 
     @property
-    def rank(self) -> tuple[bool, float]:
-        """Those without a known error first, then the least accurate."""
-        return self.accuracy is not None, -self.accuracy.mean if self.accuracy else math.inf
+    def rank(self) -> tuple[int, bool, float]:
+        """Those that a check says have moved first, then those without a known error, then the least accurate."""
+        moved = len(ALARMS) if self.drift is None or self.drift.state not in ALARMS else ALARMS.index(self.drift.state)
+        return moved, self.accuracy is not None, -self.accuracy.mean if self.accuracy else math.inf
+
+    @property
+    def badge(self) -> tuple[str, str]:
+        """How the robot stands by its checks as words of a badge, and its look."""
+        return LOOKS["never" if self.drift is None else self.drift.state]
+
+    @property
+    def checked(self) -> str:
+        """What the checks say where it is not well, and when the last one was."""
+        if self.drift is None:
+            return ""
+        return (
+            standing(self.drift)
+            if self.drift.state == "ok"
+            else f"{self.drift.sentence} {standing(self.drift)}".strip()
+        )
 
 
 def cards(database: Database, settings: Settings) -> list[Card]:
     """Return the robots in use, worst first."""
     seen = corrector(database, settings)
     open_jobs, active = jobs.open_of_robots(database), versions.active_of_robots(database)
-    known = today.of_robots(database)
+    known, checked = today.of_robots(database), {one.robot: one for one in drift.of_robots(database).robots}
     made = []
     for robot in robots.listed(database, Page()).robots:
         version = active.get(robot.name)
         now = known.get(robot.name)
         accuracy = None if now is None else accuracy_today(now)
         correcting = seen.of(robot.name, robot.active_version)
-        made.append(Card(robot, version, now, accuracy, correcting, open_jobs.get(robot.name, 0)))
+        jobs_open, drifted = open_jobs.get(robot.name, 0), checked.get(robot.name)
+        made.append(Card(robot, version, now, accuracy, correcting, jobs_open, drifted))
     return sorted(made, key=lambda card: card.rank)

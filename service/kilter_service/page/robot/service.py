@@ -14,10 +14,12 @@ from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
+from kilter_service.drift import service as drift
 from kilter_service.jobs import service as jobs
 from kilter_service.limits import MAX_MESH_MB, MAX_TRIANGLES
 from kilter_service.meshes import service as meshes
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
+from kilter_service.page.shared.control_chart import Watched, watched
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
@@ -48,6 +50,7 @@ class Shown:
     campaign: Campaign | None
     meshes: Sequence[Mesh]
     suspicious: Sequence[SuspiciousRows]
+    watched: Watched
     controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
     most_mb: int = MAX_MESH_MB
     most_triangles: int = MAX_TRIANGLES
@@ -92,6 +95,7 @@ def of(database: Database, settings: Settings, name: str, version: str | None, c
         looked_at=looked_at,
         campaign=_campaign(database, measured, looked_at, campaign, now),
         meshes=meshes.listed(database, name).meshes,
+        watched=watched(drift.of_robot(database, name)),
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
     )
 

@@ -54,7 +54,8 @@ def show_history(found: Mapping[str, Any]) -> None:
 
 
 def _height(chart: Mapping[str, Any]) -> float:
-    return max(chart["up"][-1] or 0.0, chart["down"][-1] or 0.0)
+    """The larger sum at the last check that has one."""
+    return max(next((value for value in reversed(chart[way]) if value is not None), 0.0) for way in ("up", "down"))
 
 
 def show_robots(found: Mapping[str, Any]) -> None:

@@ -147,7 +147,7 @@ class ControlChart(Record):
     """Sums of one number over the checks of the active version: what it differs by from the checks before, and keeps doing."""
 
     alarms: bool
-    """Whether the last check is beyond the limit."""
+    """Whether the sum is beyond the limit."""
     down: tuple[float | None, ...]
     """Sum downwards."""
     limit: float
@@ -161,7 +161,7 @@ class ControlChart(Record):
     unit: str
     """Unit of the values: deg, mm, deg/(N m), mm/N, ppm."""
     up: tuple[float | None, ...]
-    """Sum upwards, in standard deviations; None: too few checks."""
+    """Sum upwards, in standard deviations; None: too few checks, or one that alarmed by itself."""
     values: tuple[float | None, ...]
     """What each check says it changed by; None: it does not show it."""
     words: str
@@ -170,14 +170,14 @@ class ControlChart(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DriftMark(Record):
-    """Something that was done to a robot's version between checks."""
+    """Something that was done to a robot or its version between checks."""
 
     at: str
     """When."""
     version_id: str
     """The version."""
     what: str
-    """What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`."""
+    """What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the first check that agrees again with a version that the check before missed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -190,6 +190,8 @@ class DriftHistory(Record):
     """A chart for each number, over the checks of the active version."""
     checks: int
     """Checks of the active version."""
+    false_alarm: float
+    """Chance at which a single check says that the arm has moved."""
     history: Records[CheckOfRobot]
     """All checks against any version, oldest first; at most 1000."""
     last: CheckOfRobot | None

@@ -1,0 +1,154 @@
+"""The checks of a robot over the days: what each said by itself, and the sums that see what creeps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftSummary, State
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import Axis, Days, around, days_around
+from kilter_service.page.words import moment, number
+
+DAY = 86400.0
+WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read
+LEAST_CHANCE = 1e-12  # drawn of what is less likely still
+SHOWN_SUMS = 4  # of the charts, those with the largest sums
+LOOKS: dict[State, tuple[str, str]] = {
+    "ok": ("as its version says", "good"),
+    "creeping": ("creeping", "warn"),
+    "cannot_tell": ("moved, cause not told", "bad"),
+    "moved": ("moved", "bad"),
+    "never": ("not checked", "faint"),
+}
+VERDICTS = (("ok", "ok", 0), ("moved", "moved", 4), ("cannot_tell", "cannot tell", 5))
+MARKS = ("activated", "re-zeroed", "rolled back", "repaired")
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The figures of a robot's checks: ``checks`` None where there are none, ``sums`` None where they are too few."""
+
+    found: DriftHistory
+    checks: Plot | None
+    sums: Plot | None
+
+    @property
+    def badge(self) -> tuple[str, str]:
+        """How the robot stands as words of a badge, and its look."""
+        return LOOKS[self.found.state]
+
+    @property
+    def standing(self) -> str:
+        """When the last check was."""
+        return standing(self.found)
+
+
+def standing(found: DriftSummary) -> str:
+    """Say when the last check was, after the sentence of the state."""
+    if found.last is None or found.age_days is None:
+        return ""
+    ago = "today" if found.age_days == 0 else f"{found.age_days} day{'s' if found.age_days > 1 else ''} ago"
+    return f"Checked on {found.last.at:%Y-%m-%d}, {ago}; {found.checks} check{'s' if found.checks > 1 else ''} of this version."
+
+
+def watched(found: DriftHistory) -> Watched:
+    """Draw the checks of a robot."""
+    if not found.history:
+        return Watched(found, None, None)
+    days = [_day(one.at) for one in found.history] + [_day(one.at) for one in found.marks]
+    axis = days_around("", days)
+    return Watched(found, _checks(found, axis), _sums(found, axis))
+
+
+def _checks(found: DriftHistory, axis: Days) -> Plot:
+    """Of how many arms that have not moved one shows as much as each check, by verdict."""
+    among = [1.0 / max(one.p_value, LEAST_CHANCE) for one in found.history]
+    limit = 1.0 / found.false_alarm
+    across = around("one unmoved arm in", [*among, limit, 1.0], log=True)
+    drawn = Plot("Checks", axis, across, WIDTH, HEIGHT, description=_said(found), table=_table(found))
+    _marked(drawn, found)
+    for verdict, label, look in VERDICTS:
+        own = [(one, many) for one, many in zip(found.history, among, strict=True) if one.verdict == verdict]
+        if own:
+            names = [f"{one.at:%Y-%m-%d}: {one.sentence}" for one, _ in own]
+            drawn.points([_day(one.at) for one, _ in own], [many for _, many in own], label, look, names=names)
+    return drawn.level(limit, f"alarm: 1 of {limit:.0f}")
+
+
+def _sums(found: DriftHistory, axis: Days) -> Plot | None:
+    """The largest cumulative sums of the active version."""
+    charts = [one for one in found.charts if _heights(one)]
+    if not charts:
+        return None
+    charts = sorted(charts, key=lambda one: _heights(one)[-1], reverse=True)[:SHOWN_SUMS]
+    days = [_day(one.at) for one in found.history if one.version_id == found.version_id]
+    highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
+    drawn = Plot(
+        "Cumulative sums", axis, Axis("sum, standard deviations of a check", 0.0, 1.08 * highest), WIDTH, HEIGHT,
+        description=_said_of_sums(charts), table=_sums_table(found),
+    )  # fmt: skip
+    _marked(drawn, found, labelled=False)
+    for place, one in enumerate(charts):
+        sums = [_higher(up, down) for up, down in zip(one.up, one.down, strict=True)]
+        summed = [(day, value) for day, value in zip(days, sums, strict=True) if math.isfinite(value)]
+        drawn.line([day for day, _ in summed], [value for _, value in summed], one.words, place)
+    return drawn.level(charts[0].limit, f"alarm: all together 1 of {found.run_length} checks")
+
+
+def _marked(drawn: Plot, found: DriftHistory, labelled: bool = True) -> None:
+    for place, what in enumerate(MARKS):
+        own = [one for one in found.marks if one.what == what]
+        names = [f"{what} {moment(one.at)}: {one.version_id}" for one in own]
+        drawn.uprights([_day(one.at) for one in own], what if labelled else "", place + 1, names)
+
+
+def _day(at: datetime) -> float:
+    return at.timestamp() / DAY
+
+
+def _higher(up: float | None, down: float | None) -> float:
+    return math.nan if up is None or down is None else max(up, down)
+
+
+def _heights(chart: ControlChart) -> list[float]:
+    found = [_higher(up, down) for up, down in zip(chart.up, chart.down, strict=True)]
+    return [one for one in found if math.isfinite(one)]
+
+
+def _said(found: DriftHistory) -> str:
+    alarmed = sum(one.verdict != "ok" for one in found.history)
+    return f"{len(found.history)} checks, of which {alarmed} alarmed. {found.sentence}"
+
+
+def _said_of_sums(charts: Sequence[ControlChart]) -> str:
+    most = charts[0]
+    beyond = "beyond" if most.alarms else "below"
+    return f"The largest sum is that of {most.words}: {number(_heights(most)[-1])}, {beyond} the limit of {number(most.limit)}."
+
+
+def _table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
+    rows = [(one.at, [f"{one.at:%Y-%m-%d %H:%M}", _words(one), _chance(one)]) for one in found.history]
+    rows += [(one.at, [f"{one.at:%Y-%m-%d %H:%M}", f"{one.what}: {one.version_id}", ""]) for one in found.marks]
+    return ["When", "What", "Chance"], [row for _, row in sorted(rows, key=lambda one: one[0], reverse=True)]
+
+
+def _words(one: CheckOfRobot) -> str:
+    return one.sentence if one.verdict != "ok" else "ok"
+
+
+def _chance(one: CheckOfRobot) -> str:
+    return f"{one.p_value:.2g}"
+
+
+def _sums_table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
+    rows = [
+        [
+            one.words, f"{number(one.values[-1])} {one.unit}", f"{number(one.scatter)} {one.unit}",
+            number(_heights(one)[-1]), "" if one.since is None else f"{one.since:%Y-%m-%d}",
+        ]
+        for one in sorted((one for one in found.charts if _heights(one)), key=lambda one: _heights(one)[-1], reverse=True)
+    ]  # fmt: skip
+    return ["Of", "Last check", "Scatter", "Sum", "Since"], rows

@@ -1,0 +1,112 @@
+"""The checks of a robot on its page and on the fleet's: how it stands, the chart over days, and what was done between them."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser
+
+from kilter_service.app import create_app
+from kilter_service.auth.token import admin_token
+from kilter_service.db import Database
+from kilter_service.settings import Settings
+from tests.core.watch.drifting import some_arm
+from tests.service.conftest import new_database, ready, served
+from tests.service.watched_robot import Watched
+
+from .conftest import opened
+
+CRASHED, MENDED = 4e-3, 12  # rad; the day of the repair
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[httpx.Client]:
+    """One robot as it was, one that crashed after ten checks and was repaired, one that crashed, and one without a version."""
+    arm = some_arm(np.random.default_rng(3))
+    with new_database() as url:
+        settings = Settings(data=tmp_path_factory.mktemp("drift"), database_url=url, host="127.0.0.1", token=None)
+        ready(settings, migrated)
+        database = Database(settings.database)
+        with served(create_app(settings)) as client:
+            client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+            for name, days in (("fine", 1), ("repaired", 10), ("crashed", 1)):
+                robot = Watched(client, None, arm, name)
+                robot.calibrated(database)
+                for day in range(days):
+                    robot.checked_here(database, arm, 100 + day, day)
+                if name != "fine":
+                    robot.checked_here(database, arm.after("zero_3", CRASHED), 200, 10)
+                if name == "repaired":
+                    robot.checked_here(database, arm, 201, MENDED)
+            Watched(client, None, arm, "fresh")
+            yield client
+        database.close()
+
+
+def words(text: str) -> str:
+    return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", text)))
+
+
+def section(client: httpx.Client, robot: str) -> str:
+    text = client.get(f"/robots/{robot}").raise_for_status().text
+    return text[text.index('id="checks"') : text.index('id="arm"')]
+
+
+def test_the_chart_shows_each_check_and_what_was_done_between_them(server: httpx.Client) -> None:
+    text = section(server, "repaired")
+    said = words(text)
+    assert "as its version says ok: 6 poses agree with the version" in said
+    assert "Checked on 2026-09-13" in said
+    assert "12 checks of this version" in said
+    circles, squares = (len(re.findall(f"<{mark} ", text.split("<details")[0])) for mark in ("circle", "rect"))
+    assert (circles, squares) == (11 + 1, 1 + 1)  # with those of the legend
+    assert "2026-09-11: moved: zero of joint 3 by 0.2" in said
+    assert re.search(r"<title>repaired 2026-09-13 \d\d:\d\d UTC: ver_", text)
+    assert re.search(r"<title>activated 20\d\d-", text)
+    assert "alarm: 1 of 1000" in said
+    assert "alarm: all together 1 of 1000 checks" in said
+    assert text.count("<polyline") == 4
+    assert "2026-09-11 07:00 moved: zero of joint 3" in said  # the table
+
+
+def test_a_robot_that_was_never_checked_has_no_chart(server: httpx.Client) -> None:
+    text = section(server, "fresh")
+    assert "<svg" not in text
+    assert "not checked It has no active version that could be checked." in words(text)
+
+
+def test_the_fleet_has_those_that_moved_first(server: httpx.Client) -> None:
+    cards = [words(part) for part in server.get("/").raise_for_status().text.split("<article")[1:]]
+    assert [re.findall(r"\b(fine|repaired|crashed|fresh)\b", card)[0] for card in cards][:2] == ["crashed", "fresh"]
+    assert re.search(
+        r"Checks moved moved: .*zero of joint 3 .* Checked on 2026-09-11, \d+ days ago; 2 checks of this version",
+        cards[0],
+    )
+    assert "Checks as its version says Checked on 2026-09-01" in " ".join(cards)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_chart_can_be_read(chromium: Browser, server: httpx.Client, theme: str, width: int) -> None:
+    folder = Path(__file__).parents[2] / "build" / "page-screenshots"
+    folder.mkdir(parents=True, exist_ok=True)
+    with opened(chromium, server) as page:
+        page.set_viewport_size({"width": width, "height": 900})
+        page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+        page.goto("/robots/repaired")
+        checks = page.locator("#checks")
+        checks.screenshot(path=folder / f"checks-{width}-{theme}.png")
+        assert checks.evaluate("e => e.scrollWidth <= e.clientWidth")
+        size = checks.locator("svg text").first.evaluate("e => e.getBoundingClientRect().height")
+        assert size >= 9
+        found = Axe().run(page, context="#checks")
+        assert found.violations_count == 0, found.generate_report()
+        page.goto("/")
+        page.screenshot(path=folder / f"fleet-checks-{width}-{theme}.png", full_page=True)
