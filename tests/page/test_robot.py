@@ -147,7 +147,7 @@ def tool(page: Page) -> list[float]:
 
 
 def picture(page: Page) -> np.ndarray:
-    shot = page.locator("[data-arm] canvas").screenshot()
+    shot = page.locator("[data-arm] canvas[tabindex]").screenshot()
     return np.asarray(Image.open(io.BytesIO(shot)).convert("L"), dtype=float)
 
 
@@ -184,7 +184,7 @@ def test_the_arm_is_drawn_and_follows_its_controls(there: Made, page: Page) -> N
     page.get_by_role("button", name="Turn left").click()
     assert np.abs(picture(page) - turned).mean() > 0.2
     turned = picture(page)
-    page.locator("[data-arm] canvas").press("ArrowUp")
+    page.locator("[data-arm] canvas[tabindex]").press("ArrowUp")
     assert np.abs(picture(page) - turned).mean() > 0.2
     before_turning = tool(page)
     page.get_by_label("j1").press("End")

@@ -47,6 +47,14 @@ def stored(database: Database, campaign_id: str) -> Rows:
     return Rows(table, columns, robot, campaign.conditions)
 
 
+def columns(database: Database, campaign_id: str) -> tuple[Column, ...]:
+    """Return what the columns of a campaign mean, without reading its rows; none where nothing was uploaded yet."""
+    with database.reading() as session:
+        robot = robots.core_robot(session, store.whole(session, campaign_id).robot_id)
+        uploads = store.uploads_of(session, campaign_id)
+    return read_columns(uploads[0].columns, [joint.kind for joint in robot.joints]) if uploads else ()
+
+
 def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Rows, str, Judged | None]:
     """Return the rows of a file, what an upload would refuse it for (empty: it would be taken), and whether they belong.
 

@@ -18,9 +18,14 @@ from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import store, wire
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from kilter_service.versions.contributions import Contribution
     from kilter_service.versions.places import Places, Reach
     from kilter_service.versions.workspace import Workspace
+
+    Floats = NDArray[np.float64]
 
 
 def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
@@ -98,6 +103,13 @@ def contributions(database: Database, version_id: str) -> tuple[int, list[Contri
 def places(database: Database, version_id: str, campaign: str) -> Places:
     """Return the errors of a campaign's rows where they were measured: nominal, with registration only, with a version."""
     from kilter_service.versions.places import places as found  # compiled kernels: not at the start of the API process
+
+    return found(database, version_id, campaign)
+
+
+def joint_errors(database: Database, version_id: str, campaign: str) -> Floats:
+    """Return the errors of the rows of :func:`places` as the least motions (N, n) of the joints, rad or m."""
+    from kilter_service.versions.joint_space import joint_errors as found  # compiled kernels: not at the start
 
     return found(database, version_id, campaign)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Query, Request, Response
@@ -10,14 +11,19 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns import keeping
 from kilter_service.contract.references import Change
-from kilter_service.page.campaign import service
+from kilter_service.page.campaign import chosen, service
+from kilter_service.page.campaign.without import without
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shell import is_part, redirect, render, root_of
 from kilter_service.robots import service as robots
-from kilter_service.state import DatabaseOfApp
+from kilter_service.slots import compute
+from kilter_service.state import DatabaseOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
+MOST_TEXT = 6000
+Short = Annotated[str, Query(max_length=100)]
+Ranges = Annotated[str, Query(max_length=MOST_TEXT)]
 Rows = Annotated[int, Query(ge=0, le=10**12)]
 
 
@@ -47,6 +53,50 @@ def series(
     """Return a column as points to draw; rows to keep are always among them."""
     kept = [int(row) for row in keep.split(",") if row]
     return JSONResponse(service.series(database, campaign, column, first, last, width, kept))
+
+
+@router.get("/campaigns/{campaign}/values.json")
+def values(campaign: str, database: DatabaseOfApp, version: Short, column: Short) -> JSONResponse:
+    """Return a column at the rows that the picture of a version shows."""
+    return JSONResponse(chosen.values(database, campaign, version, column))
+
+
+@router.get("/campaigns/{campaign}/rows.json")
+def told(campaign: str, database: DatabaseOfApp, rows: Ranges, version: Short = "") -> JSONResponse:
+    """Say what is known of rows, for whoever points at them."""
+    found = chosen.chosen(database, campaign, rows, version)
+    return JSONResponse(
+        {"campaign": found.campaign.name, "joints": found.joints, "rows": [asdict(one) for one in found.rows]}
+    )
+
+
+@router.get("/campaigns/{campaign}/rows")
+def rows_chosen(
+    campaign: str, request: Request, database: DatabaseOfApp, rows: Ranges, version: Short = ""
+) -> HTMLResponse:
+    """List rows that were chosen."""
+    template = "campaign/chosen_part.html" if is_part(request) else "campaign/chosen.html"
+    return render(request, template, chosen=chosen.chosen(database, campaign, rows, version))
+
+
+@router.get("/campaigns/{campaign}/rows.csv")
+def rows_file(campaign: str, database: DatabaseOfApp, rows: Ranges, version: Short = "") -> Response:
+    """Send rows that were chosen, with all their columns."""
+    content = chosen.as_csv(database, campaign, rows, version)
+    return Response(
+        content, media_type="text/csv", headers={"Content-Disposition": f'attachment; filename="{campaign}-rows.csv"'}
+    )
+
+
+@router.post("/campaigns/{campaign}/rows/aside")
+async def aside(
+    campaign: str, request: Request, database: DatabaseOfApp, actor: Admin,
+    rows: Annotated[str, Form(max_length=MOST_TEXT)],
+) -> Response:  # fmt: skip
+    """Store a campaign without rows, and go to the form of a job that takes it."""
+    with scratch_of(request).folder_for("aside") as folder:
+        made = await compute(request, without, database, campaign, rows, actor, folder)
+    return redirect(request, f"{root_of(request)}/robots/{made.robot}/jobs?kind=identify&campaigns={made.id}")
 
 
 @router.post("/campaigns/{campaign}/change")

@@ -52,7 +52,7 @@ def shown(database: Database, campaign_id: str) -> Shown:
     found, why = None, ""
     try:
         # Whoever looks at the page looks at its columns next.
-        found = seen(facts_of(database, campaign, lambda rows: _keep(campaign, rows)))
+        found = seen(facts_of(database, campaign, lambda rows: _keep(campaign, rows)), campaign=campaign.id)
     except CoreError as error:
         why = error.message
     used = [
@@ -77,16 +77,38 @@ def series(
         ObservationError: the campaign has no such column.
 
     """
-    campaign = campaigns.get(database, campaign_id)
-    names = campaign.uploads[0].columns if campaign.uploads else []
-    if column not in names:
-        raise ObservationError(
-            f"Campaign {campaign_id} has no column {column[:64]!r}: it has {', '.join(names[:20]) or 'none'}.",
-            column=column[:64],
-        )
-    values = KEPT.get((*key_of(campaign), column), lambda: _column(database, campaign, column))
+    values = of_column(database, campaigns.get(database, campaign_id), column)
     rows, shown = thinned(values, first, last if last > 0 else len(values), min(max(width, LEAST), MOST), keep)
     return {"column": column, "rows": len(values), "x": rows, "y": shown}
+
+
+def of_column(database: Database, campaign: Campaign, name: str) -> NDArray[np.float64]:
+    """Return a column of a campaign, row by row, in the unit that people read.
+
+    Raises:
+        ObservationError: the campaign has no such column.
+
+    """
+    names = campaign.uploads[0].columns if campaign.uploads else []
+    if name not in names:
+        raise ObservationError(
+            f"Campaign {campaign.id} has no column {name[:64]!r}: it has {', '.join(names[:20]) or 'none'}.",
+            column=name[:64],
+        )
+    return KEPT.get((*key_of(campaign), name), lambda: _column(database, campaign, name))
+
+
+def unit(database: Database, campaign: Campaign, name: str) -> str:
+    """Return the unit of :func:`of_column`."""
+    from kilter_service.campaigns.facts import unit_of
+
+    return next(unit_of(one)[0] for one in looking.columns(database, campaign.id) if one.name == name)
+
+
+def joint_columns(database: Database, campaign: Campaign) -> list[NDArray[np.float64]]:
+    """Return the readings of the joints in their order, each row by row, in degrees or mm."""
+    found = [one for one in looking.columns(database, campaign.id) if one.quantity == "q" and one.number is not None]
+    return [of_column(database, campaign, one.name) for one in sorted(found, key=lambda one: one.number or 0)]
 
 
 def _column(database: Database, campaign: Campaign, name: str) -> NDArray[np.float64]:

@@ -51,15 +51,16 @@ class Plot:
 
     def points(
         self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = "",
-        names: Sequence[str] = (),
+        names: Sequence[str] = (), rows: Sequence[str] = (),
     ) -> Plot:  # fmt: skip
-        """Draw points; ``names`` are shown when one is pointed at."""
+        """Draw points; ``names`` are shown when one is pointed at, ``rows`` (``CAMPAIGN/ROW``) tell which row each is."""
         fill = colour or COLOURS[number % len(COLOURS)]
         self._key(label, _mark(11, 6, fill, number))
         for place, (x, y) in enumerate(zip(xs, ys, strict=True)):
             if math.isfinite(x) and math.isfinite(y):
                 name = escape(names[place]) if names else ""
-                self._drawn.append(_mark(self._px(x), self._py(y), fill, number, name))
+                row = f' data-row="{escape(rows[place])}"' if rows else ""
+                self._drawn.append(_mark(self._px(x), self._py(y), fill, number, name, row))
         return self
 
     def bars(
@@ -220,13 +221,13 @@ def _stroke(colour: str, dash: str) -> str:
     return f'stroke="{colour}" stroke-width="1.8"{dashes}'
 
 
-def _mark(x: float, y: float, fill: str, number: int, name: str = "") -> str:
+def _mark(x: float, y: float, fill: str, number: int, name: str = "", row: str = "") -> str:
     title = f"<title>{name}</title>" if name else ""
     if number % 3 == 1:
-        return f'<rect x="{x - 3}" y="{y - 3}" width="6" height="6" fill="{fill}">{title}</rect>'
+        return f'<rect x="{x - 3}" y="{y - 3}" width="6" height="6" fill="{fill}"{row}>{title}</rect>'
     if number % 3 == 2:
-        return f'<path d="M{x} {y - 4}l4 7h-8z" fill="{fill}">{title}</path>'
-    return f'<circle cx="{x}" cy="{y}" r="3" fill="{fill}">{title}</circle>'
+        return f'<path d="M{x} {y - 4}l4 7h-8z" fill="{fill}"{row}>{title}</path>'
+    return f'<circle cx="{x}" cy="{y}" r="3" fill="{fill}"{row}>{title}</circle>'
 
 
 def _runs(xs: Sequence[float], ys: Sequence[float]) -> list[list[tuple[float, float]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from kilter_service.campaigns import looking
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.meshes import service as meshes
@@ -14,6 +15,8 @@ from kilter_service.wire import joint_scale, joint_units, to_deg, to_mm
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from kilter_service.tables.columns import Column
 
     Floats = NDArray[np.float64]
 
@@ -90,9 +93,18 @@ def places(database: Database, version: str, campaign: str) -> Document:
         "q": np.round(found.q * scale, ANGLE).tolist(),
         "at": np.round(to_mm(found.at), PLACE).tolist(),
         "left": {name: np.round(to_mm(left), ERROR).tolist() for name, left in found.left.items()},
+        "columns": [[one.name, _label(one)] for one in looking.columns(database, campaign)],
         "held_out": found.held_out.tolist(),
         "set_aside": found.set_aside.tolist(),
     }
+
+
+def _label(column: Column) -> str:
+    """Say what a column holds, with its unit."""
+    from kilter_service.campaigns.facts import meaning, unit_of
+
+    unit = unit_of(column)[0]
+    return f"{meaning(column)}, {unit}" if unit else meaning(column)
 
 
 def reach(database: Database, version: str) -> Document:

@@ -33,12 +33,13 @@ class Seen:
     doubts: Sequence[tuple[str, str]]
 
 
-def seen(facts: Facts, lines: Sequence[int] = ()) -> Seen:
-    """Put facts in words and figures."""
+def seen(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> Seen:
+    """Put facts in words and figures; ``campaign`` is the id of the one that has these rows."""
     noise, why = _noise(facts)
     return Seen(
         facts, _headline(facts), noise, why, [_column(one) for one in facts.columns], _coverage(facts.joints),
-        _places(facts), [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
+        _places(facts, campaign),
+        [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
         [(_at(one.row, lines), one.why) for one in facts.doubtful.rows],
     )  # fmt: skip
 
@@ -97,7 +98,7 @@ def _narrow(joint: JointFacts) -> str:
     return f"{joint.name} ({words.percent(joint.share)})"
 
 
-def _places(facts: Facts) -> list[Plot]:
+def _places(facts: Facts, campaign: str) -> list[Plot]:
     """Where the tool was seen, from above and from the side; rows that look wrong stand out."""
     if not facts.places:
         return []
@@ -110,12 +111,28 @@ def _places(facts: Facts) -> list[Plot]:
             title, axes[0], axes[1], width=420, height=320, description=f"{title}: places that were measured, mm"
         )
         plain = [point for point in points if point[0] not in odd]
-        plot.points([p[1] for p in plain], [p[2] for p in plain], "measured", 0, BLUE, [f"row {p[0]}" for p in plain])
+        names = [f"row {p[0]}" for p in plain]
+        plot.points(
+            [p[1] for p in plain], [p[2] for p in plain], "measured", 0, BLUE, names, _identities(plain, campaign)
+        )
         marked = [point for point in points if point[0] in odd]
         if marked:
             names = [f"row {p[0]}, looks wrong" for p in marked]
-            plot.points([p[1] for p in marked], [p[2] for p in marked], "looks wrong", 2, RED, names)
+            plot.points(
+                [p[1] for p in marked],
+                [p[2] for p in marked],
+                "looks wrong",
+                2,
+                RED,
+                names,
+                _identities(marked, campaign),
+            )
         numbers = [[f"row {row}", *(words.number(value, 6) for value in place)] for row, place in facts.places[:100]]
         plot.table = (["Row", "x, mm", "y, mm", "z, mm"], numbers)
         out.append(plot)
     return out
+
+
+def _identities(points: Sequence[tuple[int, float, float]], campaign: str) -> list[str]:
+    """What tells each row from all others, wherever it is shown; nothing of rows that are not stored."""
+    return [f"{campaign}/{row}" for row, _, _ in points] if campaign else []

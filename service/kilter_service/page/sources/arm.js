@@ -2,7 +2,9 @@
 import { AmbientLight, AxesHelper, DirectionalLight, GridHelper, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
 import { posed } from "./arm/chain.js";
 import { Looking } from "./arm/camera.js";
-import { arm, arrows, cloud, colourOf, mesh, points, release } from "./arm/parts.js";
+import { key } from "./arm/key.js";
+import { Linked } from "./arm/linked.js";
+import { arm, arrows, cloud, mesh, points, release } from "./arm/parts.js";
 import { fill, length, mm, quantile } from "./arm/words.js";
 
 const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
@@ -129,7 +131,7 @@ class Picture {
     this.find("stage").addEventListener("change", () => this.measured());
     this.find("scale").addEventListener("input", () => this.errors());
     this.find("cloud").addEventListener("change", () => this.workspace());
-    this.find("row").addEventListener("change", (event) => this.toRow(Number(event.target.value)));
+    this.find("to-row").addEventListener("change", (event) => this.toRow(Number(event.target.value)));
     this.place.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => this.looking.go(button.dataset.view)));
   }
 
@@ -143,7 +145,8 @@ class Picture {
 
   async loadPlaces(version, campaign) {
     this.data.places = await this.get("places.json", { version, campaign });
-    this.find("row").value = this.data.places.row[0];
+    this.linked = this.place.linked = new Linked(this, campaign, version);
+    this.find("to-row").value = this.data.places.row[0];
     this.toRow(this.data.places.row[0]);
     this.measured();
   }
@@ -167,6 +170,7 @@ class Picture {
     this.show("fitted", points(at, normal, COLOURS.fitted, 6));
     this.show("held", points(at, held.map((one, k) => one && !aside[k]), COLOURS.held, 8));
     this.show("aside", points(at, aside, COLOURS.aside, 12));
+    this.linked?.redraw();
     const sizes = left.map(length);
     const wanted = (SHARE * 2 * this.size) / (quantile(sizes, 0.95) || 1);
     const times = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((one) => one <= wanted).pop() ?? 1;
@@ -178,7 +182,8 @@ class Picture {
     this.say(`${some}: ${STAGES[this.find("stage").value]} leaves ${mm(mean)} on average, at most ${mm(Math.max(...sizes))}.`);
     const order = sizes.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]).slice(0, MOST_LISTED);
     fill(this.place.querySelector('[data-table="places"]'), ["row", "x", "y", "z", "error x", "error y", "error z", "error", "use"],
-      order.map((k) => [row[k], ...at[k].map((v) => v.toFixed(1)), ...left[k].map((v) => v.toFixed(4)), sizes[k].toFixed(4), aside[k] ? "set aside" : held[k] ? "held out" : "fitted"]));
+      order.map((k) => [row[k], ...at[k].map((v) => v.toFixed(1)), ...left[k].map((v) => v.toFixed(4)), sizes[k].toFixed(4), aside[k] ? "set aside" : held[k] ? "held out" : "fitted"]),
+      order.map((k) => `${this.linked.campaign}/${row[k]}`));
   }
 
   errors() {
@@ -214,25 +219,10 @@ class Picture {
     words.textContent = kind === "before"
       ? `Each point is a pose within the joint limits. Yellow: the tool is ${mm(highest)} or more from where the nominal robot expects it; dark: where it expects it.`
       : `Each point is a pose within the joint limits. Yellow: after the correction the tool is known to ${mm(highest)} (one standard deviation in the worst direction) or worse; dark: better. Errors that no effect describes are counted by what the fit left.`;
-    this.key(highest);
+    key(this.find("colours"), "0", mm(highest));
     const line = (name, list) => [name, ...(list ? [quantile(list, 0.5), quantile(list, 0.95), Math.max(...list)].map(mm) : ["–", "–", "–"])];
     fill(this.place.querySelector('[data-table="reach"]'), ["", "median", "95 %", "largest"].map((text) => text || "of the poses"),
       [line("error before: movement by the correction", before), line("after: standard deviation", after)]);
-  }
-
-  key(highest) {
-    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-    const put = (name, attributes, text = "") => {
-      const one = document.createElementNS("http://www.w3.org/2000/svg", name);
-      Object.entries(attributes).forEach(([key, value]) => one.setAttribute(key, value));
-      one.textContent = text;
-      svg.append(one);
-    };
-    Object.entries({ viewBox: "0 0 240 34", width: 240, height: 34, role: "img", "aria-label": `Colours from 0 to ${mm(highest)}` }).forEach(([key, value]) => svg.setAttribute(key, value));
-    for (let k = 0; k < 24; k++) put("rect", { x: 10 * k, y: 0, width: 10.5, height: 14, fill: `rgb(${colourOf((k + 0.5) / 24).join(",")})` });
-    put("text", { x: 0, y: 30, "font-size": 12, fill: "currentColor" }, "0");
-    put("text", { x: 240, y: 30, "font-size": 12, fill: "currentColor", "text-anchor": "end" }, mm(highest));
-    this.find("colours").replaceChildren(svg);
   }
 }
 

@@ -8,6 +8,7 @@ import "./versions.js";
 import "./drop.js";
 import "./jobs.js";
 import "./shapes.js";
+import * as rows from "./rows.js";
 
 htmx.config.allowEval = false;
 htmx.config.includeIndicatorStyles = false;
@@ -25,7 +26,7 @@ document.addEventListener("htmx:configRequest", (event) => {
 export function send(address, options = {}) {
   return fetch(root + address, { ...options, headers: { "X-CSRF-Token": csrf, ...(options.headers || {}) } });
 }
-window.kilter = { send, root };
+window.kilter = { send, root, rows: rows.rows, ajax: (address, target) => htmx.ajax("GET", address, { target, swap: "innerHTML" }) };
 
 function follow(place) {
   const source = new EventSource(`${root}/v1/jobs/${encodeURIComponent(place.dataset.follow)}/events`);
@@ -97,6 +98,7 @@ function start(within) {
 }
 
 start(document);
+rows.begin();
 document.addEventListener("htmx:load", (event) => {
   if (event.detail.elt !== document.body) start(event.detail.elt.parentElement || event.detail.elt);
 });

@@ -13,11 +13,15 @@ function start(form) {
   let plot = null;
   let shown = all;
   let asked = 0;
+  let shifted = false; // dragging with Shift chooses rows, else it looks closer
+  let drawn = null;
+  const campaign = form.dataset.series.split("/")[2];
+  const picked = window.kilter.rows;
 
   async function load(first, last) {
     const mine = ++asked;
     const began = performance.now();
-    const keep = [...marked.aside, ...marked.doubtful].filter((row) => row >= first && row <= last).slice(0, MOST_MARKED);
+    const keep = [...picked.of(campaign), ...marked.aside, ...marked.doubtful].filter((row) => row >= first && row <= last).slice(0, MOST_MARKED);
     const query = new URLSearchParams({ column: select.value, first, last, width: Math.max(200, Math.round(place.clientWidth)), keep });
     const answer = await window.kilter.send(`${form.dataset.series}?${query}`);
     if (mine !== asked) return;
@@ -27,6 +31,7 @@ function start(form) {
     }
     const found = await answer.json();
     shown = [first, last];
+    drawn = found;
     draw(found);
     table(found);
     told.textContent = `Rows ${first} to ${last} of ${found.rows}`;
@@ -47,12 +52,13 @@ function start(form) {
         { label: "Row" }, { label, stroke: "#0072b2", width: 1.2, points: { show: found.x.length < 400, size: 4 } },
         { label: "Looks wrong", stroke: "#e69f00", paths: () => null, points: { show: true, size: 9, fill: "#e69f00" } },
         { label: "Set aside", stroke: "#d55e00", paths: () => null, points: { show: true, size: 11, fill: "#d55e0000", width: 2 } },
+        { label: "Chosen", stroke: "#cc79a7", paths: () => null, points: { show: true, size: 14, fill: "#cc79a700", width: 3 } },
       ],
-      hooks: { setSelect: [(u) => zoom(u)] },
+      hooks: { setSelect: [(u) => zoom(u)], setCursor: [(u) => point(u, found)], ready: [(u) => pick(u, found)] },
     };
     plot?.destroy();
     place.replaceChildren();
-    plot = new window.kilter.uPlot(options, [found.x, found.y, marks(marked.doubtful), marks(marked.aside)], place);
+    plot = new window.kilter.uPlot(options, [found.x, found.y, marks(marked.doubtful), marks(marked.aside), marks(picked.of(campaign))], place);
   }
 
   const redraw = () => requestAnimationFrame(() => plot?.redraw());
@@ -63,7 +69,22 @@ function start(form) {
     if (u.select.width < 4) return;
     const first = Math.max(all[0], Math.floor(u.posToVal(u.select.left, "x")));
     const last = Math.min(all[1], Math.ceil(u.posToVal(u.select.left + u.select.width, "x")));
-    if (last > first) load(first, last);
+    if (shifted) picked.toggle(campaign, Array.from({ length: last - first + 1 }, (_, k) => first + k), true);
+    else if (last > first) load(first, last);
+    if (shifted) u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+  }
+
+  function point(u, found) {
+    const { idx, event } = u.cursor;
+    if (idx == null || !event || event.buttons || u.cursor.left < 0) picked.leave();
+    else picked.point(campaign, found.x[idx], event.clientX, event.clientY);
+  }
+
+  function pick(u, found) {
+    u.over.addEventListener("mousedown", (event) => (shifted = event.shiftKey), { capture: true });
+    u.over.addEventListener("click", () => {
+      if (u.select.width < 4 && u.cursor.idx != null) picked.toggle(campaign, [found.x[u.cursor.idx]]);
+    });
   }
 
   function table(found) {
@@ -85,6 +106,11 @@ function start(form) {
   form.querySelector("[data-series-all]").addEventListener("click", () => load(...all));
   window.addEventListener("resize", () => plot?.setSize({ width: Math.max(280, place.clientWidth), height: 320 }));
   load(...all);
+  picked.watch(() => {
+    if (!drawn) return;
+    if ([...picked.of(campaign)].every((row) => row < shown[0] || row > shown[1] || drawn.x.includes(row))) draw(drawn);
+    else load(...shown); // a row that is chosen now was not among those drawn
+  });
 }
 
 function cell(text, place) {

@@ -11,7 +11,7 @@ from kilter_service.campaigns import looking
 from kilter_service.db import Database
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, Plot
 from kilter_service.page.figures.scale import around, named
-from kilter_service.page.versions.comparison import residuals, size_of
+from kilter_service.page.shared.left import residuals, size_of
 from kilter_service.page.words import mm
 from kilter_service.versions import service
 from kilter_service.wire import joint_scale
@@ -39,11 +39,12 @@ class Cause:
 
 @dataclass(frozen=True)
 class Seen:
-    """Rows by their causes: sizes of the errors, mm, and which rows were held out of the fit."""
+    """Rows by their causes: sizes of the errors, mm, which were held out of the fit, and what tells each row."""
 
     causes: Sequence[Cause]
     sizes: Floats
     held_out: Any
+    rows: Sequence[str]
 
 
 def figures(database: Database, version_id: str, wanted: Sequence[str]) -> list[tuple[str, Plot]]:
@@ -73,7 +74,8 @@ def _seen(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
     sizes = size_of(table)
     order = Cause("in the order of the rows", "row, the campaigns one after the other", np.arange(1.0, len(sizes) + 1))
     varying = [cause for cause in [*joined, order] if len(np.unique(cause.values[~np.isnan(cause.values)])) > 1]
-    return Seen(varying, sizes, np.asarray(table["held_out"], dtype=bool))
+    rows = [f"{campaign}/{row}" for campaign, row in zip(table["campaign"], table["row"], strict=True)]
+    return Seen(varying, sizes, np.asarray(table["held_out"], dtype=bool), rows)
 
 
 def _causes(rows: looking.Rows) -> list[Cause]:
@@ -121,7 +123,8 @@ def _course(seen: Seen, cause: Cause) -> Plot:
     for held, label, number in ((False, "fitted", 0), (True, "held out", 1)):
         part = drawn[seen.held_out[drawn] == held]
         if len(part):
-            plot.points(cause.values[part].tolist(), seen.sizes[part].tolist(), label, number, (GREY, ORANGE)[number])
+            xs, ys, rows = cause.values[part].tolist(), seen.sizes[part].tolist(), [seen.rows[k] for k in part]
+            plot.points(xs, ys, label, number, (GREY, ORANGE)[number], rows=rows)
     xs, means, lows, highs = ([one[k] for one in bins] for k in range(4))
     if xs:
         plot.band(xs, lows, highs, "95 % of the mean").line(xs, means, "mean of a bin", colour=BLUE)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
@@ -14,15 +12,9 @@ from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
+from kilter_service.page.shared.left import residuals, size_of
 from kilter_service.paging import Page
-from kilter_service.tables.reading import PARQUET
 from kilter_service.versions import differences, service
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
 
 MOST_CAMPAIGNS = 20
 NOMINAL = "nominal"
@@ -120,21 +112,6 @@ def _left(database: Database, sides: Sequence[Version | None], chosen: Sequence[
         if any(not one.rows for one in found)
         else (found, "")
     )
-
-
-def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
-    """Return what a version leaves of every row, as columns of the file that the interface gives."""
-    import pyarrow.parquet
-
-    table = pyarrow.parquet.read_table(io.BytesIO(service.residuals(database, version, chosen, PARQUET)))
-    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
-
-
-def size_of(table: Mapping[str, Any]) -> Floats:
-    """Length of the errors, mm; NaN where nothing was seen."""
-    import numpy as np
-
-    return np.asarray(np.sqrt(sum(np.asarray(table[f"d{axis}_mm"], dtype=np.float64) ** 2 for axis in "xyz")))
 
 
 def _bars(left: Sequence[Left]) -> Plot:

@@ -21,6 +21,11 @@ export class Looking {
     this.go("start");
   }
 
+  /** Whether dragging is for something else now. */
+  hold(on) {
+    this.controls.enabled = !on;
+  }
+
   go(where) {
     const from = this.camera.position.clone().sub(this.controls.target);
     if (where in SIDES) from.copy(new Vector3(...SIDES[where]).normalize().multiplyScalar(this.distance));

@@ -30,7 +30,10 @@ function row(cells, tag) {
   return line;
 }
 
-export function fill(table, head, rows) {
+/** Fill a table; `names` (CAMPAIGN/ROW) tell which row of a campaign each line is. */
+export function fill(table, head, rows, names = []) {
   table.tHead.replaceChildren(row(head, "th"));
   table.tBodies[0].replaceChildren(...rows.map((cells) => row(cells)));
+  names.forEach((name, k) => (table.tBodies[0].rows[k].dataset.row = name));
+  window.kilter.rows.equip(table);
 }
