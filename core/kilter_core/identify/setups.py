@@ -17,6 +17,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.identify.cameras import Cameras, rig_of
 from kilter_core.identify.estimate import bounded, frames_alone
 from kilter_core.identify.kinds import KindErrors, errors_of, pooled
 from kilter_core.identify.least_squares import Fit
@@ -66,6 +67,9 @@ class SetupFrames(Effect):
             return Local()
         columns = [axis * (batch.setup == code)[:, None] for code in self.codes[1:] for axis in np.eye(6)]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(columns)])
+
+
+OF_SETUPS = (SetupFrames, Cameras)  # effects that say how it was measured, and not how the arm is
 
 
 @dataclass(frozen=True)
@@ -189,14 +193,16 @@ def _moved(rows: Observations, T: Floats, which: Bools) -> Observations:
 
 
 def without_frames(calibration: Calibration) -> Calibration:
-    """The calibration of the arm alone, in the frame of the first set-up."""
-    effects = [effect for effect in calibration.model.effects if not isinstance(effect, SetupFrames)]
-    return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
+    """The calibration of the arm alone, in the frame of the first set-up; cameras stand beside it as they were found."""
+    effects = [effect for effect in calibration.model.effects if not isinstance(effect, OF_SETUPS)]
+    if len(effects) == len(calibration.model.effects):
+        return calibration
+    return replace(calibration.with_effects(effects), rig=rig_of(calibration))
 
 
 def of_the_arm(fit: Fit) -> Bools:
-    """Which of a fit's free parameters (F,) are not frames of later set-ups."""
-    frames = {p.name for e in fit.problem.model.effects if isinstance(e, SetupFrames)
+    """Which of a fit's free parameters (F,) are not frames of later set-ups, nor of cameras and boards."""
+    frames = {p.name for e in fit.problem.model.effects if isinstance(e, OF_SETUPS)
               for p in e.parameters(fit.problem.model.robot)}  # fmt: skip
     return np.array([name not in frames for name in fit.names])
 
