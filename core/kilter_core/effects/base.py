@@ -212,6 +212,11 @@ class Effect(ABC):
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Parameters of the effect on this robot, in the order of ``values``."""
 
+    @property
+    def instrument(self) -> Any:
+        """The cameras and boards whose unknowns its parameters are; None of other effects."""
+        return None
+
     @abstractmethod
     def local(self, batch: Batch, values: Floats) -> Local:
         """Local corrections and their derivatives at ``values (P,)``."""
@@ -269,8 +274,7 @@ class Effect(ABC):
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able configuration: ``id`` and every field, joints counted from 1."""
-        shift = dict.fromkeys(self.counted, 1)
-        own = {f.name: _plain(getattr(self, f.name), shift.get(f.name, 0)) for f in fields(self)}
+        own = {f.name: _plain(getattr(self, f.name), int(f.name in self.counted)) for f in fields(self)}
         return {"id": self.id, **own}
 
     @classmethod
@@ -282,8 +286,7 @@ class Effect(ABC):
 
         """
         try:
-            shift = dict.fromkeys(cls.counted, -1)
-            return cls.made(**{k: _frozen(v, shift.get(k, 0)) for k, v in document.items() if k != "id"})
+            return cls.made(**{k: _frozen(v, -int(k in cls.counted)) for k, v in document.items() if k != "id"})
         except (TypeError, ValueError) as error:
             raise OptionError(f"Effect {cls.id} cannot be made of {dict(document)}: {error}", effect=cls.id) from error
 

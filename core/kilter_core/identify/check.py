@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.carried_masses import beside_masses, of_masses
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
@@ -93,7 +94,7 @@ def check_identification(
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
     measurement = measurement_for(train, options, begin.marker_points)
-    begin = gated(begin, train, options, None)[0]
+    begin = gated(with_cameras(begin, train, measurement), train, options, None)[0]
     noise, source = _noise(train, options)
     problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=noise * 1e3))
     whole = fit_at(problem, values, problem.linearised(values))

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import TooFewPosesError
+from kilter_core.identify.cameras import with_rig
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, solve
 from kilter_core.identify.options import IdentifyOptions
@@ -38,6 +39,8 @@ def registration_only(start: Calibration, measurement: Measurement, loss: str = 
 
     A loss that lets rows go is not for an arm whose errors are not fitted: Huber's stands in.
     """
+    if measurement.tool.places_itself:
+        return with_rig(start, measurement)
     options = IdentifyOptions(
         loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
     )
@@ -54,6 +57,8 @@ def refitted(calibration: Calibration, measurement: Measurement, frames: Sequenc
     """Fit frames, [], ["base"] or ["base", "tool"], anew to other rows, everything else held as it is."""
     if not frames:
         return calibration
+    if measurement.tool.places_itself:
+        return with_rig(calibration, measurement)
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
     options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
@@ -167,6 +172,8 @@ def prepared(
 
     """
     model, values = start.model.absorb_frame_increments(start.values)
+    if measurement.tool.places_itself:
+        options = replace(options, tool="fixed")
     free = options.free_parameters(
         model, observes_orientation=measurement.observes_orientation, observes_base=measurement.observes_base
     )

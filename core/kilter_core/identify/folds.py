@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.holdout import fold_splits
 from kilter_core.identify.kinds import KindErrors, errors_of, pooled
 from kilter_core.identify.learned import gated
@@ -73,11 +74,12 @@ def held_of(fold: Fold, progress: Progress) -> Held:
     """Fit what a fold shows and predict what it holds out."""
     shown = measurement_for(fold.shown, fold.options, fold.shape)
     unseen = measurement_for(fold.unseen, fold.options, fold.shape, shown)
-    model = gated(fold.begin, fold.shown, fold.options, fold.prior)[0]
+    model = gated(with_cameras(fold.begin, fold.shown, shown), fold.shown, fold.options, fold.prior)[0]
     fit = fit_by_method(model, shown, fold.options, progress, fold.prior)
+    found = in_fitted_frames(fold.begin, shown.of_tool(), fold.options, fold.prior)
     stages = {
-        "nominal": fold.nominal,
-        "registration_only": in_fitted_frames(fold.begin, shown.of_tool(), fold.options, fold.prior),
+        "nominal": found if shown.tool.places_itself else fold.nominal,
+        "registration_only": found,
         "identified": Calibration(fit.problem.model, fit.values, fold.shape),
     }
     return Held(

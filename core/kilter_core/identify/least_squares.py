@@ -203,11 +203,11 @@ class Fit:
         """Posterior standard deviations (F,) of the free parameters."""
         return np.sqrt(np.diag(self.covariance))
 
-    def calibration(self, *wanted: Floats | None) -> Calibration:
-        """What was fitted, the increments of base and tool absorbed in their poses; ``wanted`` as a calibration has them."""
+    def calibration(self, base: Floats | None = None, tool: Floats | None = None) -> Calibration:
+        """What was fitted, increments absorbed in the poses of base and tool; ``base`` and ``tool`` are the wanted frames."""
         problem = self.problem
         model, values = problem.model.absorb_frame_increments(self.values)
-        return Calibration(model, values, problem.measurement.marker_points, *wanted)
+        return Calibration(model, values, problem.measurement.marker_points, base, tool)
 
 
 def solve(

@@ -75,7 +75,7 @@ def linearised_residual(
     model: RobotModel, measurement: Measurement, batch: Batch, values: Floats, free: Ints
 ) -> Residual:
     """What a model leaves of a measurement, with the derivatives by its parameters ``free``."""
-    sees = measurement.observes_orientation, measurement.reads_joints
+    sees = measurement.needs_turns, measurement.reads_joints
     return measurement.residual(*model.jacobian(batch, values, free, *sees))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
+from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said, with_masses
 from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
 from kilter_core.identify.holdout import Folds, split
@@ -39,6 +40,7 @@ from kilter_core.identify.uncertainty.predictive import Predictive, left_of, pre
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.worse import PoseErrors, geometry_alone
+from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -171,14 +173,14 @@ def identify(
         given = (nominal, begin, train, validation.folds, options, progress, prior, each)
         held, compared, by_row, kinds = cross_validated(*given)
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
-    measurement = measurement_for(train, options, begin.marker_points)
+    begin, measurement = _seen(begin, train, options)
     of_tool = measurement.of_tool()
     found = in_fitted_frames(begin, of_tool, options, prior)
     wanted = wanted_frames(begin, found, of_tool, options, continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
     calibration = fit.calibration(*wanted)
-    stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
+    stages = _stages(found if measurement.tool.places_itself else nominal, found, calibration)
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
@@ -197,6 +199,16 @@ def identify(
         result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row,
         fitted_kinds=errors_of(stages, measurement), held_kinds=kinds,
     )  # fmt: skip
+
+
+def _seen(begin: Calibration, train: Observations, options: IdentifyOptions) -> tuple[Calibration, Measurement]:
+    """The model to fit with its cameras, and what was measured."""
+    measurement = measurement_for(train, options, begin.marker_points)
+    return with_cameras(begin, train, measurement), measurement
+
+
+def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -> dict[str, Calibration]:
+    return {"nominal": nominal, "registration_only": found, "identified": identified}
 
 
 def _left_more(beyond: BeyondNoise | None, inside: Ints | None) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.identify.cameras import Cameras, rig_of
 from kilter_core.identify.estimate import bounded, frames_alone
 from kilter_core.identify.kinds import KindErrors, errors_of, pooled
 from kilter_core.identify.least_squares import Fit
@@ -104,7 +105,7 @@ class SetupTools(Effect):
         return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(columns)])
 
 
-OF_SETUPS = (SetupFrames, SetupTools)
+OF_SETUPS = (SetupFrames, SetupTools, Cameras)  # effects that say how it was measured, and not how the arm is
 
 
 @dataclass(frozen=True)
@@ -252,13 +253,15 @@ def _moved(rows: Observations, T: Floats, which: Bools) -> Observations:
 
 
 def without_frames(calibration: Calibration) -> Calibration:
-    """The calibration of the arm alone, in the frame of the first set-up."""
+    """The calibration of the arm alone, in the frame of the first set-up; cameras stand beside it as they were found."""
     effects = [effect for effect in calibration.model.effects if not isinstance(effect, OF_SETUPS)]
-    return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
+    if len(effects) == len(calibration.model.effects):
+        return calibration
+    return replace(calibration.with_effects(effects), rig=rig_of(calibration))
 
 
 def of_the_arm(fit: Fit) -> Bools:
-    """Which of a fit's free parameters (F,) are not frames of later set-ups."""
+    """Which of a fit's free parameters (F,) are not frames of later set-ups, nor of cameras and boards."""
     frames = {p.name for e in fit.problem.model.effects if isinstance(e, OF_SETUPS)
               for p in e.parameters(fit.problem.model.robot)}  # fmt: skip
     return np.array([name not in frames for name in fit.names])

@@ -124,9 +124,9 @@ def _apart(*values: float) -> tuple[str, ...]:
 
 def geometry_alone(begin: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration | None:
     """The same rows fitted without effects, to compare with; None where there are none, or no such fit."""
-    if not begin.model.effects:
+    plain = begin.with_effects([e for e in begin.model.effects if e.instrument is not None])
+    if len(plain.model.effects) == len(begin.model.effects):
         return None
-    plain = begin.with_effects(())
     free, fix = (tuple(p for p in patterns if _some(p, plain.names)) for patterns in (options.free, options.fix))
     if options.free and not free:
         fix = (*fix, *plain.names[6 : plain.model.n_geometric - 6])

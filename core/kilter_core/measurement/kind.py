@@ -112,6 +112,10 @@ class Kind(ABC):
     observes_tool: ClassVar[bool] = False  # tells where the tool is: rows need one such kind, and it comes first
     observes_base: ClassVar[bool] = False  # given in a frame of its own, in which the base has a place
 
+    follows_tool: ClassVar[bool] = (
+        False  # its rows follow the tool's pose, beside another kind that tells where the tool is
+    )
+    places_itself: ClassVar[bool] = False  # has frames of its own in place of those of base and tool
     plain_fits_only: ClassVar[bool] = False  # no method, loss or interval that treats its rows one by one
 
     observations: Observations
@@ -151,6 +155,11 @@ class Kind(ABC):
     def observes_orientation(self) -> bool:
         """Whether the tool's orientation was measured, by itself or through markers."""
         return False
+
+    @property
+    def needs_turns(self) -> bool:
+        """Whether its Jacobian follows that of the tool's orientation."""
+        return self.observes_orientation
 
     @property
     def reads_joints(self) -> bool:

@@ -8,7 +8,8 @@ from kilter_core.measurement.inclination import Inclination
 from kilter_core.measurement.kind import Kind
 from kilter_core.measurement.link_encoders import LinkEncoders
 from kilter_core.measurement.markers import Markers
+from kilter_core.measurement.pixels import Pixels
 from kilter_core.measurement.points import Points
 from kilter_core.measurement.poses import Poses
 
-KINDS: tuple[type[Kind], ...] = (Contacts, Distances, Markers, Poses, Points, LinkEncoders, Inclination)
+KINDS: tuple[type[Kind], ...] = (Contacts, Distances, Markers, Poses, Points, Pixels, LinkEncoders, Inclination)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.kind import Block, Kind, Residual, Rows
 from kilter_core.measurement.markers import shape_of
+from kilter_core.measurement.pixels import Pixels
 from kilter_core.measurement.registry import KINDS
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
@@ -72,6 +74,11 @@ class Measurement:
         """What was measured of the tool."""
         return self.kinds[0]
 
+    @property
+    def pixels(self) -> Pixels | None:
+        """What cameras saw, alone or beside the tool."""
+        return next((cast("Pixels", kind) for kind in self.kinds if kind.name == Pixels.name), None)
+
     def of_tool(self) -> Measurement:
         """The same of the tool alone, in the rows that measured it."""
         seen = self.tool.measured()
@@ -82,6 +89,11 @@ class Measurement:
     def observes_orientation(self) -> bool:
         """Whether the tool's orientation was measured, by itself or through markers."""
         return self.tool.observes_orientation
+
+    @property
+    def needs_turns(self) -> bool:
+        """Whether a prediction must tell how the tool rotates with the parameters."""
+        return any(kind.needs_turns for kind in self.kinds)
 
     @property
     def observes_base(self) -> bool:
@@ -120,7 +132,7 @@ class Measurement:
 
     def numbers(self) -> int:
         """Independent numbers of the tool in the distinct poses, repeats not counted."""
-        return self.tool.numbers()
+        return self.tool.numbers() + sum(kind.numbers() for kind in self.kinds if kind.follows_tool)
 
     def scalars(self) -> int:
         """Number of measured scalars that are independent."""

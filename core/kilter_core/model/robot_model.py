@@ -22,13 +22,14 @@ from kilter_core.model.chain_rule import ToolColumns, Total
 from kilter_core.model.elements import Program, model_program
 from kilter_core.model.joint_columns import joint_rows, own_turns, turns_of
 from kilter_core.model.load_errors import Reader
-from kilter_core.model.prediction import TOOL_ROWS, Prediction
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, instrument_of
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, indices, refuse_collisions
 from kilter_core.types import Bools, Floats, Ints
 
+ARRAYS = ("marker_points", "wanted_base", "wanted_tool")  # of a calibration, beside its values
 THE_ROBOTS_OWN = np.empty((0, 0))
-NOTHING = np.zeros(0, dtype=np.int64)  # no parameter
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,8 @@ class RobotModel:
     load_chain: LoadChain | None = None
 
     def __post_init__(self) -> None:
-        for name in ("T_base", "T_tool"):
-            if getattr(self, name) is THE_ROBOTS_OWN:
-                object.__setattr__(self, name, getattr(self.robot, name))
+        for name in [k for k in ("T_base", "T_tool") if getattr(self, k) is THE_ROBOTS_OWN]:
+            object.__setattr__(self, name, getattr(self.robot, name))
         object.__setattr__(self, "effects", tuple(effect.on(self.robot) for effect in self.effects))
         refuse_collisions([p.name for p in self.parameters])
 
@@ -161,7 +161,7 @@ class RobotModel:
             batch.q, total.dq, total.xi, position, rotation,
         )  # fmt: skip
         position = position if total.stretch is None else position * total.stretch
-        return Prediction(position, rotation, total, self._slides)
+        return Prediction(position, rotation, total, self._slides, instrument_of(self.placed, values))
 
     def jacobian(
         self,
@@ -290,7 +290,7 @@ class RobotModel:
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
             batch.q, total.dq, total.xi, column, position, rotation, J, JQ, JX,
         )  # fmt: skip
-        made = Prediction(position, rotation, total, self._slides)
+        made = Prediction(position, rotation, total, self._slides, instrument_of(self.placed, values, free))
         return made, J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
 
     @cached_property
@@ -326,6 +326,7 @@ class Calibration:
     ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
     the robot's own where the measurements were taken in them, else those of the registration. The difference to the
     identified frames is part of the arm's error, because base and first joint, tool and last joint share what they share.
+    ``rig`` has the cameras and boards where they were found to stand.
     """
 
     model: RobotModel
@@ -333,6 +334,7 @@ class Calibration:
     marker_points: Floats | None = None
     wanted_base: Floats | None = None
     wanted_tool: Floats | None = None
+    rig: PlacedRig | None = None
 
     @staticmethod
     def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
@@ -352,7 +354,7 @@ class Calibration:
 
     def predict(self, observations: Observations) -> Prediction:
         """Tool poses of the rows."""
-        return self.model.predict(observations, self.values)
+        return self.model.predict(observations, self.values).seen_by(self.rig)
 
     def with_effects(self, effects: Sequence[Effect]) -> Calibration:
         """The same values with another list of effects; parameters of new effects start at their prior mean."""
@@ -376,10 +378,9 @@ class Calibration:
             "T_tool": model.T_tool.tolist(),
             "effects": [effect.to_document() for effect in model.effects],
             "values": dict(zip(model.names, values.tolist(), strict=True)),
-            "marker_points": _listed(self.marker_points),
-            "wanted_base": _listed(self.wanted_base),
-            "wanted_tool": _listed(self.wanted_tool),
+            **{name: _listed(getattr(self, name)) for name in ARRAYS},
             "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
+            "rig": None if self.rig is None else self.rig.to_document(),
         }
 
     @staticmethod
@@ -391,8 +392,8 @@ class Calibration:
         values = model.values0()
         stored = document["values"]
         values[indices(model.names, stored)] = list(stored.values())
-        others = (document.get(name) for name in ("marker_points", "wanted_base", "wanted_tool"))
-        return Calibration(model, values, *(None if other is None else np.array(other) for other in others))
+        arrays: dict[str, Any] = {k: np.array(document[k]) for k in ARRAYS if document.get(k) is not None}
+        return Calibration(model, values, **arrays, rig=PlacedRig.from_document(document.get("rig")))
 
 
 def _listed(array: Floats | None) -> Any:

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_core.observations.clock import came_back, clock_of
 from kilter_core.observations.repeats import numbered_poses, numbered_rows
+from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
 
+SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
 TOOL = ("position", "markers", "socket", "plane", "bar")  # columns that say where the tool was
 
 
@@ -63,6 +65,8 @@ class Observations(Conditions):
     beyond its command, up to a constant, as inclinometers read it, NaN where none did; ``tilt (N, n + 1, 3)`` where one
     sits on the base, which comes last. ``link_mass (N, n, 4)`` is a mass kg that hangs on each link beyond what the robot
     states and its place m in the frame of the link, and ``link_wrench (N, n, 6)`` a force N and moment N·m on it.
+    ``pixels (N, M, 2)`` px are the corners that a camera saw of a board, NaN where it did not, with standard deviations
+    ``pixel_sigma``; ``camera`` and ``board (N,)`` are places in the ``rig``, which describes them, -1 in rows of neither.
     """
 
     q: Floats
@@ -84,6 +88,11 @@ class Observations(Conditions):
     command: Floats | None = None
     link_mass: Floats | None = None
     link_wrench: Floats | None = None
+    pixels: Floats | None = None
+    pixel_sigma: Floats | None = None
+    camera: Ints | None = None
+    board: Ints | None = None
+    rig: Rig | None = None
 
     def __post_init__(self) -> None:
         for name, value in self._present().items():
@@ -97,7 +106,8 @@ class Observations(Conditions):
 
     def select(self, index: NDArray[Any] | slice) -> Observations:
         """Return the rows of ``index`` (integers, a mask or a slice)."""
-        return replace(self, **{name: value[index] for name, value in self._present().items()})
+        rows: dict[str, Any] = {name: value[index] for name, value in self._present().items()}
+        return replace(self, **rows)
 
     @staticmethod
     def concatenate(parts: Sequence[Observations]) -> Observations:
@@ -120,7 +130,7 @@ class Observations(Conditions):
                 part if part.payload_com is not None else replace(part, payload_com=np.zeros((len(part), 3)))
                 for part in parts
             ]
-        parts = _beside(parts)
+        parts = _beside(_with_one_rig(parts))
         names = set(parts[0]._present())
         for part in parts[1:]:
             if set(part._present()) != names:
@@ -130,7 +140,9 @@ class Observations(Conditions):
                     "or upload the missing columns.",
                     columns=odd,
                 )
-        return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        return Observations(
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}, rig=parts[0].rig
+        )
 
     def carrying(self, payload_kg: float, payload_com: Sequence[float]) -> Observations:
         """Return the rows with this payload (kg, and m in the tool frame) where they state none."""
@@ -187,7 +199,7 @@ class Observations(Conditions):
     def conditions(self) -> Ints:
         """Number what repeats must share beside the pose, shape (N,): pose, approach, payload, session and contact."""
         columns = [self.pose_groups().astype(np.float64)[:, None]]
-        contact = (self.socket, self.plane, self.bar)
+        contact = (self.socket, self.plane, self.bar, self.camera, self.board)
         loads = (self.payload_kg, self.payload_com, self.link_mass, self.link_wrench)
         beside = (self.direction, *loads, self.session, self.setup, *contact)
         columns += [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
@@ -209,7 +221,9 @@ class Observations(Conditions):
         return out
 
     def _present(self) -> dict[str, NDArray[Any]]:
-        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+        return {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name != "rig" and getattr(self, f.name) is not None
+        }
 
 
 def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
@@ -247,4 +261,31 @@ def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observatio
     out = np.full((len(part), *shape), np.nan)
     if own is not None:
         out[:, : own.shape[1]] = own
-    return replace(part, **{name: out})
+    made: dict[str, Any] = {name: out}
+    return replace(part, **made)
+
+
+def _with_one_rig(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns with all cameras and boards described once; rows that no camera measured have no pixels."""
+    if all(part.rig is None for part in parts):
+        return parts
+    rig = Rig.merged(part.rig for part in parts if part.rig is not None)
+    codes = {name: next((c[0] for p in parts if (c := getattr(p, name)) is not None), None) for name in SET_UP}
+    return [_seen_by(part, rig, parts, codes) for part in parts]
+
+
+def _seen_by(part: Observations, rig: Rig, parts: Sequence[Observations], codes: dict[str, Any]) -> Observations:
+    """One of the campaigns with the cameras and boards of all, and of the set-up of the first tracker where it has none."""
+    own = part.rig or Rig((), ())
+    changes: dict[str, Any] = {"rig": rig}
+    for name, before, after in (("camera", own.cameras, rig.cameras), ("board", own.boards, rig.boards)):
+        places = np.array([[a.name for a in after].index(b.name) for b in before] + [-1], dtype=np.int64)
+        column = getattr(part, name)
+        changes[name] = places[np.full(len(part), -1) if column is None else column]
+    part = _filled(replace(part, **changes), "pixels", (rig.most_corners, 2))
+    if any(one.pixel_sigma is not None for one in parts):
+        part = _filled(part, "pixel_sigma", (rig.most_corners, 2))
+    missing: dict[str, Any] = {
+        k: np.full(len(part), c) for k, c in codes.items() if c is not None and getattr(part, k) is None
+    }
+    return replace(part, **missing)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,7 @@ def _loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com
 def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
     """Rows with constants for what a pose cannot choose, so that the effects can be evaluated."""
     n = len(rows)
-    made = {
+    made: dict[str, Any] = {
         "qd": np.zeros_like(rows.q), "qdd": np.zeros_like(rows.q), "t": np.zeros(n), "temperature_c": np.full(n, 20.0),
         "base_tilt_x": np.zeros(n), "base_tilt_y": np.zeros(n),
         "payload_kg": np.zeros(n), "session": np.zeros(n, dtype=np.int64), "direction": np.zeros_like(rows.q),

@@ -1,0 +1,144 @@
+"""The pose of a board in each picture: homography or direct linear transform, refined until its corners fit best."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kilter_core.measurement.camera_model import normalised
+from kilter_core.measurement.views import Views, sight
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations.rig import Board, Camera, Rig
+from kilter_core.transforms import nearest_rotation
+from kilter_core.types import Bools, Floats
+
+STEPS = 12
+PLANAR = 1e-6  # share of the largest spread below which corners lie in a plane
+FEWEST_IN_SPACE = 6
+
+
+def board_poses(
+    camera: Camera, intrinsics: Floats, board: Board, pixels: Floats
+) -> tuple[Floats, Floats, Floats, Bools]:
+    """Poses of a board before a camera: position (N, 3), rotation (N, 3, 3), rms (N,) px, and which views (N,) tell one.
+
+    ``pixels (N, m, 2)`` are NaN where a corner was not seen.
+    """
+    corners = np.array(board.corners)
+    centre, frame, flat = _plane_of(corners)
+    local = (corners - centre) @ frame
+    seen: Bools = np.asarray(~np.isnan(pixels).any(axis=2))
+    usable = seen.sum(axis=1) >= (4 if flat else FEWEST_IN_SPACE)
+    flats = np.where(seen[..., None], normalised(camera.model, intrinsics, pixels), 0.0)
+    p, R = (_by_homography if flat else _in_space)(local, flats, seen)
+    fixed = _alone(camera, intrinsics, local)
+    p, R, rms = _refined(fixed, p, R, pixels)
+    if flat:
+        p, R, rms = _better((p, R, rms), _refined(fixed, p, _other_side(p, R), pixels))
+    usable &= np.isfinite(rms) & (p[:, 2] > 0.0)
+    R = R @ frame.T
+    return p - R @ centre, R, rms, usable
+
+
+def _plane_of(corners: Floats) -> tuple[Floats, Floats, bool]:
+    """Centre (3,), axes (3, 3) of the corners, the last across them, and whether they lie in a plane."""
+    centre = corners.mean(axis=0)
+    _, s, Vt = np.linalg.svd(corners - centre, full_matrices=False)
+    return centre, Vt.T * np.array([1.0, 1.0, np.linalg.det(Vt)]), bool(s[2] <= PLANAR * s[0])
+
+
+def _alone(camera: Camera, intrinsics: Floats, corners: Floats) -> PlacedRig:
+    """A rig of one camera at the origin and one board, so that the tool is the board."""
+    rig = Rig(
+        (Camera("camera", "fixed", camera.size, camera.focal, camera.centre, camera.model, camera.distortion),),
+        (Board("board", "flange", tuple(map(tuple, corners.tolist()))),),
+    )
+    out = PlacedRig.at_poses(rig, {}, {})
+    return out.with_intrinsics(0, intrinsics)
+
+
+def _by_homography(local: Floats, flats: Floats, seen: Bools) -> tuple[Floats, Floats]:
+    size = float(np.abs(local).max())
+    board = np.column_stack([local[:, :2] / size, np.ones(len(local))])
+    A = np.zeros((*seen.shape, 2, 9))
+    A[..., 0, :3] = A[..., 1, 3:6] = board
+    A[..., 0, 6:] = -flats[..., 0, None] * board
+    A[..., 1, 6:] = -flats[..., 1, None] * board
+    A *= seen[..., None, None]
+    H = _smallest(A).reshape(-1, 3, 3) / np.array([size, size, 1.0])
+    return _pose_from(H[:, :, 0], H[:, :, 1], H[:, :, 2])
+
+
+def _pose_from(first: Floats, second: Floats, place: Floats) -> tuple[Floats, Floats]:
+    scale = (
+        0.5 * (np.linalg.norm(first, axis=1) + np.linalg.norm(second, axis=1)) * np.where(place[:, 2] < 0.0, -1.0, 1.0)
+    )
+    a, b, p = (v / scale[:, None] for v in (first, second, place))
+    return p, nearest_rotation(np.stack([a, b, np.cross(a, b)], axis=-1))
+
+
+def _in_space(local: Floats, flats: Floats, seen: Bools) -> tuple[Floats, Floats]:
+    size = float(np.abs(local).max())
+    body = np.column_stack([local / size, np.ones(len(local))])
+    A = np.zeros((*seen.shape, 2, 12))
+    A[..., 0, :4] = A[..., 1, 4:8] = body
+    A[..., 0, 8:] = -flats[..., 0, None] * body
+    A[..., 1, 8:] = -flats[..., 1, None] * body
+    A *= seen[..., None, None]
+    P = _smallest(A).reshape(-1, 3, 4) / np.array([size, size, size, 1.0])
+    P = P * np.sign(np.linalg.det(P[:, :, :3]))[:, None, None]
+    scale = np.cbrt(np.linalg.det(P[:, :, :3]))[:, None, None]
+    P = P / np.where(scale == 0.0, 1.0, scale)
+    return P[:, :, 3], nearest_rotation(P[:, :, :3])
+
+
+def _smallest(A: Floats) -> Floats:
+    """Vectors (N, K) that A (N, M, 2, K) takes nearest to zero."""
+    flat = A.reshape(len(A), -1, A.shape[-1])
+    return np.asarray(np.linalg.eigh(flat.transpose(0, 2, 1) @ flat)[1][:, :, 0])
+
+
+def _other_side(p: Floats, R: Floats) -> Floats:
+    """The rotation that a plane may have as well: its normal mirrored at the line of sight."""
+    view = p / np.linalg.norm(p, axis=1, keepdims=True)
+    normal = R[:, :, 2]
+    across = np.cross(normal, view)
+    size = np.linalg.norm(across, axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(size[:, 0], np.sum(normal * view, axis=1))
+    return np.asarray(Rotation.from_rotvec(across / np.maximum(size, 1e-12) * angle[:, None]).as_matrix() @ R)
+
+
+def _better(one: tuple[Floats, Floats, Floats], other: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
+    take = np.nan_to_num(other[2], nan=np.inf) < np.nan_to_num(one[2], nan=np.inf)
+    p, R, rms = (np.where(take.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in zip(one, other, strict=True))
+    return p, R, rms
+
+
+def _refined(alone: PlacedRig, p: Floats, R: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+    """Gauss-Newton steps of every view by itself, each halved while it would not gain."""
+    none = np.zeros(len(p), dtype=np.int64)
+    p, R = p.copy(), R.copy()
+    best, kept = np.full(len(p), np.inf), (p, R)
+    step = np.zeros((len(p), 6))
+    for _ in range(STEPS):
+        seen = sight(alone, Views(none, none, p, R), pixels.shape[1], slopes=True)
+        r = pixels - seen.pixels
+        rms = np.sqrt(_mean_square(r))
+        gained = rms < best
+        best = np.where(gained, rms, best)
+        kept = np.where(gained[:, None], p, kept[0]), np.where(gained[:, None, None], R, kept[1])
+        assert seen.by_tool is not None
+        A = seen.by_tool.reshape(len(p), -1, 6) * ~np.isnan(r).reshape(len(p), -1, 1)
+        H = A.transpose(0, 2, 1) @ A
+        H += 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(6) + 1e-30 * np.eye(6)
+        whole = np.linalg.solve(H, A.transpose(0, 2, 1) @ np.nan_to_num(r).reshape(len(p), -1, 1))[:, :, 0]
+        step = np.where(gained[:, None], whole, 0.5 * step)
+        p = kept[0] + step[:, :3]
+        R = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ kept[1]
+    return kept[0], kept[1], best
+
+
+def _mean_square(r: Floats) -> Floats:
+    """Mean square (N,) of what is left; NaN of a view with a corner that is seen and lies behind the camera."""
+    count = (~np.isnan(r)).sum(axis=(1, 2))
+    return np.where(count > 0, np.nansum(r**2, axis=(1, 2)) / np.maximum(count, 1), np.nan)

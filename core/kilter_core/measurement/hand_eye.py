@@ -1,0 +1,109 @@
+"""Where camera and board stand, from nothing: AX = ZB in closed form, trimmed, and for a start only.
+
+The closed forms trust the kinematics (rotations by the Kronecker product, Shah 2013; lengths by linear least squares), so
+an arm's errors stay in them; the bundle that begins there fits pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.transforms import nearest_rotation, rotation_log
+from kilter_core.types import Bools, Floats
+
+FEWEST_VIEWS = 3
+PASSES = 4
+FAR = 4.0  # times the median, beyond which a view does not count for the start
+SAME_AXIS = 0.02  # share of the rotations' spread below which all rotate about one axis
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """``tool_side`` A and ``world_side`` B (4, 4) with T A = B M in every view; what is left (N,) m and rad."""
+
+    tool_side: Floats
+    world_side: Floats
+    left_m: Floats
+    left_rad: Floats
+
+
+def solve_axzb(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats) -> HandEye:
+    """A and B of T A = B M, from poses of the tool ``T`` and of what the camera measured ``M``, (N, 3) and (N, 3, 3).
+
+    Raises:
+        ObservationError: too few views, or rotations about one axis only.
+
+    """
+    if len(T_p) < FEWEST_VIEWS:
+        raise ObservationError(
+            f"{len(T_p)} views tell no camera from its board: {FEWEST_VIEWS} or more are needed, and 15 for a good start.",
+            code="hand_eye_undetermined",
+        )
+    _refuse_one_axis(T_R)
+    used = np.ones(len(T_p), dtype=bool)
+    for _ in range(PASSES):
+        found = _solved(T_p, T_R, M_p, M_R, used)
+        far = _far(found.left_m) | _far(found.left_rad)
+        if np.array_equal(~far, used) or (~far).sum() < max(FEWEST_VIEWS, len(T_p) // 2):
+            break
+        used = ~far
+    return found
+
+
+def _refuse_one_axis(R: Floats) -> None:
+    turns = rotation_log(R[0].T @ R)
+    spread = np.linalg.svd(turns, compute_uv=False)
+    if spread[1] <= SAME_AXIS * spread[0] or spread[0] < 1e-3:
+        raise ObservationError(
+            "The tool was rotated about one axis only: where the camera stands along that axis cannot be told from where the "
+            "board is. Add views rotated by 20 degrees or more about another axis.",
+            code="hand_eye_undetermined",
+        )
+
+
+def _far(left: Floats) -> Bools:
+    return np.asarray(left > FAR * max(float(np.median(left)), 1e-9))
+
+
+def _solved(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats, used: Bools) -> HandEye:
+    K = np.einsum("nij,nkl->ikjl", T_R[used], M_R[used]).reshape(9, 9)
+    U, _, Vt = np.linalg.svd(K)
+    B, A = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
+    sign = 1.0 if np.linalg.det(A) > 0.0 else -1.0
+    A, B = nearest_rotation(sign * A), nearest_rotation(sign * B)
+    n = int(used.sum())
+    left = np.concatenate([T_R[used], np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2).reshape(-1, 6)
+    right = (M_p[used] @ B.T - T_p[used]).reshape(-1)
+    t = np.linalg.lstsq(left, right, rcond=None)[0]
+    off = T_p + T_R @ t[:3] - M_p @ B.T - t[3:]
+    turned = rotation_log(np.swapaxes(T_R @ A, 1, 2) @ (B @ M_R))
+    return HandEye(_pose(A, t[:3]), _pose(B, t[3:]), np.linalg.norm(off, axis=1), np.linalg.norm(turned, axis=1))
+
+
+def solve_axxb(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats) -> Floats:
+    """What :func:`solve_axzb` calls A, from AX = XB of all pairs of views (Park and Martin 1994): B takes no part.
+
+    Raises:
+        ObservationError: rotations about one axis only.
+
+    """
+    _refuse_one_axis(T_R)
+    first, second = np.triu_indices(len(T_p), 1)
+    A_R = T_R[first].transpose(0, 2, 1) @ T_R[second]
+    A_p = np.einsum("nji,nj->ni", T_R[first], T_p[second] - T_p[first])
+    B_R = M_R[first].transpose(0, 2, 1) @ M_R[second]
+    B_p = np.einsum("nji,nj->ni", M_R[first], M_p[second] - M_p[first])
+    a, b = rotation_log(A_R), rotation_log(B_R)
+    X = nearest_rotation(a.T @ b)
+    left = (A_R - np.eye(3)).reshape(-1, 3)
+    t = np.linalg.lstsq(left, (B_p @ X.T - A_p).reshape(-1), rcond=None)[0]
+    return _pose(X, t)
+
+
+def _pose(R: Floats, p: Floats) -> Floats:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T

@@ -1,0 +1,206 @@
+"""Corners of boards that cameras see: pixels, whitened by what is known of each corner, through camera and chain.
+
+A row is one view: one camera saw one board. Residuals are told in metres, pixels times what a pixel is wide where the
+boards were, one constant for all rows: so they weigh as pixels, and read as lengths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
+from kilter_core.measurement.rig_fit import fit_rig, placed_by
+from kilter_core.measurement.views import Views, sight
+from kilter_core.model import Calibration, Prediction
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations import Observations
+from kilter_core.observations.rig import Rig
+from kilter_core.types import Bools, Floats, Ints
+
+FEWEST_CORNERS = 4  # of a view that tells a pose
+
+
+@dataclass(frozen=True)
+class Pixels(Kind):
+    """Views of boards beside another measurement of the tool. ``anchor`` are the rows that say where cameras stand."""
+
+    name = "pixels"
+    summary = "corners of boards that cameras see"
+    group = "pixels"
+    follows_tool = True
+    observations: Observations
+    anchor: Pixels | None = None
+
+    @classmethod
+    def of(cls, rows: Rows) -> Kind | None:
+        """Rows that have pixels; where nothing else tells of the tool, they do."""
+        o = rows.observations
+        if o.pixels is None or o.rig is None or rows.relative:
+            return None
+        alone = o.position is None and o.markers is None
+        return (PixelsAlone if alone else Pixels)(o, cast("Pixels | None", anchor_of(cls.name, rows)))
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras and boards."""
+        assert self.observations.rig is not None
+        return self.observations.rig
+
+    @property
+    def pixels(self) -> Floats:
+        """Corners (N, M, 2) px."""
+        assert self.observations.pixels is not None
+        return self.observations.pixels
+
+    @property
+    def _places(self) -> tuple[Ints, Ints]:
+        assert self.observations.camera is not None
+        assert self.observations.board is not None
+        return self.observations.camera, self.observations.board
+
+    def check(self) -> None:
+        """Refuse views of a camera and a board that move together."""
+        camera, board = self._places
+        for c, b in sorted({(int(c), int(b)) for c, b in zip(camera, board, strict=True) if c >= 0}):
+            one, other = self.rig.cameras[c], self.rig.boards[b]
+            if one.mount == other.mount:
+                raise ObservationError(
+                    f"Camera {one.name!r} and board {other.name!r} are both {_where(one.mount)}: such views do not follow the "
+                    "arm. Correct the mount of one of them, or leave these rows out.",
+                    code="mounts_alike",
+                    camera=one.name,
+                    board=other.name,
+                )
+
+    def measured(self) -> Bools:
+        """Rows with corners."""
+        return np.asarray(~np.isnan(self.pixels).all(axis=(1, 2)))
+
+    def scalars(self) -> int:
+        """Numbers that were seen."""
+        return int(np.count_nonzero(~np.isnan(self.pixels)))
+
+    @property
+    def observes_orientation(self) -> bool:
+        """A board shows how it is rotated."""
+        return True
+
+    @property
+    def equations_per_pose(self) -> int:
+        """A view tells a pose."""
+        return 6
+
+    @cached_property
+    def metres_per_px(self) -> float:
+        """What a pixel is wide at the boards, m: the median over the views of how far corners are apart there and here."""
+        board, corners = self._places[1], np.full((len(self.rig.boards), self.pixels.shape[1], 3), np.nan)
+        for k, one in enumerate(self.rig.boards):
+            corners[k, : len(one.corners)] = one.corners
+        seen = ~np.isnan(self.pixels).any(axis=2) & (board >= 0)[:, None]
+        wide = [_spread(values[seen[n]]) for n, values in enumerate(np.where(seen[..., None], corners[board], np.nan))]
+        here = [_spread(values[seen[n]]) for n, values in enumerate(self.pixels)]
+        ratio = np.array([w / h for w, h in zip(wide, here, strict=True) if h > 0.0])
+        return float(np.median(ratio)) if len(ratio) else 1e-3
+
+    @cached_property
+    def weights(self) -> Floats | float:
+        """Metres per whitened pixel: those of every corner (N, M, 2) where it says how well it is known."""
+        sigma = self.observations.pixel_sigma
+        if sigma is None:
+            return self.metres_per_px
+        common = float(np.sqrt(np.nanmean(np.where(np.isnan(self.pixels), np.nan, sigma) ** 2)))
+        return np.asarray(self.metres_per_px * common / np.where(np.isnan(sigma), common, sigma))
+
+    def views(self, prediction: Prediction) -> Views:
+        """The views of a predicted arm."""
+        return Views(*self._places, prediction.position, prediction.rotation)
+
+    def fitted(self, prediction: Prediction) -> PlacedRig:
+        """The rig where it fits these rows best, the arm held as predicted."""
+        views = self.views(prediction)
+        return fit_rig(placed_by(self.rig, views, self.pixels), views, self.pixels, self.observations.pixel_sigma).rig
+
+    def placed(self, prediction: Prediction) -> PlacedRig:
+        """The rig as it is known; where a prediction knows nothing of these cameras, as it fits these rows best."""
+        known = prediction.instrument
+        return known.rig.of(self.rig) if known is not None and known.rig.has(self.rig) else self.fitted(prediction)
+
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
+        """Measured minus predicted corners (N, M, 2), whitened by what is known of each, in m at the boards."""
+        seen = sight(self.placed(prediction), self.views(prediction), self.pixels.shape[1], slopes=J is not None)
+        w = self.weights
+        r = w * (self.pixels - seen.pixels)
+        if J is None:
+            return (Block(self.group, r),)
+        assert seen.by_tool is not None
+        assert seen.by_rig is not None
+        n, m = r.shape[:2]
+        out = seen.by_tool.reshape(n, 2 * m, 6) @ J[:, :6]
+        if prediction.instrument is not None and len(prediction.instrument.columns):
+            columns = prediction.instrument.columns
+            own = np.flatnonzero(columns >= 0)
+            out[:, :, columns[own]] += seen.by_rig.reshape(n, 2 * m, -1)[:, :, own]
+        out = out.reshape(n, m, 2, J.shape[2])
+        out *= w if isinstance(w, float) else w[..., None]
+        return (Block(self.group, r, out),)
+
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 3) m and (K,) rad of the tool, by the motion that explains each view best."""
+        found = self.tool_errors(calibration)[0]
+        e: Floats = found[~np.isnan(found).any(axis=1)]
+        turns: Floats = np.sqrt(np.sum(e[:, 3:] ** 2, axis=1))
+        return e[:, :3], turns
+
+    def tool_errors(self, calibration: Calibration) -> tuple[Floats, Floats]:
+        """Motions (N, 6) m, rad of the tool that explain what is left of each view best, NaN of views that tell no pose.
+
+        With them their covariance (N, 6, 6) for corners of 1 px.
+        """
+        prediction = calibration.predict(self.observations)
+        rig = self._known(calibration, prediction)
+        seen = sight(rig, self.views(prediction), self.pixels.shape[1], slopes=True)
+        assert seen.by_tool is not None
+        w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
+        r = w * (self.pixels - seen.pixels)
+        A = (seen.by_tool * (w * ~np.isnan(r))[..., None]).reshape(len(r), -1, 6)
+        enough = (~np.isnan(r)).sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS
+        H = A.transpose(0, 2, 1) @ A
+        H[~enough] = np.eye(6)
+        C = np.linalg.inv(H)
+        e = (C @ (A.transpose(0, 2, 1) @ np.nan_to_num(r).reshape(len(r), -1, 1)))[:, :, 0]
+        e[~enough] = np.nan
+        return e, C
+
+    def _known(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
+        """The rig of a calibration; where it has none, as it fits the anchor, or else these rows."""
+        known = prediction.instrument
+        if (known is not None and known.rig.has(self.rig)) or self.anchor is None:
+            return self.placed(prediction)
+        found = self.anchor.placed(calibration.predict(self.anchor.observations))
+        return found.of(self.rig) if found.has(self.rig) else self.fitted(prediction)
+
+
+class PixelsAlone(Pixels):
+    """Views of boards where nothing else tells of the tool."""
+
+    group = POINTS
+    follows_tool = False
+    observes_tool = True
+    places_itself = True
+    plain_fits_only = True
+
+
+def _where(mount: str) -> str:
+    return "fixed in the room" if mount == "fixed" else "on the flange"
+
+
+def _spread(points: Floats) -> float:
+    """Root mean square distance of points (k, d) from their middle; 0 of fewer than two."""
+    if len(points) < 2:
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))

@@ -1,0 +1,156 @@
+"""Cameras and boards put where they fit given tool poses best: closed forms for a start, then all pixels at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.measurement.board_poses import board_poses
+from kilter_core.measurement.hand_eye import HandEye, solve_axzb
+from kilter_core.measurement.views import Sight, Views, sight
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations.rig import Rig
+from kilter_core.transforms import inverse
+from kilter_core.types import Floats, Ints
+
+STEPS = 40
+SETTLED = 1e-8  # prior sigmas
+WRONG_SIGMAS = 3.0  # of the median residual: beyond, a corner counts as Huber has it
+SMALLEST_PX = 1e-3
+
+
+@dataclass(frozen=True)
+class FittedRig:
+    """A rig as it fits, with the covariance (K, K) of its unknowns and the standard deviation of a corner, px."""
+
+    rig: PlacedRig
+    covariance: Floats
+    sigma_px: float
+
+
+def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
+    """Start values: each board's pose in each view, then AX = ZB of each pair of a camera and a board.
+
+    Raises:
+        ObservationError: ``no_view``, or ``hand_eye_undetermined``.
+
+    """
+    cameras: dict[int, Floats] = {}
+    boards: dict[int, Floats] = {}
+    pairs = []
+    for which, c, b in views.pairs():
+        camera, board = rig.cameras[c], rig.boards[b]
+        values = np.array(camera.values)
+        p, R, _, usable = board_poses(camera, values, board, pixels[which][:, : len(board.corners)])
+        pairs.append((int(usable.sum()), c, b, which[usable], p[usable], R[usable]))
+    for count, c, b, which, p, R in sorted(pairs, key=lambda pair: (-pair[0], pair[1], pair[2])):
+        if c in cameras and b in boards:
+            continue
+        if not count:
+            raise ObservationError(
+                f"Camera {rig.cameras[c].name!r} saw four corners or more of board {rig.boards[b].name!r} in no view: "
+                "measure some, or leave the camera out.",
+                code="no_view",
+            )
+        found = _pair(rig, (c, b), views, which, p, R, cameras, boards)
+        tool_side, world_side = found.tool_side, found.world_side
+        fixed = rig.cameras[c].mount == "fixed"
+        cameras.setdefault(c, world_side if fixed else tool_side)
+        boards.setdefault(b, tool_side if fixed else world_side)
+    return PlacedRig.at_poses(rig, cameras, boards)
+
+
+def _pair(
+    rig: Rig,
+    pair: tuple[int, int],
+    views: Views,
+    which: Ints,
+    p: Floats,
+    R: Floats,
+    cameras: Mapping[int, Floats],
+    boards: Mapping[int, Floats],
+) -> HandEye:
+    """Camera and board of a pair; where one of them stands already, the other from that."""
+    c, b = pair
+    fixed = rig.cameras[c].mount == "fixed"
+    if not fixed:  # what the tool carries is the camera: the board's pose is seen from there
+        R = R.transpose(0, 2, 1)
+        p = -np.einsum("nij,nj->ni", R, p)
+    T_p, T_R = views.position[which], views.rotation[which]
+    if c not in cameras and b not in boards:
+        return solve_axzb(T_p, T_R, p, R)
+    of_tool, of_room = (boards.get(b), cameras.get(c)) if fixed else (cameras.get(c), boards.get(b))
+    known_tool = of_tool is not None
+    known = of_tool if of_tool is not None else of_room
+    assert known is not None
+    each = []
+    for k in range(len(p)):
+        T, M = np.eye(4), np.eye(4)
+        T[:3, :3], T[:3, 3], M[:3, :3], M[:3, 3] = T_R[k], T_p[k], R[k], p[k]
+        each.append(T @ known @ inverse(M) if known_tool else inverse(T) @ known @ M)
+    other = each[int(np.argmin([np.median([np.linalg.norm(a - o) for o in each]) for a in each]))]
+    zero = np.zeros(len(p))
+    return HandEye(*((known, other) if known_tool else (other, known)), zero, zero)
+
+
+def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None = None) -> FittedRig:
+    """Fit all unknowns of the rig to pixels (N, M, 2), the tool poses held; wrong corners are bounded (Huber).
+
+    ``sigma (N, M, 2)`` px are the corners' own standard deviations, up to one factor that the residuals tell.
+    """
+    rig = start.settled()
+    prior = np.array([p.prior_sigma for p in rig.parameters])
+    mean = np.array([p.value for p in rig.parameters])
+    weight = 1.0 if sigma is None else np.sqrt(np.nanmean(sigma**2)) / sigma
+    values, damping = rig.values, 1e-6
+    seen = sight(rig.at(values), views, pixels.shape[1], slopes=True)
+    width = _width(weight * (pixels - seen.pixels))
+    loss = np.inf
+    for step in range(STEPS):
+        r = weight * (pixels - seen.pixels)
+        if step < 6:
+            width = max(_width(r), SMALLEST_PX)
+            loss = _loss(r / width, (values - mean) / prior)
+        H, g = _equations(seen, r, weight, width, prior, (values - mean) / prior)
+        while True:
+            move = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+            there = sight(rig.at(values + move * prior), views, pixels.shape[1], slopes=True)
+            new = _loss(weight * (pixels - there.pixels) / width, (values + move * prior - mean) / prior)
+            if new <= loss or damping > 1e6:
+                break
+            damping *= 10.0
+        values, seen, damping = values + move * prior, there, max(0.1 * damping, 1e-9)
+        loss = new
+        if step >= 6 and float(np.max(np.abs(move), initial=0.0)) < SETTLED:
+            break
+    covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
+    return FittedRig(rig.at(values).settled(), covariance, float(width))
+
+
+def _equations(
+    seen: Sight, r: Floats, weight: float | Floats, width: float, prior: Floats, away: Floats
+) -> tuple[Floats, Floats]:
+    assert seen.by_rig is not None
+    root = np.nan_to_num(_root(r / width) * np.broadcast_to(weight, r.shape) / width)
+    A = (seen.by_rig * (root * ~np.isnan(r))[..., None]).reshape(-1, len(prior)) * prior
+    scaled = (np.nan_to_num(r) * _root(r / width) / width).reshape(-1)
+    return A.T @ A + np.eye(len(prior)), A.T @ np.nan_to_num(scaled) - away
+
+
+def _root(s: Floats) -> Floats:
+    """Root of Huber's weight of whitened numbers."""
+    return np.asarray(np.sqrt(WRONG_SIGMAS / np.maximum(np.abs(np.nan_to_num(s)), WRONG_SIGMAS)))
+
+
+def _loss(s: Floats, away: Floats) -> float:
+    size = np.abs(s[~np.isnan(s)])
+    bounded = np.where(size <= WRONG_SIGMAS, 0.5 * size**2, WRONG_SIGMAS * (size - 0.5 * WRONG_SIGMAS))
+    return float(bounded.sum() + 0.5 * away @ away)
+
+
+def _width(r: Floats) -> float:
+    left = np.abs(r[~np.isnan(r)])
+    return float(np.median(left)) / 0.6745 if len(left) else 1.0

@@ -1,0 +1,219 @@
+"""Where cameras and boards stand, and which numbers of them are unknown: six of each place, intrinsics, and scales."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kilter_core.observations.rig import Camera, Rig
+from kilter_core.parameters import Parameter
+from kilter_core.transforms import inverse
+from kilter_core.types import Floats
+
+PLACE = ("x", "y", "z", "rx", "ry", "rz")
+# Places are found from scratch by the registration; these widths only keep an unobservable direction finite.
+LENGTH_PRIOR_M = 0.1
+ANGLE_PRIOR_RAD = 0.3
+FREE_FOCAL = 0.1  # share of the focal length, of free intrinsics
+FREE_CENTRE = 0.1  # share of the width
+FREE_DISTORTION = 0.5
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number of a rig: of the camera or board ``part`` at ``place``, "pose" 0-5, "intrinsics" or "scale"."""
+
+    camera: bool
+    place: int
+    what: str
+    index: int
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A part with its numbers: ``origin (4, 4)`` and increments ``six (6,)`` about it, in its own axes.
+
+    A fixed part stands in the frame of the measurements, one on the flange in the frame of the tool.
+    """
+
+    origin: Floats
+    six: Floats
+    values: Floats  # intrinsics of a camera, the relative scale error (1,) of a board
+
+    @property
+    def pose(self) -> Floats:
+        """Pose (4, 4) of the part."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = _turn(self.six[3:]), self.six[:3]
+        return np.asarray(self.origin @ T)
+
+    @property
+    def spin(self) -> Floats:
+        """Columns (3, 3): how it rotates, in its own axes, with each of its three angles."""
+        _, ry, rz = (_axis(k, self.six[3 + k]) for k in range(3))
+        return np.column_stack([rz.T @ ry.T[:, 0], rz.T[:, 1], np.eye(3)[:, 2]])
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedRig:
+    """A rig whose cameras and boards stand at poses (4, 4), with intrinsics and scales (relative errors) as found."""
+
+    rig: Rig
+    cameras: tuple[Place, ...]
+    boards: tuple[Place, ...]
+
+    @staticmethod
+    def at_poses(rig: Rig, cameras: Mapping[int, Floats], boards: Mapping[int, Floats]) -> PlacedRig:
+        """Parts at these poses, as they are described; where none is given, at the origin."""
+
+        def placed(poses: Mapping[int, Floats], k: int, values: Any) -> Place:
+            return Place(np.asarray(poses.get(k, np.eye(4))), np.zeros(6), np.array(values, dtype=np.float64))
+
+        return PlacedRig(
+            rig,
+            tuple(placed(cameras, k, c.values) for k, c in enumerate(rig.cameras)),
+            tuple(placed(boards, k, (0.0,)) for k in range(len(rig.boards))),
+        )
+
+    @cached_property
+    def unknowns(self) -> tuple[tuple[Unknown, Parameter], ...]:
+        """What a fit may change, with names, units and priors; increments begin at zero, intrinsics at what is stated."""
+        out: list[tuple[Unknown, Parameter]] = []
+        for k, camera in enumerate(self.rig.cameras):
+            out += _pose_of("camera", camera.name, True, k)
+            sigmas = _sigmas(camera)
+            for i, (name, value) in enumerate(zip(camera.names, camera.values, strict=True) if sigmas else ()):
+                unit = "px" if i < 4 else "1"
+                parameter = Parameter(f"camera_{camera.name}_{name}", unit, value, sigmas[i])
+                out.append((Unknown(True, k, "intrinsics", i), parameter))
+        for k, board in enumerate(self.rig.boards):
+            out += _pose_of("board", board.name, False, k)
+            if board.scale_sigma > 0.0:
+                parameter = Parameter(f"board_{board.name}_scale", "1", 0.0, board.scale_sigma)
+                out.append((Unknown(False, k, "scale", 0), parameter))
+        return tuple(out)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of :attr:`unknowns`."""
+        return tuple(parameter for _, parameter in self.unknowns)
+
+    @property
+    def values(self) -> Floats:
+        """Values (K,) of the unknowns now."""
+        return np.array([self._number(u) for u, _ in self.unknowns])
+
+    def _number(self, u: Unknown) -> float:
+        place = (self.cameras if u.camera else self.boards)[u.place]
+        return float(place.six[u.index] if u.what == "pose" else place.values[u.index])
+
+    def at(self, values: Floats) -> PlacedRig:
+        """The rig with ``values (K,)`` of its unknowns."""
+        parts = {True: list(self.cameras), False: list(self.boards)}
+        for (u, _), value in zip(self.unknowns, values, strict=True):
+            old = parts[u.camera][u.place]
+            name = "six" if u.what == "pose" else "values"
+            array = getattr(old, name).copy()
+            array[u.index] = value
+            parts[u.camera][u.place] = replace(old, **{name: array})
+        return replace(self, cameras=tuple(parts[True]), boards=tuple(parts[False]))
+
+    def with_intrinsics(self, k: int, intrinsics: Floats) -> PlacedRig:
+        """The same with other intrinsics of a camera."""
+        cameras = list(self.cameras)
+        cameras[k] = replace(cameras[k], values=np.array(intrinsics, dtype=np.float64))
+        return replace(self, cameras=tuple(cameras))
+
+    def settled(self) -> PlacedRig:
+        """The same, the increments folded into the poses."""
+        cameras, boards = (tuple(_moved(p, np.eye(4)) for p in parts) for parts in (self.cameras, self.boards))
+        return replace(self, cameras=cameras, boards=boards)
+
+    def has(self, rig: Rig) -> bool:
+        """Whether it knows where all parts of ``rig`` stand."""
+        cameras, boards = {c.name for c in self.rig.cameras}, {b.name for b in self.rig.boards}
+        return {c.name for c in rig.cameras} <= cameras and {b.name for b in rig.boards} <= boards
+
+    def of(self, rig: Rig) -> PlacedRig:
+        """The places of ``rig``'s parts, by their names, with the intrinsics and scales that were found here."""
+        cameras = [self.cameras[[c.name for c in self.rig.cameras].index(one.name)] for one in rig.cameras]
+        boards = [self.boards[[b.name for b in self.rig.boards].index(one.name)] for one in rig.boards]
+        return PlacedRig(rig, tuple(cameras), tuple(boards))
+
+    def moved(self, base: Floats | None = None, tool: Floats | None = None) -> PlacedRig:
+        """The rig seen in other frames (4, 4): ``base`` takes the old room into the new one, ``tool`` the old tool."""
+
+        by = {"fixed": base, "flange": tool}
+        cameras = [_moved(p, by[c.mount]) for p, c in zip(self.cameras, self.rig.cameras, strict=True)]
+        boards = [_moved(p, by[b.mount]) for p, b in zip(self.boards, self.rig.boards, strict=True)]
+        return replace(self, cameras=tuple(cameras), boards=tuple(boards))
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able, SI."""
+        own = self.settled()
+        return {
+            **self.rig.to_document(),
+            "camera_poses": [p.origin.tolist() for p in own.cameras],
+            "camera_values": [p.values.tolist() for p in own.cameras],
+            "board_poses": [p.origin.tolist() for p in own.boards],
+            "board_scales": [float(p.values[0]) for p in own.boards],
+        }
+
+    @staticmethod
+    def from_document(document: Mapping[str, Any] | None) -> PlacedRig | None:
+        """Rebuild from :meth:`to_document`; None of nothing."""
+        if document is None:
+            return None
+        rig = Rig.from_document({name: document[name] for name in ("cameras", "boards")})
+
+        def place(T: Any, values: Any) -> Place:
+            return Place(np.array(T), np.zeros(6), np.array(values, dtype=np.float64))
+
+        cameras = [place(T, v) for T, v in zip(document["camera_poses"], document["camera_values"], strict=True)]
+        boards = [place(T, [v]) for T, v in zip(document["board_poses"], document["board_scales"], strict=True)]
+        return PlacedRig(rig, tuple(cameras), tuple(boards))
+
+
+def in_frame(rig: PlacedRig, T_base: Floats) -> PlacedRig:
+    """The rig with what stands in the room given in the frame of a base ``T_base (4, 4)``."""
+    return rig.moved(base=inverse(T_base))
+
+
+def _moved(place: Place, by: Floats | None) -> Place:
+    return place if by is None else replace(place, origin=by @ place.pose, six=np.zeros(6))
+
+
+def _pose_of(what: str, name: str, camera: bool, k: int) -> list[tuple[Unknown, Parameter]]:
+    sigmas = [LENGTH_PRIOR_M] * 3 + [ANGLE_PRIOR_RAD] * 3
+    return [
+        (Unknown(camera, k, "pose", i), Parameter(f"{what}_{name}_{axis}", "m" if i < 3 else "rad", 0.0, sigmas[i]))
+        for i, axis in enumerate(PLACE)
+    ]
+
+
+def _sigmas(camera: Camera) -> tuple[float, ...]:
+    """Prior standard deviations of the intrinsics, none where they are fixed."""
+    if camera.intrinsics == "fixed":
+        return ()
+    if camera.intrinsics == "prior":
+        assert camera.sigmas is not None
+        return camera.sigmas
+    wide = (*(FREE_FOCAL * f for f in camera.focal), *(FREE_CENTRE * camera.size[0],) * 2)
+    return (*wide, *(FREE_DISTORTION,) * len(camera.distortion))
+
+
+def _axis(k: int, angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.eye(3)
+    a, b = (k + 1) % 3, (k + 2) % 3
+    R[a, a] = R[b, b] = c
+    R[b, a], R[a, b] = s, -s
+    return R
+
+
+def _turn(angles: Floats) -> Floats:
+    return np.asarray(_axis(0, angles[0]) @ _axis(1, angles[1]) @ _axis(2, angles[2]))
