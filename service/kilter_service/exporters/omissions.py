@@ -24,7 +24,7 @@ def omissions(calibration: Calibration, arm: Screws | None = None) -> tuple[str,
 
 def left_out(calibration: Calibration) -> tuple[str, ...]:
     """Name the effects of the arm, none of which the file can hold, and how far each moves the tool."""
-    sizes = _sizes(calibration)
+    sizes = displacements_mm(calibration)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
     return tuple(f"Left out: {_said(effect, sizes.get(effect.id))}." for effect in arm)
 
@@ -36,7 +36,7 @@ def masses_as_stated(robot: Robot) -> tuple[str, ...]:
     return ("Left out: the standard deviations of masses and centres; the numbers are those the robot states.",)
 
 
-def _sizes(calibration: Calibration) -> dict[str, tuple[float, float]]:
+def displacements_mm(calibration: Calibration) -> dict[str, tuple[float, float]]:
     """Root mean square and largest displacement (mm) of the tool by each effect, over the workspace at rest."""
     kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
     found = kept.model.contribution(workspace(calibration.robot), kept.values)

@@ -31,6 +31,7 @@ class Format(NamedTuple):
 FORMATS: Mapping[str, Format] = {
     "json": Format("json_file.json_file", "application/json", "json"),
     "urdf": Format("urdf_file.urdf_file", "application/xml", "urdf"),
+    "mjcf": Format("mjcf.file.mjcf", "application/xml", "mjcf.xml"),
     "dh-csv": Format("table_csv.dh_csv", "text/csv", "dh.csv"),
     "mdh-csv": Format("table_csv.mdh_csv", "text/csv", "mdh.csv"),
     "ur-yaml": Format("ur_yaml.ur_yaml", "application/yaml", "yaml"),
@@ -55,7 +56,7 @@ def export(name: str, version: Exportable) -> Exported:
             formats=list(FORMATS),
         )
     form = FORMATS[name]
-    module, _, function = form.exporter.partition(".")
+    module, _, function = form.exporter.rpartition(".")
     exporter: Callable[[Exportable], Written] = getattr(import_module(f"kilter_service.exporters.{module}"), function)
     written = exporter(version)
     return Exported(written.text, form.media_type, _file_name(version, form.suffix), written.notes)

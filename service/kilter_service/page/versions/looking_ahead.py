@@ -22,6 +22,7 @@ log = logging.getLogger("kilter.page")
 NAMES = {
     "json": "Kilter's own document",
     "urdf": "URDF",
+    "mjcf": "calibrated twin for MuJoCo",
     "dh-csv": "table of DH parameters",
     "mdh-csv": "table of modified DH parameters",
     "ur-yaml": "calibration of the Universal Robots driver",

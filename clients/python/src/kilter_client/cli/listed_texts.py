@@ -169,6 +169,7 @@ COLUMNS: list[dict[str, str]] = [
 EXPORTS: list[dict[str, str]] = [
     {"id": "json", "ending": ".json"},
     {"id": "urdf", "ending": ".urdf"},
+    {"id": "mjcf", "ending": ".mjcf.xml"},
     {"id": "dh-csv", "ending": ".dh.csv"},
     {"id": "mdh-csv", "ending": ".mdh.csv"},
     {"id": "ur-yaml", "ending": ".yaml"},

@@ -1,0 +1,87 @@
+"""What stands at the head of a model of MuJoCo: what each effect is worth, where it went, and how good the twin is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kilter_core.model.closest_table import at_rest, workspace
+from kilter_service.contract.fits import Errors, StageErrors
+from kilter_service.contract.versions import Version
+from kilter_service.exporters.mjcf.effects import ExportedEffects
+from kilter_service.exporters.omissions import displacements_mm
+
+if TYPE_CHECKING:
+    from kilter_core.effects import Effect
+    from kilter_core.model import Calibration
+
+ROUNDS = 30  # until an arm hangs where its own loads say
+SAID_UM = 0.01
+
+
+def notes(version: Version, calibration: Calibration, exported: ExportedEffects) -> tuple[str, ...]:
+    """Everything to know before the twin is trusted."""
+    return (*_of_effects(calibration, exported), *_of_loads(calibration), held_out(version.metrics.validation), *_KNOWN)
+
+
+_KNOWN = (
+    "Controls are the readings of the controller, in rad and m. Set what the tool carries by the mass of the body payload, "
+    "then call mj_setConst.",
+    "A joint that nothing loads rests anywhere within its backlash, and where friction holds it depends on how it came there.",
+    "Not calibrated: inertia of the drives, damping, speed and torque limits. The twin is true where it has settled.",
+)
+
+
+def held_out(errors: StageErrors | None) -> str:
+    """How far the arm was from each model at poses that no fit has seen."""
+    if errors is None or errors.identified is None:
+        return "No measured poses were held out: how good the twin is where it was not fitted is not known."
+    models = (
+        ("nominal", errors.registration_only), ("rigid, calibrated", errors.geometry_only),
+        ("with the effects", errors.identified),
+    )  # fmt: skip
+    said = ", ".join(f"{name} {_mm(found)}" for name, found in models if found is not None)
+    return f"Held-out measured poses ({errors.n}), mean error of the tool, base and tool fitted: {said}."
+
+
+def _mm(errors: Errors) -> str:
+    return f"{errors.mean_mm:.4f} mm"
+
+
+def _of_effects(calibration: Calibration, exported: ExportedEffects) -> Iterator[str]:
+    sizes = displacements_mm(calibration)
+    yield from _told("In the model", exported.in_elements, sizes)
+    yield from _told("Added by the step in Python (kilter.twin.apply) only", exported.in_step, sizes)
+    yield from _told("Left out", exported.left_out, sizes)
+
+
+def _told(where: str, effects: Sequence[Effect], sizes: dict[str, tuple[float, float]]) -> Iterator[str]:
+    for effect in effects:
+        size = sizes.get(effect.id)
+        if size is None:
+            yield f"{where}: {effect.id}, which acts with {', '.join(sorted(effect.needs - {'moments'}))}."
+        else:
+            worth = f"{size[0] * 1e3:.1f} um rms and {size[1] * 1e3:.1f} um at most over the workspace, without load"
+            yield f"{where}: {effect.id}, worth {worth}."
+
+
+def _of_loads(calibration: Calibration) -> Iterator[str]:
+    """How far the arm that hangs is from a prediction that takes the loads at the readings."""
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
+    if not any("moments" in effect.needs for effect in kept.model.effects):
+        return
+    rows = workspace(calibration.robot)
+    batch = kept.model.batch(rows)
+    told, hanging = kept.model.predict(batch, kept.values), batch
+    for _ in range(ROUNDS):
+        where = kept.model.link_angles(hanging, kept.values)
+        hanging = replace(kept.model.batch(replace(rows, q=where)), q=rows.q)
+    apart = np.linalg.norm(kept.model.predict(hanging, kept.values).position - told.position, axis=1) * 1e6
+    if apart.max() > SAID_UM:
+        yield (
+            f"The twin hangs where its loads leave it, a prediction of Kilter takes the loads at the readings: "
+            f"{np.sqrt(np.mean(apart**2)):.2f} um rms and {apart.max():.2f} um at most apart over the workspace."
+        )
