@@ -74,10 +74,10 @@ class Contrasts:
         settings, source = problem.settings, problem.settings.source
         seen = ~np.isnan(source.residual(problem.values)) & settings.used[:, None]
         size = seen.shape[1]
+        ways = settings.whitening.columns(np.eye(size) * seen[:, None, :]).reshape(*seen.shape, size)
         blocks, free = [], 0
         for visits in _groups(revisited(source.observations, settings.group), settings.used):
-            shared = settings.whitener[visits] * seen[visits][:, None, :]
-            basis = orthonormal(shared.reshape(-1, size))
+            basis = orthonormal(ways[visits].reshape(-1, size))
             rows = (visits[:, None] * size + np.arange(size)).reshape(-1)
             blocks.append((rows, basis))
             free += int(seen[visits].sum()) - basis.shape[1]

@@ -14,8 +14,9 @@ import numpy as np
 
 from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
 from kilter_core.gap.search.contrasts import fitted_away
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, linearize_at, refit
+from kilter_core.gap.search.linearized import LinearizedProblem, linearize_at, refit
 from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Bools
 
 CHANGED = 0.02  # of the noise, from which a fit is made again
