@@ -175,7 +175,11 @@ class _Asked:
             return None
         taken, total = float(np.sum((u.T @ self.left) ** 2)), float(self.left @ self.left)
         ratio = taken / u.shape[1] / max((total - taken) / free, 1e-300)
-        return self._told(slope[3], slope[0], slope[1], float(f_distribution.sf(ratio, u.shape[1], free)), False)
+        # Both: any such law in the differences, and this one, which many amplitudes at once would leave open.
+        chance = max(
+            float(f_distribution.sf(ratio, u.shape[1], free)), float(t_distribution.sf(slope[0] / slope[1], slope[2]))
+        )
+        return self._told(slope[3], slope[0], slope[1], chance, False)
 
     def _told(self, predicted: Floats, slope: float, sigma: float, chance: float, held_out: bool) -> Revisits:
         settings, blocks = self.search.problem.settings, self.contrasts.blocks
