@@ -11,6 +11,8 @@ from kilter_core.types import Bools, Floats
 FEWEST_LEVELS = 12  # different readings of a joint that tell a step: fewer are poses that were typed in
 EXACT = 0.02  # of a step, by which readings may be off it: what a file's own decimals leave
 DECIMALS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)
+DEGREE = np.pi / 180.0  # rad
+MILLIMETRE = 0.001  # m
 BITS = tuple(range(8, 21))  # of an encoder, per revolution
 
 
@@ -32,8 +34,8 @@ def _known(slides: bool) -> Floats:
     """Steps that controllers and encoders have, the largest first."""
     decimals = np.array(DECIMALS)
     if slides:
-        return decimals * 1e-3
-    return np.sort(np.concatenate([np.radians(decimals), decimals * 1e-2, 2.0 * np.pi / 2.0 ** np.array(BITS)]))[::-1]
+        return decimals * MILLIMETRE
+    return np.sort(np.concatenate([decimals * DEGREE, decimals * 1e-2, 2.0 * np.pi / 2.0 ** np.array(BITS)]))[::-1]
 
 
 def _step(column: Floats, known: Floats) -> float:

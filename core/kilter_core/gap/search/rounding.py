@@ -15,6 +15,7 @@ from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.noise.visits import Visits
 from kilter_core.gap.search.source import Source
 from kilter_core.identify.shared_errors import SharedErrors
+from kilter_core.measurement.metrics import mm
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_rows
 from kilter_core.observations.rounding import reading_steps
@@ -114,4 +115,4 @@ def rounding_document(one: Rounding | None, source: Source) -> dict[str, Any]:
         return {"rounding_steps": None, "rounding_mm": None}
     slides = [joint.kind == "prismatic" for joint in source.model.robot.joints]
     steps = [s * (1e3 if slid else 180.0 / np.pi) for s, slid in zip(one.steps.tolist(), slides, strict=True)]
-    return {"rounding_steps": steps, "rounding_mm": coordinate(one, source) * 1e3}
+    return {"rounding_steps": steps, "rounding_mm": mm(coordinate(one, source))}
