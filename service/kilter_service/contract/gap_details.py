@@ -120,11 +120,7 @@ class Separation(Stored):
     name: str = Field(description="`turn`, `loads`, `sides`, `temperature`, `order` or `sensor`.")
     words: str | None = Field(None, description="What is asked for.")
     met: bool | None = Field(None, description="Whether these rows have it.")
-    number: float | None = Field(
-        None,
-        description="What decided: revolutions, visits from the rarer side, the chance of a random order, or standard "
-        "deviations; null: nothing there.",
-    )
+    number: float | None = Field(None, description="What decided: revolutions, visits, a chance, or deviations.")
     told: str | None = Field(None, description="What these rows say of it, in words.")
 
 
@@ -319,6 +315,10 @@ class GapNoise(Stored):
     )
     correlated_samples: float | None = Field(None, description="Rows in a row that count as one.")
     drift: RepeatDrift | None = Field(None, description="How far the repeats drifted; null: it cannot be determined.")
+    rounding_steps: list[float] | None = Field(
+        None, description="Steps of joint readings, deg (mm); null: none counts."
+    )
+    rounding_mm: Mm | None = Field(None, description="How far they move the tool, rms of a coordinate, mm.")
 
 
 class Untestable(AtJoints):

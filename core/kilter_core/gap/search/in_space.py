@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, fitted
+from kilter_core.gap.search.linearized import LinearizedProblem, fitted
 from kilter_core.gap.search.scan import residual_given
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Floats
 
 
@@ -28,7 +29,7 @@ def _rms_of(settings: ProblemSettings, whitened: Floats) -> float:
 def noise_rms(settings: ProblemSettings) -> float:
     """Rms length in space (m; rad of a joint) that the noise alone gives a visit."""
     size = settings.whitener.shape[-1]
-    root = root_of(np.mean(settings.noise.visit, axis=0)).T * np.sqrt(size)
+    root = root_of(np.mean(settings.of_visit, axis=0)).T * np.sqrt(size)
     return settings.source.rms(root)
 
 

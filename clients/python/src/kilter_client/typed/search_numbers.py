@@ -149,6 +149,10 @@ class GapNoise(Record):
     """Between visits of a pose, degrees of a joint."""
     re_approach_mm: float | None
     """Between visits of a pose, mm."""
+    rounding_mm: float | None
+    """How far they move the tool, rms of a coordinate, mm."""
+    rounding_steps: tuple[float, ...]
+    """Steps of joint readings, deg (mm); None: none counts."""
     source: str | None
     """What it was estimated from."""
     within_visit_deg: float | None

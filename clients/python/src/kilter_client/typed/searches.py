@@ -89,7 +89,7 @@ class Separation(Record):
     name: str
     """`turn`, `loads`, `sides`, `temperature`, `order` or `sensor`."""
     number: float | None
-    """What decided: revolutions, visits from the rarer side, the chance of a random order, or standard deviations; None: nothing there."""
+    """What decided: revolutions, visits, a chance, or deviations."""
     told: str | None
     """What these rows say of it, in words."""
     words: str | None
