@@ -11,8 +11,9 @@ import numpy as np
 from scipy.stats import binom
 
 from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_floor
-from kilter_core.gap.evidence.intervals import inflation, interval_width
-from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
+from kilter_core.gap.evidence.final_fit import SMALLEST, inflation
+from kilter_core.gap.evidence.intervals import interval_width
+from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.evidence.predicted import surely_predicted
 from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kilter_core.gap.search.linearized import LinearizedProblem, fitted
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Floats
@@ -33,11 +33,11 @@ def noise_rms(settings: ProblemSettings) -> float:
     return settings.source.rms(root)
 
 
-def moved_by(problem: LinearizedProblem, columns: Sequence[int], own: Sequence[int]) -> Floats:
-    """Displacement (V, m) in m or rad by the library columns ``own`` at their fitted values."""
-    values, _ = fitted(problem, columns)
-    amount = np.array([values[list(columns).index(k)] * problem.size[k] for k in own])
-    return problem.settings.whitening.back(problem.W_raw[:, list(own)] @ amount)
+def moved_by(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
+    """Displacement (V, m) in m or rad by the library columns ``own`` at the values of the fit, which a version stores."""
+    index = list(own)
+    amount = problem.settings.source.library(problem.values)[index] * problem.size[index]
+    return problem.settings.whitening.back(problem.W_raw[:, index] @ amount)
 
 
 def root_of(covariance: Floats) -> Floats:

@@ -242,6 +242,12 @@ def solved(
     return values, there.gram.given(range(len(free))).yy
 
 
+def loss(settings: ProblemSettings, values: Floats, columns: Sequence[int]) -> float:
+    """What a fit of geometry and the library ``columns`` makes least: half its chi-square, with what the priors cost."""
+    problem = SearchProblem(settings, list(columns))
+    return problem.loss_at(values, problem.weighed(values))
+
+
 def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:
     """Values of the fit in which no amplitude of an effect is beyond what is physical.
 

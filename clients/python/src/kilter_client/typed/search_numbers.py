@@ -338,8 +338,8 @@ class Amplitude(Record):
     seen: bool | None
     """Whether zero is outside its own interval."""
     sigma: float | None
-    """Standard deviation of the value."""
+    """Standard deviation of the value, in the fit of the version."""
     unit: str | None
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     value: float | None
-    """Its value."""
+    """Its value, as the version stores it."""

@@ -220,7 +220,7 @@ class NamedEffect(Record):
     joints: tuple[int, ...]
     """Joints it acts at, from 1; None: it does not act at joints."""
     moves_mm: float | None
-    """Rms movement of the tool by it, mm; None: joint data."""
+    """Rms movement of the tool by it, as stored, mm; None: joint data."""
     p_value: float | None
     """Chance of such a gain by nothing, over the whole library."""
     parameters: Records[Amplitude]
