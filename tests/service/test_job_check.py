@@ -178,7 +178,9 @@ def test_what_a_hunt_cannot_test_is_what_its_result_says(
 ) -> None:
     campaign = arm(columns(poses(60)))
     options = {"effects": ["backlash", "thermal_growth"], "resamples": 5, "bootstraps": 99, "permutations": 2}
-    told = check(client, "gap", [campaign], options=options)["testability"]["not_testable"]
+    first = check(client, "gap", [campaign], options=options)
+    told = first["testability"]["not_testable"]
+    assert "made and timed here" in first["duration_s"]["basis"]
     worker.start()
     body = {"kind": "gap", "robot": "arm", "campaigns": [campaign], "options": options}
     address = client.post("/v1/jobs", json=body).raise_for_status().headers["location"]

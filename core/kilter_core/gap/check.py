@@ -10,10 +10,11 @@ from kilter_core.arm.robot import Robot
 from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
+from kilter_core.gap.expected import probe, timed
 from kilter_core.gap.find import beginning
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, Untestable
-from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.identify.compare import poses_of, thinned
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
@@ -29,12 +30,14 @@ class GapCheck:
     """What can be tested at the geometry-only fit, and what not; a search that names effects may see more by the end.
 
     ``poses`` were looked at ``of`` those to search: what fewer poses show is scaled to what all of them would show.
+    ``seconds`` is how long the search would take on this machine, without a budget.
     """
 
     testable: tuple[Visible, ...]
     not_testable: tuple[Untestable, ...]
     poses: int
     of: int
+    seconds: float
 
 
 def check_gap(
@@ -58,16 +61,22 @@ def check_gap(
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         refuse_mixed_up(begin, confirmation)
-    refuse_mixed_up(begin, observations)
     searched, _ = parted(observations, validation, options.seed)
     rows = _fewer(searched)
-    prepared = prepare_data(begin, rows, options, unheard)
-    judged = _of_all(testability(prepared.problem, prepared.library), prepared.library, len(rows) / len(searched))
+
+    def begun() -> Prepared:
+        refuse_mixed_up(begin, observations)
+        return prepare_data(begin, rows, options, unheard)
+
+    prepared, took = timed(begun)
+    seen = testability(prepared.problem, prepared.library)
+    judged = _of_all(seen, prepared.library, len(rows) / len(searched))
     return GapCheck(
         tuple(visible(prepared.library, judged)),
         untestable(prepared.library, judged, prepared.problem, prepared.visits.observations),
         poses_of(rows),
         poses_of(searched),
+        probe(prepared, seen, options, took).search(len(searched) / len(rows)),
     )
 
 

@@ -42,6 +42,7 @@ from kilter_core.gap.evidence.unseen import seen_only
 from kilter_core.gap.evidence.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.evidence.when import event_warnings, events, settled
+from kilter_core.gap.evidence.widened import widened
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import rows_aside
 from kilter_core.gap.report.ends import at_ends
@@ -174,7 +175,7 @@ class _Run:
         found, unseen = seen_only(narrowed(found))
         judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
         prepared = prepared.judged_by(found.problem)
-        found = settled(or_geometry_alone(found, prepared.problem), self.validation)
+        found = settled(widened(or_geometry_alone(found, prepared.problem)), self.validation)
         report = replace(self, prepared=prepared)._reported(found, places, judged, candidates)
         return report.with_unseen(unseen) if found.chosen else report
 
@@ -251,13 +252,10 @@ class _Run:
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
         part = _part(self.progress, 0.5, 0.7)
         shares = inclusion(
-            found,
-            classes,
-            self.options.resamples,
-            self.options.seed,
+            found, classes, self.options.resamples, self.options.seed,
             lambda f: part(f, "selecting again on resamples"),
             lambda: self.budget.over(RESAMPLING, "resamples of poses"),
-        )
+        )  # fmt: skip
         part = _part(self.progress, 0.7, 0.8)
         shuffled = controls(
             found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"),

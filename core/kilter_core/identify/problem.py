@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from kilter_core.effects import Batch
+from kilter_core.identify.shared_errors import SharedErrors
 from kilter_core.identify.solver import BEND
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.model import RobotModel
@@ -49,14 +50,19 @@ class ByDeviation:
 
 @dataclass(frozen=True)
 class ByCovariance:
-    """Whitening of visits by the inverse roots ``by (V, m, m)`` of their covariances; only visits ``used (V,)`` count."""
+    """Whitening of visits by the inverse roots ``by (V, m, m)`` of their covariances; only visits ``used (V,)`` count.
+
+    ``shared`` are errors that several of them have in common.
+    """
 
     by: Floats
     used: Bools
+    shared: SharedErrors | None = None
 
     def residual(self, r: Floats) -> Floats:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
-        return np.asarray(np.einsum("vij,vj->vi", self.by, np.nan_to_num(r)) * self.used[:, None])
+        white = np.asarray(np.einsum("vij,vj->vi", self.by, np.nan_to_num(r)) * self.used[:, None])
+        return white if self.shared is None else self.shared.apply(white.reshape(-1)).reshape(white.shape)
 
     def columns(self, J: Floats) -> Floats:
         """Whiten columns (V, m, K) in their place; (R, K) of them."""
@@ -64,10 +70,12 @@ class ByCovariance:
         for k in range(0, len(J), size):
             part = slice(k, k + size)
             J[part] = np.matmul(self.by[part] * self.used[part, None, None], J[part])
-        return J.reshape(J.shape[0] * J.shape[1], J.shape[2])
+        white = J.reshape(J.shape[0] * J.shape[1], J.shape[2])
+        return white if self.shared is None else self.shared.apply(white)
 
     def back(self, white: Floats) -> Floats:
         """Residuals (V, m) that whitened ones (R,) stand for."""
+        white = white if self.shared is None else self.shared.undo(white.reshape(-1))
         return np.asarray(np.einsum("vij,vj->vi", np.linalg.inv(self.by), white.reshape(-1, self.by.shape[-1])))
 
 

@@ -30,9 +30,9 @@ class Amplitude(Stored):
     """A parameter of an effect that was named."""
 
     name: str = Field(description="Name of the parameter.")
-    value: float | None = Field(None, description="Its value.")
+    value: float | None = Field(None, description="Its value, as the version stores it.")
     unit: str | None = Field(None, description=UNIT)
-    sigma: float | None = Field(None, description="Standard deviation of the value.")
+    sigma: float | None = Field(None, description="Standard deviation of the value, in the fit of the version.")
     interval_low: float | None = Field(None, description="Lower end of the 95 % interval.")
     interval_high: float | None = Field(None, description="Upper end of the 95 % interval.")
     seen: bool | None = Field(None, description="Whether zero is outside its own interval.")
@@ -120,11 +120,7 @@ class Separation(Stored):
     name: str = Field(description="`turn`, `loads`, `sides`, `temperature`, `order` or `sensor`.")
     words: str | None = Field(None, description="What is asked for.")
     met: bool | None = Field(None, description="Whether these rows have it.")
-    number: float | None = Field(
-        None,
-        description="What decided: revolutions, visits from the rarer side, the chance of a random order, or standard "
-        "deviations; null: nothing there.",
-    )
+    number: float | None = Field(None, description="What decided: revolutions, visits, a chance, or deviations.")
     told: str | None = Field(None, description="What these rows say of it, in words.")
 
 
@@ -178,7 +174,7 @@ class NamedEffect(AtJoints):
     parameters: list[Amplitude] | None = Field(None, description="Its amplitudes.")
     seen_joints: list[int] | None = Field(None, description="Joints at which the rows show it, from 1.")
     gain_mm: float | None = Field(None, description="What it takes off the rms error, mm; degrees of joint data.")
-    moves_mm: Mm | None = Field(None, description="Rms movement of the tool by it, mm; null: joint data.")
+    moves_mm: Mm | None = Field(None, description="Rms movement of the tool by it, as stored, mm; null: joint data.")
     too_small_to_matter: bool | None = Field(None, description="Whether that is too small to matter.")
     p_value: float | None = Field(None, description="Chance of such a gain by nothing, over the whole library.")
     inclusion: float | None = Field(None, description="Share of resamples on which it returns, 0 to 1.")
@@ -319,6 +315,10 @@ class GapNoise(Stored):
     )
     correlated_samples: float | None = Field(None, description="Rows in a row that count as one.")
     drift: RepeatDrift | None = Field(None, description="How far the repeats drifted; null: it cannot be determined.")
+    rounding_steps: list[float] | None = Field(
+        None, description="Steps of joint readings, deg (mm); null: none counts."
+    )
+    rounding_mm: Mm | None = Field(None, description="How far they move the tool, rms of a coordinate, mm.")
 
 
 class Untestable(AtJoints):

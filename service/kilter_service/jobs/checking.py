@@ -54,9 +54,8 @@ def check(database: Database, job: NewJob) -> JobCheck:
             loaded = _load(session, job, kind, request)
         found = _foreseen(kind, loaded)
     rows = sum(campaign.rows for campaign in loaded.used if campaign.use != "confirmation")
-    return wire.check(
-        job.kind, job.robot, loaded.version, found, loaded.used, duration(job.kind, rows, request, loaded.past)
-    )
+    expected = duration(job.kind, rows, request, loaded.past, found.seconds)
+    return wire.check(job.kind, job.robot, loaded.version, found, loaded.used, expected)
 
 
 def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> _Loaded:

@@ -1,4 +1,4 @@
-"""How long a job would compute: by what earlier jobs of its kind took here, else by a rule."""
+"""How long a job would compute: by what the same job took here before, by its own beginning, or by other jobs and a rule."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from kilter_service.contract.jobs.check import Duration
 from kilter_service.jobs.records import JobRequest
 
 START_ROWS = 100  # overhead of a job, in rows
+BEGUN = 2.0  # factor by which the beginning of a job may mislead
 WIDEST = 3.0  # factor by which a single earlier job may mislead
 # Seconds of the kinds on a machine of 2024, for some hundred poses of an arm of six joints: expected, low, high.
 RULES = {
@@ -36,9 +37,18 @@ class PastRun:
     request: JobRequest
 
 
-def duration(kind: str, rows: int, request: JobRequest, past: Sequence[PastRun]) -> Duration:
-    """Estimate how long a job would compute, from earlier jobs with the same options, else from all of the kind."""
+def duration(
+    kind: str, rows: int, request: JobRequest, past: Sequence[PastRun], begun: float | None = None
+) -> Duration:
+    """Estimate how long a job would compute, from earlier jobs with the same options, else from all of the kind.
+
+    ``begun`` is what the beginning of the job says, in seconds, where it was made: it knows these rows and this machine.
+    """
     same = [run for run in past if _asked(run.request) == _asked(request)]
+    if begun is not None and not same:
+        return _within(
+            _told(begun, begun / BEGUN, begun * BEGUN, "the beginning of this job, made and timed here"), request
+        )
     chosen = same or list(past)
     if not chosen:
         return _within(_by_rule(kind, rows, request), request)

@@ -40,6 +40,7 @@ class Foresight:
     limited: list[str] = field(default_factory=list)
     identification: IdentificationCheck | None = None
     search: GapCheck | None = None
+    seconds: float | None = None  # that the job would take, where its beginning says so
 
     @contextmanager
     def foreseen(self) -> Iterator[None]:

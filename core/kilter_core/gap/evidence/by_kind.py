@@ -96,6 +96,4 @@ def _repeats(kind: _Columns, prepared: Prepared, problem: LinearizedProblem) -> 
 
 def _errors(problem: LinearizedProblem) -> Floats:
     """What a fit leaves (V, m), in m and rad."""
-    size = problem.settings.whitener.shape[-1]
-    white = problem.raw.reshape(-1, size)
-    return np.asarray(np.einsum("vij,vj->vi", np.linalg.inv(problem.settings.whitener), white))
+    return problem.settings.whitening.back(problem.raw)

@@ -11,14 +11,17 @@ import numpy as np
 from scipy.stats import binom
 
 from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_floor
-from kilter_core.gap.evidence.intervals import inflation, interval_width
-from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
+from kilter_core.gap.evidence.final_fit import SMALLEST, inflation
+from kilter_core.gap.evidence.intervals import interval_width
+from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.evidence.predicted import surely_predicted
 from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import fit_rms, noise_rms, root_of
-from kilter_core.gap.search.linearized import ProblemSettings, solved
+from kilter_core.gap.search.linearized import solved
 from kilter_core.gap.search.prepare import Prepared, windowed
+from kilter_core.gap.search.rounding import rounding_document
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory
@@ -121,8 +124,8 @@ class HoldoutEvaluator:
         """Root (m, m) of the noise covariance by which errors are whitened: of a held-out row, or of a visit left out."""
         settings = self.search.problem.settings
         if self.rows is None:
-            return root_of(np.mean(settings.noise.visit[settings.used], axis=0) * settings.inflation)
-        return root_of(settings.noise.row * (settings.inflation if self.moving else 1.0))
+            return root_of(np.mean(settings.of_visit[settings.used], axis=0) * settings.inflation)
+        return root_of(settings.of_row * (settings.inflation if self.moving else 1.0))
 
     def report(self) -> HeldOut:
         """Geometry only, and everything named."""
@@ -270,6 +273,7 @@ def noise_document(settings: ProblemSettings) -> dict[str, Any]:
         "covariance": (noise.row * np.outer(scales, scales)).tolist(),
         "correlated_samples": settings.inflation,
         "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
+        **rounding_document(settings.rounding, settings.source),
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""How large (E9): profile likelihood of each amplitude, geometry and other effects re-optimised at every value."""
+"""How large (E9): each amplitude as the version stores it, and the profile of its fit, all else re-optimised at every value."""
 
 from __future__ import annotations
 
@@ -8,25 +8,31 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t
 
+from kilter_core.gap.evidence.final_fit import amounts_of, inflation
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import fitted, solved
+from kilter_core.gap.search.linearized import fitted, loss, solved
 from kilter_core.gap.search.tails import tail
 from kilter_core.identify.uncertainty.intervals import profile_end
 
 LEVEL = 0.95
 MOST_ROWS = 3000  # scalars above which the likelihood is so narrow that its own curvature cannot matter
 MOST_PROFILES = 16
+HELD = 1.0  # standard deviations from what the rows ask for, from which a physical range holds an amplitude
 
 
 @dataclass(frozen=True)
 class Amplitude:
-    """A parameter of a named effect (SI): value, standard deviation, 95 % interval; conditional on the library."""
+    """A parameter of a named effect (SI): value, standard deviation, 95 % interval; conditional on the library.
+
+    ``value`` is what the version stores, ``wanted`` what the rows ask for where a physical range holds it.
+    """
 
     column: int
     value: float
     sigma: float
     low: float
     high: float
+    wanted: float
 
     @property
     def seen(self) -> bool:
@@ -44,17 +50,17 @@ def amplitudes(
     problem, columns = search.problem, search.columns
     if not columns:
         return {}
-    left = problem.gram.given(columns)
-    grown, width = inflation(search), interval_width(search)
-    values, covariance = fitted(problem, columns)
+    fit, width = amounts_of(search), interval_width(search)
+    grown, least = inflation(search), loss(problem.settings, problem.values, columns)
     out = {}
     for n, k in enumerate(columns):
         progress(n / len(columns))
-        sigma = float(np.sqrt(covariance[n, n])) * grown
-        low, high = (values[n] + side * width * sigma for side in (-1.0, 1.0))
-        if problem.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0 and not over():
-            low, high = (_end(search, k, float(values[n]), float(end), left.yy, width * grown) for end in (low, high))
-        out[k] = Amplitude(k, float(values[n]), sigma, float(low), float(high))
+        value, wanted, sigma = float(fit.values[n]), float(fit.wanted[n]), float(np.sqrt(fit.covariance[n, n]))
+        ends = [wanted + side * width * sigma for side in (-1.0, 1.0)]
+        held = abs(wanted - value) > HELD * sigma
+        if problem.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0 and not held and not over():
+            ends = [_end(search, k, value, end, least, width * grown) for end in ends]
+        out[k] = Amplitude(k, value, sigma, min(ends[0], value), max(ends[1], value), wanted)
     return out
 
 
@@ -71,20 +77,14 @@ def scale_freedom(search: SearchResult) -> float:
     return noise.freedom if noise.absolute else np.inf
 
 
-def inflation(search: SearchResult) -> float:
-    """Factor on standard deviations for what noise leaves unexplained; without a scale of its own, the scale of the fit."""
-    left = search.problem.gram.given(search.columns)
-    ratio = left.yy / max(left.nu, 1.0)
-    return float(np.sqrt(max(1.0, ratio) if search.problem.settings.trusted else ratio))
-
-
 def _end(search: SearchResult, k: int, best: float, end: float, least: float, target: float) -> float:
-    """End of the profile interval: where chi-square has risen by ``target``², one secant step from the linear end."""
-    others = [c for c in search.columns if c != k]
+    """End of the profile interval: where twice the loss has risen by ``target``², one secant step from the linear end."""
+    columns, settings = search.columns, search.problem.settings
+    others = [c for c in columns if c != k]
 
     def root(move: float) -> float:
-        rise = solved(search.problem.settings, search.problem.values, others, (k, best + move))[1] - least
-        return float(np.sqrt(max(rise, 0.0)))
+        values = solved(settings, search.problem.values, others, (k, best + move))[0]
+        return float(np.sqrt(max(2.0 * (loss(settings, values, columns) - least), 0.0)))
 
     move = profile_end(root, end - best, target, 1, close=0.0)
     return end if move is None else best + move

@@ -95,5 +95,5 @@ def moves_mm(found: SearchResult) -> dict[int, float]:
         return dict.fromkeys(found.chosen, float("inf"))
     used = found.problem.settings.used
     own = {k: found.selector.scorer.candidates[k].columns for k in found.chosen}
-    moved = {k: moved_by(found.problem, found.columns, columns)[used] for k, columns in own.items()}
+    moved = {k: moved_by(found.problem, columns)[used] for k, columns in own.items()}
     return {k: 1e3 * source.rms(m) for k, m in moved.items()}

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.gap.evidence.posterior import of_all
+from kilter_core.gap.evidence.final_fit import of_all
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import refit
 from kilter_core.gap.search.masses import blurred

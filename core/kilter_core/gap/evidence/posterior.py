@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.gap.evidence.intervals import inflation
+from kilter_core.gap.evidence.final_fit import of_all
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.source import Source
 from kilter_core.model import Calibration
 from kilter_core.parameters import indices
 from kilter_core.types import Floats
-
-SMALLEST = 1e-9  # inflation of a fit that leaves nothing, as of simulations without noise
 
 
 @dataclass(frozen=True)
@@ -45,17 +43,6 @@ def posterior(found: SearchResult, begin: Calibration, stored: Calibration) -> P
     names, L = _combined(source, begin, stored, found.columns)
     seen = J @ L.T if source.observes_tool else None
     return Posterior(names, L @ covariance @ L.T, np.sqrt(L**2 @ prior**2), seen)
-
-
-def of_all(found: SearchResult) -> tuple[Floats, Floats, Floats]:
-    """Whitened Jacobian (R, F), prior sigmas (F,) and covariance (F, F) of the geometry and the named effects."""
-    problem, columns = found.problem, found.columns
-    source = problem.settings.source
-    J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / max(inflation(found), SMALLEST)
-    prior = np.concatenate([source.prior_sigma, source.library_sigma[columns]])
-    H = (J * prior).T @ (J * prior)
-    H.flat[:: len(H) + 1] += 1.0  # the priors
-    return J, prior, np.linalg.inv(H) * np.outer(prior, prior)
 
 
 def _combined(

@@ -75,10 +75,10 @@ class Contrasts:
         settings, source = problem.settings, problem.settings.source
         seen = ~np.isnan(source.residual(problem.values)) & settings.used[:, None]
         size = seen.shape[1]
+        ways = settings.whitening.columns(np.eye(size) * seen[:, None, :]).reshape(*seen.shape, size)
         blocks, free = [], 0
         for visits in _groups(revisited(source.observations, settings.group), settings.used):
-            shared = settings.whitener[visits] * seen[visits][:, None, :]
-            basis = orthonormal(shared.reshape(-1, size))
+            basis = orthonormal(ways[visits].reshape(-1, size))
             rows = (visits[:, None] * size + np.arange(size)).reshape(-1)
             blocks.append((rows, basis))
             free += int(seen[visits].sum()) - basis.shape[1]
@@ -176,7 +176,11 @@ class _Asked:
             return None
         taken, total = float(np.sum((u.T @ self.left) ** 2)), float(self.left @ self.left)
         ratio = taken / u.shape[1] / max((total - taken) / free, 1e-300)
-        return self._told(slope[3], slope[0], slope[1], float(f_distribution.sf(ratio, u.shape[1], free)), False)
+        # Both: any such law in the differences, and this one, which many amplitudes at once would leave open.
+        chance = max(
+            float(f_distribution.sf(ratio, u.shape[1], free)), float(t_distribution.sf(slope[0] / slope[1], slope[2]))
+        )
+        return self._told(slope[3], slope[0], slope[1], chance, False)
 
     def _told(self, predicted: Floats, slope: float, sigma: float, chance: float, held_out: bool) -> Revisits:
         settings, blocks = self.search.problem.settings, self.contrasts.blocks

@@ -19,7 +19,6 @@ from kilter_core.gap.evidence.sensors import sensed, with_sigma
 from kilter_core.gap.evidence.smooth import TURN
 from kilter_core.gap.search.bases import orthonormal
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import fitted
 from kilter_core.gap.search.projection import Projection
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
@@ -135,8 +134,7 @@ def _beside(search: SearchResult, place: int, separator: Separator, without: Obs
     """
     problem = search.problem
     settings, columns = problem.settings, list(search.selector.scorer.candidates[place].columns)
-    values = dict(zip(search.columns, fitted(problem, search.columns)[0], strict=True))
-    amounts = np.array([values[k] for k in columns])
+    amounts = settings.source.library(problem.values)[columns]
     source = settings.source.without_geometry()
     other = source.on_rows(without).batch
     parts = [

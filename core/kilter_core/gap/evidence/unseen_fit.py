@@ -17,8 +17,10 @@ from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, on_rows
 from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.noise.visits import visits_of
 from kilter_core.gap.search.in_space import root_of
+from kilter_core.gap.search.rounding import readings_of
 from kilter_core.gap.search.source import Source
 from kilter_core.measurement.metrics import metres, mm
+from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
 
 REFUTED = 0.01  # chance below which noise does not explain what held-out rows leave
@@ -75,15 +77,16 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     if rows is None or known is None or not plain or not noise.absolute:
         return None
     other, values = on_rows(source, rows, held.search, problem.values)
-    back = np.linalg.inv(root_of(noise.row if problem.settings.doubt is None else noise.row + _doubt(held)))
+    row = problem.settings.of_row
+    back = np.linalg.inv(root_of(row if problem.settings.doubt is None else row + _doubt(held)))
     seen, kept = np.isfinite(other.residual(values)), held.kept
     r, B = np.nan_to_num(other.residual(values)) @ back.T, back @ _spread(other, values, known)
     r, B = np.where(seen, r, 0.0)[kept], np.where(seen[..., None], B, 0.0)[kept]
-    visits = visits_of(rows.select(kept))
-    r, B = _by_visit(r, visits.visit, visits.count), _by_visit(B, visits.visit, visits.count)
-    size = np.sqrt(_variance(held, visits.count))
+    visit, count = _independent(held, rows.select(kept))
+    r, B = _by_visit(r, visit, count), _by_visit(B, visit, count)
+    size = np.sqrt(_variance(held, count))
     r, B = (r / size[:, None]).reshape(-1), (B / size[:, None, None]).reshape(-1, B.shape[2])
-    free = int(np.sum(_by_visit(seen[kept] * 1.0, visits.visit, visits.count) > 0.0))
+    free = int(np.sum(_by_visit(seen[kept] * 1.0, visit, count) > 0.0))
     if not free:
         return None
     along = B.T @ r
@@ -110,9 +113,22 @@ def _doubt(held: HoldoutEvaluator) -> Floats:
     return np.asarray(np.mean(settings.doubt[settings.used], axis=0))
 
 
+def _independent(held: HoldoutEvaluator, rows: Observations) -> tuple[Ints, Ints]:
+    """Visit (N,) of each row and rows (V,) of each; rows of one rounded reading are one, for they share its error."""
+    visits = visits_of(rows)
+    if held.search.problem.settings.rounding is None:
+        return visits.visit, visits.count
+    visit = readings_of(rows)
+    return visit, np.bincount(visit)
+
+
 def _variance(held: HoldoutEvaluator, count: Ints) -> Floats:
     """Variance (V,) of the mean of a visit of ``count (V,)`` rows, over that of a row: an approach is shared by its rows."""
-    noise = held.search.problem.settings.noise
+    settings = held.search.problem.settings
+    noise = settings.noise
+    if settings.rounding is not None:
+        own, shared = float(np.trace(noise.row)), float(np.trace(settings.rounding.row))
+        return np.asarray((own / count + shared) / (own + shared))
     within = 1.0 if noise.within is None else noise.within**2
     between = 0.0 if noise.between is None else noise.between**2
     if noise.within is None and noise.between is not None:

@@ -214,15 +214,15 @@ def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
 def _beyond(a: Amplitude, library: Library, candidate: Candidate) -> float:
     """Standard deviations that an amplitude lies beyond what is plausible, below 0 within it."""
     p, sigma = library.parameters[a.column], max(a.sigma, 1e-300)
-    return float(max(p.lower - a.value, a.value - p.upper) / sigma)
+    return float(max(p.lower - a.wanted, a.wanted - p.upper) / sigma)
 
 
 def _plausible(evidence: Evidence, library: Library) -> bool:
     for a in evidence.amplitudes:
         p = library.parameters[a.column]
-        if a.value < p.lower - CONTRADICTS * a.sigma or a.value > p.upper + CONTRADICTS * a.sigma:
+        if a.wanted < p.lower - CONTRADICTS * a.sigma or a.wanted > p.upper + CONTRADICTS * a.sigma:
             return False
-        if evidence.candidate.positive and len(evidence.amplitudes) == 1 and a.value <= 0.0:
+        if evidence.candidate.positive and len(evidence.amplitudes) == 1 and a.wanted <= 0.0:
             return False
     return True
 

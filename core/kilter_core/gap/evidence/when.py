@@ -129,5 +129,5 @@ def event_warnings(
         yield {
             "code": "moved_once", "row": when.after,
             "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm at "
-            f"the tool on average. {REMEDY}",
+            f"the tool on average, as the version stores it. {REMEDY}",
         }  # fmt: skip

@@ -34,7 +34,7 @@ def contributions(search: SearchResult) -> list[dict[str, Any]]:
     out = []
     for place in search.chosen:
         candidate = search.selector.scorer.candidates[place]
-        moved = moved_by(search.problem, search.columns, candidate.columns)[search.problem.settings.used]
+        moved = moved_by(search.problem, candidate.columns)[search.problem.settings.used]
         size = np.abs(moved).max(axis=1) if _joint_data(search) else np.linalg.norm(moved[:, :3], axis=1)
         out.append({
             "label": candidate.label, **candidate.named(),
@@ -70,7 +70,7 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
     order = np.argsort(rows.q[:, j], kind="stable")
     order = order[problem.settings.used[order]]
     order = order[:: -(-len(order) // MOST_POINTS) or 1]
-    curve = moved_by(problem, search.columns, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
+    curve = moved_by(problem, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
 
     def drawn(values: Floats) -> list[float]:
         return [round(float(v), 6) for v in (np.sum(values * along, axis=1) * _unit(search))[order]]

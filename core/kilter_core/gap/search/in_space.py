@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, fitted
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Floats
 
 
@@ -28,15 +29,15 @@ def _rms_of(settings: ProblemSettings, whitened: Floats) -> float:
 def noise_rms(settings: ProblemSettings) -> float:
     """Rms length in space (m; rad of a joint) that the noise alone gives a visit."""
     size = settings.whitener.shape[-1]
-    root = root_of(np.mean(settings.noise.visit, axis=0)).T * np.sqrt(size)
+    root = root_of(np.mean(settings.of_visit, axis=0)).T * np.sqrt(size)
     return settings.source.rms(root)
 
 
-def moved_by(problem: LinearizedProblem, columns: Sequence[int], own: Sequence[int]) -> Floats:
-    """Displacement (V, m) in m or rad by the library columns ``own`` at their fitted values."""
-    values, _ = fitted(problem, columns)
-    amount = np.array([values[list(columns).index(k)] * problem.size[k] for k in own])
-    return problem.settings.whitening.back(problem.W_raw[:, list(own)] @ amount)
+def moved_by(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
+    """Displacement (V, m) in m or rad by the library columns ``own`` at the values of the fit, which a version stores."""
+    index = list(own)
+    amount = problem.settings.source.library(problem.values)[index] * problem.size[index]
+    return problem.settings.whitening.back(problem.W_raw[:, index] @ amount)
 
 
 def root_of(covariance: Floats) -> Floats:

@@ -8,22 +8,22 @@ takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur comp
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.bases import lengths, orthonormal, seen
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.ranges import ends, exactly_within
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.gap.search.soft import Soft
 from kilter_core.gap.search.source import Source
 from kilter_core.identify.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.solver import minimise
-from kilter_core.types import Bools, Floats, Ints
+from kilter_core.types import Floats, Ints
 
 Tick = Callable[[], None]
 
@@ -35,59 +35,6 @@ PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as 
 UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
 STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
-
-
-@dataclass(frozen=True)
-class ProblemSettings:
-    """What stays the same through a search: source, whitening, which visits count, and which belong to one pose."""
-
-    source: Source
-    noise: Noise
-    used: Bools
-    group: Ints
-    inflation: float = 1.0  # variance of a sum over its variance if samples were independent (trajectories)
-    trusted: bool = True  # whether the whitened scale is a floor for every test (repeats, or a measured correlation)
-    doubt: Floats | None = None  # covariance (V, m, m) beside the noise: signs of loads near zero
-    whitener: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        noise = self.noise if self.doubt is None else replace(self.noise, visit=self.noise.visit + self.doubt)
-        object.__setattr__(self, "whitener", noise.whiteners() / np.sqrt(self.inflation))
-
-    @property
-    def whitening(self) -> ByCovariance:
-        """How residuals and columns are whitened."""
-        return ByCovariance(self.whitener, self.used)
-
-    @property
-    def widened(self) -> float:
-        """Logarithm of how much the doubt widens the noise, over the visits that count."""
-        if self.doubt is None:
-            return 0.0
-        alone = self.noise.whiteners() / np.sqrt(self.inflation)
-        each = np.linalg.slogdet(alone)[1] - np.linalg.slogdet(self.whitener)[1]
-        return float(2.0 * np.sum(each[self.used]))
-
-    @property
-    def numbers(self) -> float:
-        """Scalars of the visits that count and were measured."""
-        return float(self.used.sum() * (self.whitener.shape[-1] - self.source.missing))
-
-    @property
-    def hard(self) -> Bools:
-        """Geometry (P,) that is projected off; the rest are load errors, which the priors hold."""
-        return ~self.source.soft
-
-    def whitened(self, values: Floats) -> Floats:
-        """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
-        return self.whitening.residual(self.source.residual(values))
-
-    def linearised(
-        self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
-    ) -> tuple[Floats, Floats, Floats]:
-        """Whitened residuals (R,), and derivatives by geometry (R, P) and library (R, Q): the columns ``only``, or all."""
-        linear, by = self.source.linear(values, batch, only), self.whitening
-        return by.residual(linear.r).reshape(-1), by.columns(linear.G), by.columns(linear.W)
 
 
 @dataclass(frozen=True)
@@ -293,6 +240,12 @@ def solved(
     values = within_range(SearchProblem(settings, free), values, tick)
     there = linearize_at(settings, values, only=free)
     return values, there.gram.given(range(len(free))).yy
+
+
+def loss(settings: ProblemSettings, values: Floats, columns: Sequence[int]) -> float:
+    """What a fit of geometry and the library ``columns`` makes least: half its chi-square, with what the priors cost."""
+    problem = SearchProblem(settings, list(columns))
+    return problem.loss_at(values, problem.weighed(values))
 
 
 def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:

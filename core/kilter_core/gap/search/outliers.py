@@ -13,8 +13,9 @@ import numpy as np
 import scipy.linalg
 from scipy.stats import chi2
 
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on
+from kilter_core.gap.search.linearized import LinearizedProblem, Tick, go_on
 from kilter_core.gap.search.projection import Stacked
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.gap.search.wrong_rows import are_wrong
 from kilter_core.identify.robust import redescended
 from kilter_core.types import Bools, Floats

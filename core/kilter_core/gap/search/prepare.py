@@ -23,17 +23,20 @@ from kilter_core.gap.noise.visits import Visits, visits_of
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, library_of
 from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
+from kilter_core.gap.search.linearized import LinearizedProblem, Tick, go_on, refit
 from kilter_core.gap.search.link_source import LinkSource
 from kilter_core.gap.search.masses import blurred, tool_source
 from kilter_core.gap.search.renewal import under, without_wrong
+from kilter_core.gap.search.rounding import rounding
 from kilter_core.gap.search.row_warnings import (
     JUDGED_AGAIN,
     identical_repeats,
     instrument_warnings,
     noise_warnings,
     outlier_warnings,
+    rounding_warnings,
 )
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.gap.search.source import Source
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepared as start_of
@@ -136,7 +139,12 @@ class _Preparation:
         source = blurred(source.on_rows(visits.observations), values)
         self.progress(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
-        settings = ProblemSettings(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
+        one, held = (None, False) if moving else rounding(source, values, rows.q, visits, noise)
+        self.warnings += rounding_warnings(one, source, held)
+        settings = ProblemSettings(
+            source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute,
+            rounding=None if held else one,
+        )  # fmt: skip
         problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
         problem = _weighed(placed(problem, library.candidates)[0])
         self.progress(0.6, "looking for outliers")

@@ -15,8 +15,9 @@ import numpy as np
 from kilter_core.gap.budget import PREPARING, Budget, OutOfTimeError
 from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
 from kilter_core.gap.search.contrasts import fitted_away
-from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, linearize_at, refit
+from kilter_core.gap.search.linearized import LinearizedProblem, Tick, go_on, linearize_at, refit
 from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
+from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Bools, Progress
 
 WRONG = "wrong readings beyond those set aside"

@@ -9,6 +9,8 @@ import numpy as np
 
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.rounding import Rounding, coordinate
+from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
 from kilter_core.types import Bools
@@ -52,6 +54,25 @@ def clock_warnings(rows: Observations) -> Iterator[Warning_]:
         "code": "clock_backwards", "row": clock.fell,
         "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
         "its own, or upload the rows with one clock.",
+    }  # fmt: skip
+
+
+def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Iterator[Warning_]:
+    """Say to which step joint readings are rounded, how far that moves the tool, and how it counts."""
+    if one is None:
+        return
+    joints = source.model.robot.joints
+    said = []
+    for step in dict.fromkeys(s for s in one.steps.tolist() if s > 0.0):
+        own = [j for j, s in enumerate(one.steps) if s == step]
+        slides = joints[own[0]].kind == "prismatic"
+        size = f"{step * 1e3:.4g} mm" if slides else f"{np.degrees(step):.4g} deg"
+        said.append(f"{size} (joint{'s' if len(own) > 1 else ''} {', '.join(str(j + 1) for j in own)})")
+    counted = "which the noise holds already" if held else "which counts as noise beside that of the repeats"
+    yield {
+        "code": "rounded_readings",
+        "message": f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
+        f"{coordinate(one, source) * 1e3:.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
     }  # fmt: skip
 
 

@@ -57,7 +57,9 @@ class Duration(Strict):
     expected: Seconds = Field(description="Most likely, s.")
     low: Seconds = Field(description="Hardly less, s.")
     high: Seconds = Field(description="Hardly more, s.")
-    basis: str = Field(description="What this rests on: earlier jobs of this server, or a rule.")
+    basis: str = Field(
+        description="What this rests on: earlier jobs of this server, the job's own beginning, timed here, or a rule."
+    )
 
 
 class UnknownParameter(Strict):

@@ -97,6 +97,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
         elif held is not None:
             found.hold("unasked" if validation is None else "fraction", held)
         found.search = check_gap(job.robot, rows, options, job.calibration, validation, confirmation)
+        found.seconds = found.search.seconds
         if found.search.poses < found.search.of:
             found.limited.append(
                 f"What can be tested was judged on {found.search.poses} of {found.search.of} poses, evenly chosen; amplitudes "

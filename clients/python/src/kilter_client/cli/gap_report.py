@@ -69,7 +69,7 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
         )  # fmt: skip
         rows += [(*(head if k == 0 else ("",) * len(head)), *amount) for k, amount in enumerate(amounts)]
     head_row = ("effect", "joints", "verdict", f"gain {unit}", "p", "or one of", "parameter", "amplitude", "interval")
-    show_rows(head_row, rows, title="What is missing")
+    show_rows(head_row, rows, title="What is missing, with amplitudes as the version stores them")
     for effect in effects:
         _class(effect)
         failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]

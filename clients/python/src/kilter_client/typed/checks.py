@@ -34,7 +34,7 @@ class Duration(Record):
     """How long the job would compute, in seconds, without waiting for other jobs."""
 
     basis: str
-    """What this rests on: earlier jobs of this server, or a rule."""
+    """What this rests on: earlier jobs of this server, the job's own beginning, timed here, or a rule."""
     expected: float
     """Most likely, s."""
     high: float

@@ -149,6 +149,10 @@ class GapNoise(Record):
     """Between visits of a pose, degrees of a joint."""
     re_approach_mm: float | None
     """Between visits of a pose, mm."""
+    rounding_mm: float | None
+    """How far they move the tool, rms of a coordinate, mm."""
+    rounding_steps: tuple[float, ...]
+    """Steps of joint readings, deg (mm); None: none counts."""
     source: str | None
     """What it was estimated from."""
     within_visit_deg: float | None
@@ -334,8 +338,8 @@ class Amplitude(Record):
     seen: bool | None
     """Whether zero is outside its own interval."""
     sigma: float | None
-    """Standard deviation of the value."""
+    """Standard deviation of the value, in the fit of the version."""
     unit: str | None
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     value: float | None
-    """Its value."""
+    """Its value, as the version stores it."""

@@ -89,7 +89,7 @@ class Separation(Record):
     name: str
     """`turn`, `loads`, `sides`, `temperature`, `order` or `sensor`."""
     number: float | None
-    """What decided: revolutions, visits from the rarer side, the chance of a random order, or standard deviations; None: nothing there."""
+    """What decided: revolutions, visits, a chance, or deviations."""
     told: str | None
     """What these rows say of it, in words."""
     words: str | None
@@ -220,7 +220,7 @@ class NamedEffect(Record):
     joints: tuple[int, ...]
     """Joints it acts at, from 1; None: it does not act at joints."""
     moves_mm: float | None
-    """Rms movement of the tool by it, mm; None: joint data."""
+    """Rms movement of the tool by it, as stored, mm; None: joint data."""
     p_value: float | None
     """Chance of such a gain by nothing, over the whole library."""
     parameters: Records[Amplitude]

@@ -1,0 +1,49 @@
+"""The step that joint readings are multiples of: controllers that show hundredths of a degree, encoders that count ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kilter_core.types import Bools, Floats
+
+FEWEST_LEVELS = 12  # different readings of a joint that tell a step: fewer are poses that were typed in
+EXACT = 0.02  # of a step, by which readings may be off it: what a file's own decimals leave
+DECIMALS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)
+DEGREE = np.pi / 180.0  # rad
+MILLIMETRE = 0.001  # m
+BITS = tuple(range(8, 21))  # of an encoder, per revolution
+
+
+def reading_steps(q: Floats, slides: Sequence[bool] | Bools) -> Floats:
+    """Largest step (n,), rad or m, that all readings of each joint are multiples of, up to a constant; 0 where there is none.
+
+    Joints of too few different readings have the step of the others where it fits them.
+    """
+    steps = np.array([_step(column, _known(bool(slid))) for column, slid in zip(q.T, slides, strict=True)])
+    for j, slid in enumerate(slides):
+        others = [s for k, s in enumerate(steps) if s > 0.0 and bool(slides[k]) == bool(slid)]
+        if len(np.unique(q[:, j])) < FEWEST_LEVELS:
+            fits = [s for s in others if len(np.unique(q[:, j])) > 1 and _fits(q[:, j], s)]
+            steps[j] = max(fits, default=0.0)
+    return steps
+
+
+def _known(slides: bool) -> Floats:
+    """Steps that controllers and encoders have, the largest first."""
+    decimals = np.array(DECIMALS)
+    if slides:
+        return decimals * MILLIMETRE
+    return np.sort(np.concatenate([decimals * DEGREE, decimals * 1e-2, 2.0 * np.pi / 2.0 ** np.array(BITS)]))[::-1]
+
+
+def _step(column: Floats, known: Floats) -> float:
+    if len(np.unique(column)) < FEWEST_LEVELS:
+        return 0.0
+    return next((float(step) for step in known if _fits(column, step)), 0.0)
+
+
+def _fits(column: Floats, step: float) -> bool:
+    away = (column - column[0]) / step
+    return bool(np.all(np.abs(away - np.round(away)) < EXACT))

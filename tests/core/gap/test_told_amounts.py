@@ -1,0 +1,86 @@
+"""What is told of a named effect is what the version stores, and the truth is inside its intervals, however large it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kilter_client.cli.gap_report import show_gap
+from kilter_client.cli.tables import number
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.evidence.verdict import Judged
+from kilter_core.gap.report.report import GapReport
+from tests.core.gap.sized_twins import LARGE, SMALL, Sized, sized
+from tests.core.gap.time_twins import robot
+
+FAR = 3.5  # standard deviations: one of two thousand amplitudes is farther from the truth
+
+
+def searched(made: Sized, effect: str) -> tuple[GapReport, Judged]:
+    """A search of all rows, so that the mean over them is known, for this effect alone."""
+    quick = GapOptions(resamples=1, permutations=1, bootstraps=199, next_poses=0, effects=(effect,))
+    report = find_gap(robot(), made.rows, quick, validation=0)
+    (named,) = report.effects
+    return report, named
+
+
+WIRE = {"mm": 1e3, "deg": 180.0 / np.pi}  # other units are SI
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_the_truth_is_inside_the_intervals_at_any_size(large: bool) -> None:
+    inside = []
+    for effect in SMALL:
+        made = sized(effect, 2, LARGE[effect] if large else 1.0)
+        told = searched(made, effect)[1].evidence.amplitudes
+        assert len(told) == len(made.truth), effect
+        for one, truth in zip(told, made.truth, strict=True):
+            assert abs(one.value - truth) < FAR * one.sigma, (effect, one, truth)
+            assert one.low < one.value < one.high
+            inside.append(one.low <= truth <= one.high)
+    assert sum(inside) >= 24  # of 28: fewer come once in a hundred where intervals hold 95 %
+
+
+@pytest.mark.parametrize("effect", ["base_step", "thermal_drift"])
+def test_a_large_one_is_told_everywhere_as_it_is_stored(effect: str, capsys: pytest.CaptureFixture[str]) -> None:
+    made = sized(effect, 1, LARGE[effect])
+    report, named = searched(made, effect)
+    kept = dict(zip(report.calibration.names, report.calibration.values, strict=True))
+    sigma = dict(zip(report.stored.posterior.names, report.stored.posterior.sigma, strict=True))
+    document = report.to_document()
+    rows: list[dict[str, Any]] = document["effects"][0]["parameters"]
+    for one, row in zip(named.evidence.amplitudes, rows, strict=True):
+        assert one.value == pytest.approx(kept[row["name"]], rel=1e-9)
+        assert one.sigma == pytest.approx(sigma[row["name"]], rel=1e-6)
+    for row, truth in zip(rows, made.truth, strict=True):
+        assert row["interval_low"] <= truth * WIRE.get(row["unit"], 1.0) <= row["interval_high"], row["name"]
+    moved = 1e3 * float(np.sqrt(np.mean(made.moved**2)))
+    assert document["effects"][0]["moves_mm"] == pytest.approx(moved, rel=0.03)
+    show_gap(document | {"figures": {}})  # which the service draws
+    printed = capsys.readouterr().out
+    assert "amplitudes as the version stores them" in printed
+    for row in rows:
+        assert f"{number(row['value'], 4)} {row['unit']}" in printed
+
+
+def test_how_far_a_station_moved_is_told_in_its_warning() -> None:
+    made = sized("base_step", 1, LARGE["base_step"])
+    report, _ = searched(made, "base_step")
+    (warning,) = [w for w in report.warnings if w["code"] == "moved_once"]
+    before = 1e3 * float(np.sqrt(np.mean(made.moved[made.moved > 0.0] ** 2)))
+    told = float(warning["message"].split(", by ")[1].split(" mm")[0])
+    assert told == pytest.approx(before, rel=0.05)
+    assert "as the version stores it" in warning["message"]
+
+
+def test_an_amplitude_held_by_its_range_is_told_at_its_end_with_what_the_rows_ask_for() -> None:
+    beyond = sized("thermal_growth", 3, 2.0 * LARGE["thermal_growth"])
+    report, named = searched(beyond, "thermal_growth")
+    (one,) = named.evidence.amplitudes
+    assert one.value == 1e-4  # the largest that is physical
+    assert one.low <= one.value < beyond.truth[0] < one.high
+    assert abs(one.wanted - beyond.truth[0]) < FAR * one.sigma
+    assert not named.gates["plausible"]
+    assert any(w["code"] == "at_end_of_range" for w in report.warnings)
