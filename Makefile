@@ -144,6 +144,9 @@ challenge: $(KERNELS) ## search cases that somebody else hid and score them agai
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run (TLS=1: signed, both with TLS)
 	$(BIN)/python -m benchmarks.stream $(if $(TLS),--tls)
 
+bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and count late answers (CYCLES=150000 CYCLE_MS=4)
+	$(BIN)/python -m tests.clients.bridges.long_run --cycles $(or $(CYCLES),150000) --cycle-ms $(or $(CYCLE_MS),4)
+
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
 	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
 

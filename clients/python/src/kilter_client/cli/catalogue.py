@@ -63,6 +63,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     "Correct": {
         "correct": Entry("correct", "Correct a trajectory with the active version."),
         "filter": Entry("filtered", "Correct the joint targets of a robot program."),
+        "bridge": Entry("bridge", "Correct an arm between its controller and its drives."),
         "stream-session": Entry("access", "Print the keys of a session of a stream."),
     },
     "Robots": {

@@ -1,0 +1,54 @@
+"""What stands between a corrected setpoint and the arm: offsets of bounded size and rate, ramped in and out.
+
+It knows nothing of models. Whatever a corrector answers, no offset leaves here beyond its largest value, or further from
+the one before than a cycle allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+
+class Guard:
+    """The offset of each joint, rad.
+
+    Args:
+        joints: how many there are.
+        largest_rad: of any offset.
+        rate_rad_s: how fast an offset changes at most.
+        ramp_s: over which offsets come in from zero, and go out.
+        cycle_s: of the controller. An offset changes by no more than that allows with each answer, however long the pause
+            before it was: the controller carries it out within one cycle.
+
+    """
+
+    def __init__(self, joints: int, largest_rad: float, rate_rad_s: float, ramp_s: float, cycle_s: float) -> None:
+        self._largest, self._most, self._part = largest_rad, rate_rad_s * cycle_s, cycle_s / max(ramp_s, cycle_s)
+        self.offset = self._wanted = (0.0,) * joints
+        self.share = 0.0  # of the offset wanted: 0 out, 1 in
+
+    def restart(self) -> None:
+        """Begin at zero: the controller's own offsets are zero."""
+        self.offset = self._wanted = (0.0,) * len(self.offset)
+        self.share = 0.0
+
+    @property
+    def out(self) -> bool:
+        """Whether nothing is offset."""
+        return self.share == 0.0 and not any(self.offset)
+
+    def follow(self, wanted: Sequence[float] | None) -> tuple[float, ...]:
+        """Return the next offset on the way to ``wanted``; None: the last one is to go out."""
+        if wanted is not None and all(map(math.isfinite, wanted)):
+            self._wanted = tuple(wanted)
+            self.share = min(1.0, self.share + self._part)
+        else:
+            self.share = max(0.0, self.share - self._part)
+        smooth = self.share * self.share * (3.0 - 2.0 * self.share)
+        self.offset = tuple(map(self._next, self.offset, [smooth * one for one in self._wanted]))
+        return self.offset
+
+    def _next(self, now: float, wanted: float) -> float:
+        aim = min(max(wanted, -self._largest), self._largest)
+        return now + min(max(aim - now, -self._most), self._most)

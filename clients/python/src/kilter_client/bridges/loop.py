@@ -1,0 +1,202 @@
+"""The loop of bridges whose controller asks over UDP and waits for the answer: RSI, EGM."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import math
+import select
+import socket
+import time
+from collections import Counter, deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from kilter_client.bridges.news import Kind, Line
+
+if TYPE_CHECKING:
+    from kilter_client.bridges.correction import Correction
+
+TELL_S = 0.2
+LARGEST_PACKET = 4096
+MOST_WAITING = 64  # requests that are looked at to find the newest
+SHOWN_TIMES = 20_000
+
+
+class Request(NamedTuple):
+    """A request of the controller: its time stamp, its joints (n,) rad or None, and how many answers it missed itself."""
+
+    stamp: int
+    joints: tuple[float, ...] | None
+    missed: int | None = None
+
+
+class Wire(Protocol):
+    """The messages of a controller."""
+
+    def read(self, data: bytes) -> Request | None:
+        """Return a request; None when the bytes are none."""
+        ...
+
+    def answer(self, request: Request, offset: Sequence[float]) -> bytes:
+        """Return the answer that offsets (n,) rad make."""
+        ...
+
+
+Address = tuple[str, int]
+
+
+class Loop:
+    """Answers one controller.
+
+    Args:
+        port: the socket that the controller sends to.
+        wire: its messages.
+        correction: what offsets the joints.
+        line: to the companion.
+        cycle_s: so often the controller asks.
+        gone_after_s: of silence, after which the controller has stopped by itself and begins without offsets. A controller
+            that asks already when the bridge starts may still hold the offsets of a bridge before this one: it gets no
+            answer, so that it stops.
+
+    """
+
+    def __init__(
+        self, port: socket.socket, wire: Wire, correction: Correction, line: Line, cycle_s: float, gone_after_s: float
+    ) -> None:
+        self._port, self._wire, self._correction, self._line = port, wire, correction, line
+        self._cycle_s, self._gone_after_s = cycle_s, gone_after_s
+        self._asked = select.poll()
+        self._asked.register(port, select.POLLIN)
+        self._controller: Address | None = None
+        self._heard_s = time.monotonic()
+        self._stamp, self._last = -1, b""
+        self._told_s, self._leaving = 0.0, False
+        self.counts: Counter[str] = Counter()
+        self._missed: int | None = None
+        self._times_s: deque[float] = deque(maxlen=SHOWN_TIMES)
+        self._longest_s = 0.0
+
+    def leave(self) -> None:
+        """Fade the offsets out, then end."""
+        self._leaving = True
+
+    def run(self) -> None:
+        """Answer until :meth:`leave`."""
+        self._port.setblocking(False)
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # what a cycle leaves is freed by its count of references
+        try:
+            while not (self._leaving and (self._correction.out or self._silent_s() > self._gone_after_s)):
+                self._cycle()
+        finally:
+            gc.enable()
+            gc.unfreeze()
+
+    def _cycle(self) -> None:
+        if self._asked.poll(1000 * TELL_S):
+            with contextlib.suppress(BlockingIOError, ConnectionError):  # the latter: the controller's port was closed
+                data, sender = self._port.recvfrom(LARGEST_PACKET)
+                began_s = time.monotonic()
+                self._take(*self._newest(data, sender), began_s)
+        while (packet := self._line.receive()) is not None:
+            self._correction.hear(*packet)
+        if self._leaving:
+            self._correction.off = "the bridge is being ended"
+        now_s = time.monotonic()
+        if now_s - self._told_s >= TELL_S:
+            self._told_s = now_s
+            self._line.send(Kind.STATE, json.dumps(self.document()).encode())
+
+    def _newest(self, data: bytes, sender: Address) -> tuple[bytes, Address]:
+        """The last of the requests that wait: those before it are late."""
+        for _ in range(MOST_WAITING):
+            try:
+                later, whose = self._port.recvfrom(LARGEST_PACKET)
+            except (BlockingIOError, ConnectionError):
+                break
+            if whose == sender:
+                self.counts["late"] += 1
+                data = later
+            else:
+                self.counts["other_controller"] += 1
+        return data, sender
+
+    def _take(self, data: bytes, sender: Address, began_s: float) -> None:
+        request = self._wire.read(data)
+        if request is None:
+            self.counts["malformed"] += 1
+            return
+        if not self._admits(sender, request.stamp, began_s):
+            return
+        cycles = max(1, round((began_s - self._heard_s) / self._cycle_s)) if self._stamp >= 0 else 1
+        self.counts["lost"] += cycles - 1
+        self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
+        offset = self._correction.step(request.joints, cycles)
+        self._port.sendto(self._wire.answer(request, offset), sender)
+        took_s = time.monotonic() - began_s
+        self.counts["answered"] += 1
+        self.counts["late"] += took_s > self._cycle_s
+        self._times_s.append(took_s)
+        self._longest_s = max(self._longest_s, took_s)
+
+    def _admits(self, sender: Address, stamp: int, now_s: float) -> bool:
+        """Whether a request is to be answered: of the one controller, newer than the last, after a silence at its start."""
+        silent = now_s - self._heard_s >= self._gone_after_s
+        if silent:
+            self._controller, self._stamp = sender, -1
+            self._correction.begin()
+            return True
+        if self._controller is None:
+            self._heard_s = now_s  # it must fall silent first
+            self.counts["asked_before_the_bridge"] += 1
+            return False
+        if sender != self._controller:
+            self.counts["other_controller"] += 1
+            return False
+        if stamp <= self._stamp:
+            self.counts["old_stamp"] += 1
+            return False
+        return True
+
+    def _silent_s(self) -> float:
+        return time.monotonic() - self._heard_s
+
+    def _waits(self) -> str:
+        """What it waits for, if no controller is being answered: the silence before the first one, or one that asks."""
+        silent = self._silent_s() >= self._gone_after_s
+        if self._controller is not None:
+            return "waiting" if silent else ""
+        return "waiting" if silent else "refusing" if self.counts["asked_before_the_bridge"] else "starting"
+
+    def document(self) -> dict[str, Any]:
+        """The state, JSON-able."""
+        times = sorted(self._times_s)
+        told = self._correction.document()
+        waits = self._waits()
+        if waits:
+            told |= {"state": waits, "why": BEFORE if waits == "refusing" else told["why"]}
+        return told | {
+            "controller": None if self._controller is None else "{}:{}".format(*self._controller),
+            "counts": dict(self.counts),
+            "controller_missed": self._missed,
+            "answer_us": {
+                name: round(1e6 * times[min(len(times) - 1, int(part * len(times)))], 1) if times else None
+                for name, part in (("p50", 0.5), ("p99", 0.99))
+            },
+            "answer_longest_us": round(1e6 * self._longest_s, 1),
+            "cycle_s": self._cycle_s,
+        }
+
+
+BEFORE = (
+    "a controller asked already when the bridge started, and may hold offsets of a bridge before it: "
+    "let it stop, and start it again"
+)
+
+
+def radians(degrees: Sequence[float], signs: Sequence[float]) -> tuple[float, ...]:
+    """Joints of a controller, deg, as the robot's, rad."""
+    return tuple(math.radians(sign * value) for sign, value in zip(signs, degrees, strict=False))

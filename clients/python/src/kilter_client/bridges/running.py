@@ -1,0 +1,170 @@
+"""A bridge from its options to its end: what is checked before, the companion beside it, signals, and what is told after."""
+
+from __future__ import annotations
+
+import math
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_client.bridges import versions
+from kilter_client.bridges.companion import Task
+from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.guard import Guard
+from kilter_client.bridges.loop import Loop, Wire
+from kilter_client.bridges.news import Line, pair
+from kilter_client.errors import FileError, UsageError
+from kilter_core.correct.file import from_bytes
+from kilter_core.errors import OptionError
+
+COMPANION = "kilter_client.bridges.companion"
+ENDS_S = 5.0
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a bridge holds its offsets to, and the pace of its controller."""
+
+    largest_deg: float
+    rate_deg_s: float
+    ramp_s: float
+    cycle_ms: float
+    gone_after_s: float
+
+    @property
+    def cycle_s(self) -> float:
+        """The controller's cycle."""
+        return self.cycle_ms / 1000.0
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a bridge starts with."""
+
+    robot: str
+    bridge: str
+    found: versions.Found
+    task: Task
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.found.kinds)
+
+
+def prepared(robot: str, bridge: str, version: str | None, force: bool, quiet: bool, publish: str) -> Start:
+    """Check robot, controller and version at the server, and fetch the program.
+
+    Raises:
+        ConflictError: the arm would be corrected twice, or there is no version to correct with.
+        UsageError: a joint is prismatic.
+
+    """
+    found = versions.first(robot, version, force)
+    if set(found.kinds) != {"revolute"}:
+        raise UsageError(f"Robot {robot} has prismatic joints: a bridge offsets revolute ones only.")
+    pinned = None if version is None else found.version_id
+    return Start(robot, bridge, found, Task(robot, bridge, pinned, found.number, force, quiet, publish))
+
+
+def correction_of(start: Start, bounds: Bounds) -> Correction:
+    """Make what offsets the joints, with its kernels compiled.
+
+    Raises:
+        FileError: the program is of another release of Kilter than this one.
+
+    """
+    try:
+        stored = from_bytes(start.found.program)
+    except OptionError as error:
+        raise FileError(f"{error} Server and bridge must be of one release.") from error
+    guard = Guard(
+        start.joints, math.radians(bounds.largest_deg), math.radians(bounds.rate_deg_s), bounds.ramp_s, bounds.cycle_s
+    )
+    return Correction(stored, start.robot, guard, bounds.cycle_s)
+
+
+def signs_of(text: str | None, joints: int, most: int) -> list[float]:
+    """Read signs as ``+,-,+``; without any, every axis has the direction of the robot's joint.
+
+    Raises:
+        UsageError: they are not one for each joint, or the controller has fewer axes.
+
+    """
+    if joints > most:
+        raise UsageError(f"The robot has {joints} joints, and this controller offsets {most} axes at most.")
+    given = ["+"] * joints if text is None else [part.strip() for part in text.split(",")]
+    if len(given) != joints or set(given) - {"+", "-"}:
+        raise UsageError(f"--signs {text}: give + or - for each of the {joints} joints of the robot.")
+    return [-1.0 if sign == "-" else 1.0 for sign in given]
+
+
+def answer_over_udp(start: Start, wire: Wire, bounds: Bounds, listen: str, port: int) -> dict[str, Any]:
+    """Answer a controller until a signal ends it; returns what happened.
+
+    Raises:
+        UsageError: the port cannot be had.
+
+    """
+    correction = correction_of(start, bounds)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, beside(start) as line:
+        try:
+            udp.bind((listen, port))
+        except (OSError, OverflowError) as error:
+            raise UsageError(
+                f"UDP port {port} of {listen} cannot be had: {error}. Does another bridge run there?"
+            ) from error
+        loop = Loop(udp, wire, correction, line, bounds.cycle_s, bounds.gone_after_s)
+        with _ended_by_signals(loop):
+            _tell(start, udp)
+            loop.run()
+        return loop.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
+
+
+def _tell(start: Start, udp: socket.socket) -> None:
+    if not start.task.quiet:
+        address, port = udp.getsockname()
+        print(
+            f"The {start.bridge} bridge of {start.robot} listens on UDP {address}:{port}.", file=sys.stderr, flush=True
+        )
+
+
+@contextmanager
+def beside(start: Start) -> Iterator[Line]:
+    """Run the companion as long as the bridge runs; what it is told with."""
+    ours, theirs = pair()
+    command = [sys.executable, "-m", COMPANION, str(theirs.fileno()), start.task.text()]
+    with theirs:
+        companion = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
+    try:
+        yield ours
+    finally:
+        ours.close()
+        try:
+            companion.wait(ENDS_S)
+        except subprocess.TimeoutExpired:
+            companion.kill()
+            companion.wait()
+
+
+@contextmanager
+def _ended_by_signals(loop: Loop) -> Iterator[None]:
+    """Fade out at the first Ctrl-C or SIGTERM, end at once at the second."""
+
+    def leave(number: int, _: object) -> None:
+        loop.leave()
+        for one in signals:
+            signal.signal(one, signal.default_int_handler)
+
+    signals: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(one, leave) for one in signals]
+    try:
+        yield
+    finally:
+        for one, handler in zip(signals, before, strict=True):
+            signal.signal(one, handler)

@@ -1,0 +1,117 @@
+"""Which version a bridge corrects with: what the server says of the robot, its controller and its versions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_client.bridges.news import Kind
+from kilter_client.client import Kilter
+from kilter_client.errors import ConflictError, KilterError, NotFoundError
+
+FORM = "corrector"
+_DOES = {
+    "factory": "corrects by its maker's calibration",
+    "kilter": "corrects by a calibration that Kilter exported",
+}
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The number of the version that the bridge was told last, hexadecimal; or why it was told to stop."""
+
+    number: str
+    off: str = ""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A robot as a bridge starts with it."""
+
+    program: bytes
+    version_id: str
+    number: str
+    kinds: tuple[str, ...]
+
+
+def first(robot: str, version: str | None, force: bool) -> Found:
+    """Return what a bridge starts with.
+
+    Raises:
+        ConflictError: the controller corrects already or nobody said whether it does, or no version can be used.
+
+    """
+    with Kilter() as kilter:
+        arm = kilter.robots.get(robot)
+        speaks_against = objection(arm, force)
+        if speaks_against:
+            raise ConflictError(speaks_against[1], code=speaks_against[0], robot=robot)
+        if version is None and arm["active_version"] is None:
+            raise ConflictError(
+                f"Robot {robot} has no active version: activate one with `kilter activate`, or name one with --version.",
+                code="no_active_version", robot=robot,
+            )  # fmt: skip
+        found = kilter.versions.get(version or arm["active_version"], robot=robot)
+        if found["robot"] != robot:
+            raise ConflictError(f"Version {found['id']} is of robot {found['robot']}, not of {robot}.", robot=robot)
+        if version is not None and found["retired_at"] is not None:
+            raise ConflictError(f"Version {found['id']} is retired: restore it, or name another.", robot=robot)
+        program = kilter.versions.export(found["id"], FORM)
+    return Found(program, found["id"], _number(found), tuple(joint["kind"] for joint in arm["joints"]))
+
+
+def objection(arm: dict[str, Any], force: bool) -> tuple[str, str] | None:
+    """What speaks against correcting a robot, as code and sentence: its controller does so already, or may do so."""
+    name, compensation = arm["name"], arm.get("controller_compensation") or "unknown"
+    if force or compensation == "none":
+        return None
+    say = f"say so with `kilter robot compensation {name} none`, or go on with --force."
+    if compensation in _DOES:
+        return "corrected_twice", (
+            f"The controller of {name} {_DOES[compensation]}: with the bridge on top of it, the arm would be corrected twice. "
+            f"Switch that off in the controller and {say}"
+        )
+    return "compensation_unknown", (
+        f"Whether the controller of {name} corrects by itself is not known. If it does (an absolute-accuracy option that is "
+        f"switched on, a factory calibration), the arm would be corrected twice. Look it up; where it does not, {say}"
+    )
+
+
+def look(
+    robot: str, version: str | None, force: bool, known: Followed
+) -> tuple[Followed, list[tuple[Kind, bytes]], str]:
+    """Ask the server once: what is known then, what is new to the bridge, and what is wrong with the server, in words."""
+    try:
+        with Kilter() as kilter:
+            return (*_news(kilter, robot, version, force, known), "")
+    except NotFoundError as error:
+        return (*_off(known, error.detail), "")
+    except KilterError as error:
+        return known, [], f"the server cannot be asked, and the version goes on: {error.detail}"
+
+
+def _news(
+    kilter: Kilter, robot: str, version: str | None, force: bool, known: Followed
+) -> tuple[Followed, list[tuple[Kind, bytes]]]:
+    arm = kilter.robots.get(robot)
+    against = objection(arm, force)
+    if against:
+        return _off(known, against[1])
+    used = version or arm["active_version"]
+    if used is None:
+        return _off(known, f"robot {robot} has no active version any more")
+    found = kilter.versions.get(used, robot=robot)
+    if version is not None and found["retired_at"] is not None:
+        return _off(known, f"version {found['id']} is retired")
+    if _number(found) == known.number and not known.off:
+        return known, []
+    return Followed(_number(found)), [(Kind.PROGRAM, kilter.versions.export(found["id"], FORM))]
+
+
+def _off(known: Followed, why: str) -> tuple[Followed, list[tuple[Kind, bytes]]]:
+    news = [] if known.off == why else [(Kind.OFF, why.encode())]
+    return Followed(known.number, why), news
+
+
+def _number(found: dict[str, Any]) -> str:
+    return str(found["sha256"])[:16]

@@ -1,0 +1,54 @@
+"""A bridge under a controller for long, beside a server of its own: what was late, how long answers took."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+
+from kilter_client import Kilter
+from tests.clients.bridges.rsi_peer import Floats, RsiPeer
+from tests.clients.bridges.running_bridge import add_arm, bridging, off_mm
+from tools.local_server import local_server
+
+
+def path(t_s: float) -> Floats:
+    """A motion of three axes at up to 12 deg/s."""
+    return np.array([30 * np.sin(0.4 * t_s), 30 + 20 * np.sin(0.5 * t_s), 20 + 30 * np.sin(0.3 * t_s), 0.0, 0.0, 0.0])
+
+
+def main() -> None:
+    """Run the controller and print a JSON document."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cycles", type=int, default=150_000)
+    parser.add_argument("--cycle-ms", type=float, default=4.0)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, local_server(Path(folder) / "data") as server:
+        os.environ.update(server.environment())
+        with Kilter() as kilter, redirect_stdout(sys.stderr):
+            add_arm(kilter, "cell7", Path(folder))
+        with bridging("rsi", "cell7", "--port", "0", "--cycle-ms", str(given.cycle_ms)) as bridge:
+            bridge.heard("waiting")
+            peer = RsiPeer(bridge.port, path, given.cycle_ms / 1000.0).start()
+            peer.wait(given.cycles, seconds=1e9)
+            peer.stop()
+            print(bridge.ended())
+    answered, offsets, wanted = peer.answered(), peer.offsets(), peer.wanted()
+    settled = slice(len(answered) // 2, None)
+    found = {
+        "cycles": len(answered),
+        "late": int((~answered).sum()),
+        "error_mm": float(off_mm(wanted, offsets)[settled].max()),
+        "without_mm": float(off_mm(wanted, 0 * offsets)[settled].max()),
+    }
+    print(json.dumps(found, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,264 @@
+"""What a bridge does with what it should not get: offsets stay bounded, and each case has its count or its word."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.guard import Guard
+from kilter_client.bridges.loop import Loop
+from kilter_client.bridges.news import Kind, Line, pair
+from kilter_client.bridges.rsi import From, RsiWire
+from kilter_core.correct.file import from_bytes, to_bytes
+from tests.core.correct.test_c_corrector import program_of
+
+CYCLE_S, GONE_S, RATE_RAD_S, LARGEST_RAD = 0.004, 0.3, 0.05, math.radians(1.0)
+Q_DEG = (10.0, -60.0, 80.0, 20.0, 40.0, 5.0)
+
+
+def content(seed: int = 0, robot: str = "cell7", preset: str = "ur10") -> bytes:
+    return to_bytes(
+        program_of(preset, "clearance_tilt", seed=seed), version_id=f"v{seed}", number=seed + 1, robot=robot
+    )
+
+
+@pytest.fixture
+def guard() -> Guard:
+    return Guard(6, LARGEST_RAD, RATE_RAD_S, 0.1, CYCLE_S)
+
+
+@pytest.fixture
+def correction(guard: Guard) -> Correction:
+    return Correction(from_bytes(content()), "cell7", guard, CYCLE_S)
+
+
+def message(ipoc: int, axes: Sequence[object] = Q_DEG, element: str = "ASPos") -> bytes:
+    named = " ".join(f'A{k}="{value}"' for k, value in enumerate(axes, 1))
+    return f'<Rob TYPE="KUKA"><{element} {named}/><Delay D="3"/><IPOC>{ipoc}</IPOC></Rob>'.encode()
+
+
+def offsets(answer: bytes) -> list[float]:
+    return [float(value) for value in re.findall(rb'A\d="(.*?)"', answer)]
+
+
+class Controller:
+    """Asks by hand."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect(address)
+        self.socket.settimeout(0.2)
+
+    def ask(self, data: bytes) -> bytes | None:
+        self.socket.send(data)
+        try:
+            return self.socket.recv(2048)
+        except TimeoutError:
+            return None
+
+
+Make = Callable[[tuple[str, int]], Controller]
+
+
+@pytest.fixture
+def controllers() -> Iterator[Make]:
+    """Makes controllers, and closes them."""
+    made: list[Controller] = []
+
+    def make(address: tuple[str, int]) -> Controller:
+        made.append(Controller(address))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.socket.close()
+
+
+@contextmanager
+def looping(correction: Correction) -> Iterator[tuple[Loop, tuple[str, int], Line]]:
+    """A loop in a thread, quiet long enough to take a controller; its address, and the companion's end."""
+    ours, theirs = pair()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
+        port.bind(("127.0.0.1", 0))
+        loop = Loop(port, RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S)
+        thread = threading.Thread(target=loop.run)
+        thread.start()
+        try:
+            time.sleep(1.2 * GONE_S)
+            yield loop, port.getsockname(), Line(theirs)
+        finally:
+            loop.leave()
+            thread.join(10)
+            ours.close()
+            theirs.close()
+
+
+def test_the_guard_bounds_whatever_it_is_given(guard: Guard) -> None:
+    rng = np.random.default_rng(1)
+    before = np.zeros(6)
+    for k in range(4000):
+        wanted = rng.normal(size=6) * 10.0 ** rng.uniform(-6, 3)
+        wanted[rng.integers(6)] = rng.choice([math.nan, math.inf, -math.inf, 0.0, 1e-3])
+        offset = np.array(guard.follow(None if k % 7 == 0 else wanted.tolist()))
+        assert np.isfinite(offset).all()
+        assert np.abs(offset).max() <= LARGEST_RAD
+        assert np.abs(offset - before).max() <= RATE_RAD_S * CYCLE_S * (1 + 1e-9)
+        before = offset
+    assert before.any()
+    steps = 0
+    while not guard.out:
+        guard.follow(None)
+        steps += 1
+    assert steps <= round(LARGEST_RAD / RATE_RAD_S / CYCLE_S) + 26
+
+
+def settle(correction: Correction, q: Sequence[float] | None, cycles: int = 600) -> np.ndarray:
+    """Offsets after so many cycles; none of them jumps."""
+    found = [np.array(correction.step(q)) for _ in range(cycles)]
+    assert np.abs(np.diff(found, axis=0)).max() <= RATE_RAD_S * CYCLE_S * (1 + 1e-9)
+    return found[-1]
+
+
+def test_a_version_that_is_off_foreign_or_damaged_gives_nothing_until_a_good_one_comes(correction: Correction) -> None:
+    q = [math.radians(value) for value in Q_DEG]
+    first = settle(correction, q)
+    assert np.abs(first).max() > 1e-5
+    for kind, text, said in (
+        (Kind.OFF, b"version v0 is retired", "is retired"),
+        (Kind.PROGRAM, content(3, robot="cell8"), "is of robot cell8, not of cell7"),
+        (Kind.PROGRAM, content(4, preset="katana450-chapter4"), "is for 5 joints, not 6"),
+        (Kind.PROGRAM, content(5)[:-9], "cannot be used.*cut off"),
+    ):
+        correction.hear(kind, text)
+        assert not settle(correction, q).any()
+        document = correction.document()
+        assert document["state"] == "off"
+        assert re.search(said, document["why"])
+        assert document["version_id"] == "v0"
+        correction.hear(Kind.PROGRAM, content())
+        assert np.allclose(settle(correction, q), first, atol=1e-9)
+        assert correction.document()["state"] == "correcting"
+    correction.hear(Kind.PROGRAM, content(9))
+    assert np.abs(settle(correction, q) - first).max() > 1e-5  # another version, ramped to
+    assert correction.document()["version_id"] == "v9"
+
+
+def test_a_controller_that_sends_nonsense_gets_bounded_offsets_that_go_out(
+    correction: Correction, controllers: Make
+) -> None:
+    with looping(correction) as (loop, address, _):
+        controller, ipoc = controllers(address), 1800
+        for k in range(1000, ipoc, 4):
+            assert controller.ask(message(k)) is not None
+        good = np.array(correction.offset)
+        assert np.abs(good).max() > 1e-5
+        for wrong in (Q_DEG[:5], ("nan", *Q_DEG[1:]), ("1e999", *Q_DEG[1:]), ("x", *Q_DEG[1:]), (400.0, *Q_DEG[1:])):
+            before = np.array(correction.offset)
+            answer = controller.ask(message(ipoc := ipoc + 4, wrong))
+            assert answer is not None
+            assert f"<IPOC>{ipoc}</IPOC>".encode() in answer
+            assert np.abs(np.radians(offsets(answer)) - before).max() <= RATE_RAD_S * CYCLE_S + 1e-8
+        for rubbish in (b"", b"\0" * 1400, b"<Rob>", b"<Sen><IPOC>5</IPOC></Sen>", message(ipoc + 8)[:-12]):
+            assert controller.ask(rubbish) is None
+        for _ in range(200):
+            controller.ask(message(ipoc := ipoc + 4, Q_DEG[:5]))
+        assert correction.out
+        assert controller.ask(message(ipoc)) is None  # an old stamp
+        document = json.loads(json.dumps(loop.document()))
+        assert document["counts"]["malformed"] == 5
+        assert document["counts"]["old_stamp"] == 1
+        assert document["controller_missed"] == 3
+        assert document["refused"]["BAD_FRAME"] >= 202
+        assert document["refused"]["NOT_FINITE"] == 2
+        assert document["refused"]["JOINT_LIMIT"] + document["refused"].get("RATE_LIMIT", 0) >= 1
+
+
+def test_a_second_controller_gets_no_answer_until_the_first_has_gone(correction: Correction, controllers: Make) -> None:
+    with looping(correction) as (loop, address, _):
+        first, second = controllers(address), controllers(address)
+        second.socket.settimeout(0.05)
+        for k in range(1, 100):
+            assert first.ask(message(4 * k)) is not None
+            if k % 33 == 0:
+                assert second.ask(message(4 * k + 2)) is None
+        assert loop.counts["other_controller"] == 3
+        time.sleep(1.2 * GONE_S)
+        answer = second.ask(message(4))
+        assert answer is not None
+        assert np.abs(np.radians(offsets(answer))).max() <= RATE_RAD_S * CYCLE_S + 1e-8  # begins at nothing
+
+
+@pytest.mark.parametrize("lost", [1, 10, 50])
+def test_lost_cycles_are_counted_and_the_offsets_go_on_from_where_they_are(
+    correction: Correction, controllers: Make, lost: int
+) -> None:
+    with looping(correction) as (loop, address, _):
+        controller, ipoc = controllers(address), 600
+        for k in range(4, ipoc, 4):
+            assert controller.ask(message(k)) is not None
+        before, counted = np.array(correction.offset), loop.counts["lost"]
+        time.sleep((lost + 0.5) * CYCLE_S)
+        answer = controller.ask(message(ipoc + 4 * lost))
+        assert answer is not None
+        if (loop.counts["lost"] - counted + 1) * CYCLE_S < GONE_S:  # a busy machine may have made it a restart
+            assert np.abs(np.radians(offsets(answer)) - before).max() <= RATE_RAD_S * CYCLE_S + 1e-8
+        assert loop.counts["lost"] - counted >= lost - 1
+
+
+def test_waiting_requests_are_late_and_only_the_newest_is_answered(correction: Correction, controllers: Make) -> None:
+    ours, theirs = pair()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port, theirs:
+        port.bind(("127.0.0.1", 0))
+        loop = Loop(port, RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S)
+        time.sleep(1.2 * GONE_S)
+        controller = controllers(port.getsockname())
+        for k in range(1, 21):
+            controller.socket.send(message(4 * k))
+        thread = threading.Thread(target=loop.run)
+        thread.start()
+        try:
+            controller.socket.settimeout(10.0)
+            assert b"<IPOC>80</IPOC>" in controller.socket.recv(2048)
+            controller.socket.settimeout(0.2)
+            with pytest.raises(TimeoutError):
+                controller.socket.recv(2048)
+        finally:
+            loop.leave()
+            thread.join(10)
+            ours.close()
+        assert loop.counts["late"] >= 19
+
+
+def test_a_companion_that_is_killed_or_hangs_does_not_stop_the_answers(
+    correction: Correction, controllers: Make
+) -> None:
+    with looping(correction) as (_, address, line):
+        controller = controllers(address)
+        correction.server = "x" * 100_000  # states that nobody reads fill the line
+        for k in range(1, 40):
+            if k == 20:
+                line.close()
+            assert controller.ask(message(4 * k)) is not None
+            time.sleep(0.05)
+
+
+def test_axes_that_turn_the_other_way_and_actual_joints() -> None:
+    wire = RsiWire([1.0, -1.0], From.ACTUAL)
+    request = wire.read(message(8, (10.0, 20.0), "AIPos"))
+    assert request is not None
+    assert np.allclose(np.degrees(request.joints or ()), (10.0, -20.0))
+    answer = wire.answer(request, np.radians([0.5, 0.25]).tolist())
+    assert offsets(answer) == [0.5, -0.25, 0, 0, 0, 0]
+    request = wire.read(message(12, (10.5, 19.75), "AIPos"))  # the arm follows
+    assert request is not None
+    assert np.allclose(np.degrees(request.joints or ()), (10.0, -20.0))
