@@ -24,6 +24,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "inspect": Entry("inspect", "Show how a file is read; nothing is sent."),
         "match": Entry("match", "Join a recording of markers with a joint log."),
         "board": Entry("board", "Write a board to print for a camera."),
+        "see": Entry("see", "Find boards in pictures and write their corners as rows."),
         "sheet": Entry("sheet", "Write the sheet to print for measuring with a pencil."),
         "sheet-read": Entry("sheet", "Read a scan or photo of a drawn sheet."),
         "sheet-join": Entry("sheet", "Join a drawn sheet and the height with the joint log."),

@@ -1,0 +1,1 @@
+"""What a camera sees of boards: pictures become rows of pixels."""

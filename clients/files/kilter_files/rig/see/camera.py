@@ -1,0 +1,109 @@
+"""A camera: its size, its intrinsics, and the model of its lens."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kilter_files.ground.faults import fault
+
+MODELS: dict[str, tuple[int, ...]] = {"none": (0,), "brown": (4, 5), "rational": (8,), "fisheye": (4,)}
+ORDER = {"brown": "k1 k2 p1 p2 k3", "rational": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "none": ""}
+REMEDY = "Take the camera.json that kilter see wrote, or a file of ROS, Kalibr or OpenCV."
+SIZES = ("width_px", "height_px")
+FOCAL = ("fx_px", "fy_px", "cx_px", "cy_px")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics in px, the centre of the upper left pixel being (0, 0); ``distortion`` is in OpenCV's order."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion_model: str = "none"
+    distortion: tuple[float, ...] = ()
+    name: str = "camera"
+    sigmas_px: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.width_px, self.height_px
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the camera as a campaign names it, without its mount."""
+        document: dict[str, Any] = {"name": self.name}
+        document |= {name: getattr(self, name) for name in (*SIZES, *FOCAL, "distortion_model")}
+        document["distortion"] = list(self.distortion)
+        return document | ({"sigmas_px": list(self.sigmas_px)} if self.sigmas_px else {})
+
+
+def checked_camera(path: Path, document: dict[str, Any]) -> Camera:
+    """Return the camera that a document describes.
+
+    Raises:
+        FileError: a field is missing, no finite number, or no size of a camera.
+
+    """
+    numbers = {name: _number(path, document, name) for name in (*SIZES, *FOCAL)}
+    width, height = (int(numbers[name]) for name in SIZES)
+    if not (32 <= width <= 65535 and 32 <= height <= 65535):
+        raise fault(path, f"states a picture of {width} x {height} px", REMEDY)
+    if min(numbers["fx_px"], numbers["fy_px"]) < 0.05 * max(width, height):
+        raise fault(path, f"fx_px {numbers['fx_px']:g} is not a focal length in px of such a picture", REMEDY)
+    for name, side in (("cx_px", width), ("cy_px", height)):
+        if not -side < numbers[name] < 2 * side:
+            raise fault(path, f"{name} {numbers[name]:g} is far outside the picture", REMEDY)
+    model = document.get("distortion_model", "none")
+    given = document.get("distortion") or []
+    if model not in MODELS:
+        raise fault(path, f"distortion_model {model!r} is none of {', '.join(MODELS)}", REMEDY)
+    if not isinstance(given, list) or not all(_is_number(value) for value in given):
+        raise fault(path, "distortion is not a list of numbers", REMEDY)
+    if len(given) not in MODELS[model]:
+        counts = " or ".join(map(str, MODELS[model]))
+        raise fault(path, f"has {len(given)} numbers of distortion, and {model} takes {counts}: {ORDER[model]}", REMEDY)
+    whole = [float(value) for value in given]
+    padded = (*whole, 0.0) if model == "brown" and len(whole) == 4 else tuple(whole)
+    name = str(document.get("name") or "camera")
+    fx, fy, cx, cy = (numbers[key] for key in FOCAL)
+    return Camera(width, height, fx, fy, cx, cy, model, padded, name)
+
+
+def read_own(path: Path, text: str) -> Camera:
+    """Read the JSON that ``kilter see`` writes: a camera, or a document with one under ``cameras``.
+
+    Raises:
+        FileError: it is another JSON.
+
+    """
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise fault(path, f"is not JSON: {str(error)[:120]}", REMEDY) from error
+    listed = document.get("cameras") if isinstance(document, dict) else None
+    if isinstance(listed, list):
+        if len(listed) != 1 or not isinstance(listed[0], dict):
+            raise fault(path, f"has {len(listed)} cameras", "Give the file of one camera.")
+        document = listed[0]
+    if not isinstance(document, dict):
+        raise fault(path, "is not a JSON object", REMEDY)
+    return checked_camera(path, document)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number(path: Path, document: dict[str, Any], name: str) -> float:
+    value = document.get(name)
+    if not _is_number(value):
+        raise fault(path, f"{name} is {'missing' if value is None else f'{value!r}, no number'}", REMEDY)
+    return float(value)  # type: ignore[arg-type]

@@ -1,0 +1,127 @@
+"""Where straight edges between dark and bright are, from the areas under profiles across them.
+
+An area does not depend on the shape of the blur, and its noise follows from that of the pixels. Gradients alone would
+pull the corner of a tag inwards and move that of a chessboard by up to a tenth of a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_files.ground.arrays import Floats
+from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.see.noise import Noise
+from kilter_files.rig.see.pictures import Grey
+
+MOST_REACH, LEAST_REACH = 5.0, 1.5  # px to either side of an edge
+STEP = 0.5  # px along a profile
+CLEAR = 2.5  # standard deviations of the blur, from the end of a profile to the next edge
+LEAST_BLUR_PX, MOST_BLUR_PX = 0.6, 5.0  # a pixel and the way between pixels blur too
+LEAST_CONTRAST = 10.0  # grey levels
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces of edges: ``starts``, ``along`` and ``normals`` (n, 2) px, and ``t`` (n, m) px along each.
+
+    ``bow`` (n, m) px is how far out an edge is thought to be: profiles that are centred see as much dark as bright.
+    """
+
+    starts: Floats
+    along: Floats
+    normals: Floats
+    t: Floats
+    bow: Floats
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """``out`` (n, m) px along the normal, its ``variances`` (n), ``rises`` (n): 1 towards bright, -1, or 0: no edge.
+
+    ``blur_px`` (n) is the standard deviation of a normal distribution as wide as the edge.
+    """
+
+    out: Floats
+    variances: Floats
+    rises: Floats
+    blur_px: Floats
+
+
+def reach_of(gap_px: float, blur_px: float, part: float, floor_px: float) -> tuple[float, float]:
+    """How far profiles reach where the next edge is ``gap_px`` away, and what standard deviation its blur leaves, px.
+
+    ``part`` of what the blur shifts an edge by shifts the corner too; ``floor_px`` is left without noise and blur.
+    """
+    reach = float(np.clip(gap_px - CLEAR * blur_px, LEAST_REACH, MOST_REACH))
+    leak = math.erfc(max(gap_px - reach, 0.0) / blur_px / 2**0.5) / 2
+    return reach, math.hypot(floor_px, part * leak * reach / 2)
+
+
+def area(first: Floats, second: Floats) -> Floats:
+    """Area (n) between vectors (n, 2)."""
+    return np.asarray(np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]))
+
+
+def usual_blur(blur_px: Floats) -> float:
+    """The blur of most edges."""
+    known = blur_px[np.isfinite(blur_px)]
+    return float(np.clip(np.median(known), LEAST_BLUR_PX, MOST_BLUR_PX)) if len(known) else LEAST_BLUR_PX
+
+
+def offsets(grey: Grey, pieces: Pieces, reach: float, noise: Noise) -> Offsets:
+    """Find the edges' offsets from the pieces' lines."""
+    steps = np.linspace(-reach, reach, 2 * round(reach / STEP) + 1)
+    places = (pieces.starts[:, None] + pieces.t[..., None] * pieces.along[:, None])[:, :, None]
+    out = (pieces.bow[..., None] + steps)[..., None]
+    profiles = _sampled(grey, places + out * pieces.normals[:, None, None])
+    width = max(1, len(steps) // 6)
+    ends = [_straight(pieces.t, side.mean(axis=2)) for side in (profiles[..., :width], profiles[..., -width:])]
+    difference = ends[1] - ends[0]
+    usual = difference.mean(axis=1)
+    rises = np.sign(usual) * (np.abs(difference).min(axis=1) >= LEAST_CONTRAST)
+    safe = np.where(np.abs(difference) >= LEAST_CONTRAST / 4, difference, LEAST_CONTRAST)
+    risen = np.clip((profiles - ends[0][..., None]) / safe[..., None], -0.5, 1.5)
+    step = steps[1] - steps[0]
+    weights = np.full(len(steps), step)
+    weights[[0, -1]] = step / 2
+    spacing = np.abs(np.diff(pieces.t, axis=1)).mean(axis=1)
+    pixel = (noise.dark**2 + noise.bright**2) / 2
+    variances = 2 * reach * pixel / np.maximum(usual**2, 1.0) / np.minimum(spacing, 1.0)
+    slope = np.maximum(np.diff(risen.mean(axis=1), axis=1).max(axis=1) / step, 1e-3)
+    return Offsets(pieces.bow + reach - risen @ weights, variances, rises, 1.0 / (slope * np.sqrt(2 * np.pi)))
+
+
+def _sampled(grey: Grey, places: Floats) -> Floats:
+    cv2, _ = dictionary("5x5_50")
+    x, y = (np.ascontiguousarray(places[..., k].reshape(len(places), -1), dtype=np.float32) for k in range(2))
+    low = np.array([max(0.0, np.floor(part.min()) - 1) for part in (x, y)]).astype(int)
+    high = [int(np.ceil(part.max())) + 2 for part in (x, y)]
+    part = grey[low[1] : high[1], low[0] : high[0]]
+    if not part.size:
+        return np.zeros(places.shape[:-1])
+    x, y = x - np.float32(low[0]), y - np.float32(low[1])
+    found = cv2.remap(part.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, dtype=np.float64).reshape(places.shape[:-1])
+
+
+def _straight(t: Floats, values: Floats) -> Floats:
+    """Straight lines through values (n, m) along t."""
+    off = t - t.mean(axis=1, keepdims=True)
+    slope = (off * values).sum(axis=1) / (off**2).sum(axis=1)
+    return np.asarray(values.mean(axis=1, keepdims=True) + slope[:, None] * off)
+
+
+def fitted(t: Floats, out: Floats, variances: Floats, degree: int) -> tuple[Floats, Floats]:
+    """Curves (n, degree + 1) through offsets (n, m), lowest power first, and their covariances.
+
+    What the curves leave counts where it is more than the noise.
+    """
+    powers = t[..., None] ** np.arange(degree + 1)
+    inverse = np.linalg.inv(np.swapaxes(powers, 1, 2) @ powers)
+    curves = np.einsum("nij,nmj,nm->ni", inverse, powers, out)
+    left = out - np.einsum("nmi,ni->nm", powers, curves)
+    found = (left**2).sum(axis=1) / max(1, t.shape[1] - degree - 1)
+    return curves, inverse * np.maximum(variances, found)[:, None, None]

@@ -1,0 +1,87 @@
+"""Finds boards in a picture by OpenCV: markers first, in a smaller picture where it is large, then corners."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from kilter_files.ground.arrays import Floats
+from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.see.pictures import Grey
+from kilter_files.rig.see.target import Target
+
+LARGE = 1_000_000  # pixels from which markers are looked for in a picture of half the size first
+LEAST_SIDE_PX = 20.0  # of markers there, below which the whole picture is looked through again
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Markers found: ``numbers`` (n) and ``quads`` (n, 4, 2) in px, clockwise from the marker's upper left."""
+
+    numbers: list[int]
+    quads: Floats
+
+    def of(self, numbers: set[int]) -> Markers:
+        """Those with one of these numbers."""
+        kept = [k for k, number in enumerate(self.numbers) if number in numbers]
+        return Markers([self.numbers[k] for k in kept], self.quads[kept])
+
+    def twice(self) -> list[int]:
+        """Numbers seen more than once."""
+        return sorted(number for number, count in Counter(self.numbers).items() if count > 1)
+
+
+@dataclass
+class Finder:
+    """Looks for markers and for a board's chessboard corners; what OpenCV needs is built once."""
+
+    _detectors: dict[str, Any] = field(default_factory=dict)
+    _boards: dict[tuple[Any, ...], Any] = field(default_factory=dict)
+
+    def markers(self, grey: Grey, name: str, thorough: bool = False) -> Markers:
+        """Find the markers of a dictionary; ``thorough`` is the whole picture at once."""
+        cv2, _ = dictionary(name)
+        if grey.size > LARGE and not thorough:
+            height, width = (side // 2 for side in grey.shape)
+            half = cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+            found = self._detect(half, name)
+            sides = np.linalg.norm(np.diff(found.quads, axis=1), axis=2)
+            if found.numbers and np.median(sides) >= LEAST_SIDE_PX:
+                return Markers(found.numbers, found.quads * 2 + 0.5)  # centres of pixels are whole numbers
+        return self._detect(grey, name)
+
+    def _detect(self, grey: Grey, name: str) -> Markers:
+        cv2, known = dictionary(name)
+        if name not in self._detectors:
+            self._detectors[name] = cv2.aruco.ArucoDetector(known, cv2.aruco.DetectorParameters())
+        quads, numbers, _ = self._detectors[name].detectMarkers(grey)
+        if numbers is None or not len(quads):
+            return Markers([], np.zeros((0, 4, 2)))
+        return Markers([int(n) for n in numbers.ravel()], np.array(quads, dtype=np.float64).reshape(-1, 4, 2))
+
+    def chessboard(self, grey: Grey, markers: Markers, target: Target) -> dict[int, Floats]:
+        """Corners of a ChArUco board by number, to about a tenth of a pixel."""
+        if not markers.numbers:
+            return {}
+        quads = tuple(quad.astype(np.float32).reshape(1, 4, 2) for quad in markers.quads)
+        numbers = np.array(markers.numbers, dtype=np.int32).reshape(-1, 1)
+        corners, found, *_ = self._board(target).detectBoard(grey, markerCorners=quads, markerIds=numbers)
+        if found is None or corners is None:
+            return {}
+        places = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+        return dict(zip([int(number) for number in np.ravel(found)], places, strict=True))
+
+    def _board(self, target: Target) -> Any:
+        board = target.board
+        key = (board, target.legacy)
+        if key not in self._boards:
+            cv2, known = dictionary(board.dictionary)
+            numbers = np.array(target.marker_numbers)
+            size = (board.columns, board.rows)
+            made = cv2.aruco.CharucoBoard(size, board.square_mm, board.marker_mm, known, numbers)
+            made.setLegacyPattern(target.legacy)
+            self._boards[key] = cv2.aruco.CharucoDetector(made)
+        return self._boards[key]

@@ -1,0 +1,89 @@
+"""A picture as grey pixels; its header is read, and its size checked, before anything is unpacked."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_files.ground.errors import MissingPackageError
+from kilter_files.rig.see.refusals import Refusal
+
+Grey = NDArray[np.uint8]
+
+MOST_PIXELS = 64_000_000
+MOST_BYTES = 1 << 28
+LEAST_SIDE = 32
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+DEEP = ("I;16", "I;16B", "I;16L", "I")
+INSTALL = "pip install 'opencv-python-headless>=4.14.0.94' numpy pillow"
+
+
+class RefusedError(Exception):
+    """A picture that cannot be used; ``refusal`` says why."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.sentence())
+        self.refusal = refusal
+
+
+def read_grey(path: Path, size: tuple[int, int] | None = None) -> Grey:
+    """Read a picture as the sensor saw it (height, width): what its metadata say of rotation is ignored.
+
+    ``size`` is the camera's width and height, where it is known.
+
+    Raises:
+        RefusedError: another size, no picture, a damaged or cut one, more pixels than any camera has.
+        MissingPackageError: Pillow is not installed.
+
+    """
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise MissingPackageError(f"Pictures need Pillow. Install it with: {INSTALL}", package="pillow") from error
+    name = str(path)
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise RefusedError(Refusal(name, "picture_too_large", f"has {path.stat().st_size >> 20} MB"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of doubtful metadata; sizes are checked here
+            with Image.open(path, formats=FORMATS) as image:
+                check_size(name, image.size, size)
+                return _grey(image)
+    except RefusedError:
+        raise
+    except (Image.DecompressionBombError, MemoryError) as error:
+        raise RefusedError(Refusal(name, "picture_too_large", "states more pixels than a camera has")) from error
+    except Exception as error:  # Pillow's decoders let OSError, SyntaxError, struct.error, ValueError and more through
+        what = f"is not a picture, or damaged or cut off: {str(error)[:120] or type(error).__name__}"
+        raise RefusedError(Refusal(name, "picture_unreadable", what)) from error
+
+
+def check_size(name: str, stated: tuple[int, int], size: tuple[int, int] | None) -> None:
+    """Refuse a width and height that no camera has, or that is not this camera's.
+
+    Raises:
+        RefusedError: it is so.
+
+    """
+    width, height = stated
+    if width * height > MOST_PIXELS:
+        what = f"states {width} x {height} pixels, and at most {MOST_PIXELS // 1_000_000} million are read"
+        raise RefusedError(Refusal(name, "picture_too_large", what))
+    if size is not None and stated != size:
+        what = f"has {width} x {height} pixels, and the camera {size[0]} x {size[1]}"
+        raise RefusedError(Refusal(name, "picture_other_camera", what))
+    if min(stated) < LEAST_SIDE:
+        raise RefusedError(Refusal(name, "picture_unreadable", f"has {width} x {height} pixels, too few for a board"))
+
+
+def _grey(image: Any) -> Grey:
+    if image.mode in DEEP:
+        deep = np.asarray(image)
+        bits = max(8, int(deep.max(initial=0)).bit_length())  # 10 or 12 bits in 16 would be dark
+        return np.asarray(deep.astype(np.int64) >> (bits - 8), dtype=np.uint8)
+    return np.array(image if image.mode == "L" else image.convert("L"), dtype=np.uint8)

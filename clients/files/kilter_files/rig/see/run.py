@@ -1,0 +1,150 @@
+"""The whole way from pictures to rows: each picture is read, looked through, and forgotten."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TextIO
+
+from kilter_files.ground.errors import FileError
+from kilter_files.rig.see.camera import Camera
+from kilter_files.rig.see.finder import LARGE, Finder, Markers
+from kilter_files.rig.see.pictures import Grey
+from kilter_files.rig.see.poses import Poses
+from kilter_files.rig.see.refusals import REMEDIES, Refusal
+from kilter_files.rig.see.search import why_not
+from kilter_files.rig.see.sources import Frame, Source
+from kilter_files.rig.see.table import Rows
+from kilter_files.rig.see.target import Target
+from kilter_files.rig.see.views import FEW_CORNERS, View, view_of
+
+MOST_SEARCHES = 20  # pictures without a board that are searched for what they show instead; later ones are like these
+Told = Callable[[int], None]
+
+
+@dataclass
+class Seen:
+    """What came of all pictures."""
+
+    pictures: int = 0
+    views: list[dict[str, Any]] = field(default_factory=list)
+    refused: list[Refusal] = field(default_factory=list)
+    corners: int = 0
+    warnings: list[str] = field(default_factory=list)
+    size: tuple[int, int] | None = None
+
+    def counts(self) -> dict[str, int]:
+        """Refusals by code, the most frequent first."""
+        return dict(Counter(refusal.code for refusal in self.refused).most_common())
+
+
+@dataclass
+class Looker:
+    """Looks for boards in pictures of one camera."""
+
+    targets: list[Target]
+    poses: Poses | None = None
+    camera: Camera | None = None
+    finder: Finder = field(default_factory=Finder)
+    searches: int = 0
+
+    def look(self, source: Source, stream: TextIO, camera_name: str | None, told: Told = lambda _: None) -> Seen:
+        """Write a row for every view.
+
+        Raises:
+            FileError: no view at all; its code is that of the most frequent refusal.
+
+        """
+        seen = Seen(size=self.camera.size if self.camera else None)
+        rows = Rows(stream, self.poses.log if self.poses else None, self.targets, camera_name)
+        for frame in source.frames(seen.size):
+            self._frame(frame, rows, seen)
+            told(seen.pictures)
+        if not seen.views:
+            raise _no_view(seen)
+        seen.warnings = self._warnings(seen, source)
+        return seen
+
+    def _frame(self, frame: Frame, rows: Rows, seen: Seen) -> None:
+        number = seen.pictures
+        seen.pictures += 1
+        if frame.grey is None or frame.refusal is not None:
+            seen.refused += [frame.refusal] if frame.refusal else []
+            return
+        size = (frame.grey.shape[1], frame.grey.shape[0])
+        if seen.size is not None and size != seen.size:
+            what = f"has {size[0]} x {size[1]} pixels, and those before it {seen.size[0]} x {seen.size[1]}"
+            seen.refused.append(Refusal(frame.name, "picture_other_camera", what))
+            return
+        row = self.poses.row_of(frame, number) if self.poses else None
+        if self.poses is not None and row is None:
+            if frame.video is None:
+                seen.refused.append(Refusal(frame.name, "joints_missing", "has no row in the joint log"))
+            return
+        for found in self.boards(frame.grey, frame.name):
+            if isinstance(found, Refusal):
+                seen.refused.append(found)
+                continue
+            seen.size = size
+            rows.write(found, row, number + 1)
+            seen.corners += len(found.places)
+            seen.views.append(_summary(found, row))
+
+    def boards(self, grey: Grey, name: str) -> list[View | Refusal]:
+        """Return the view of every board, or why there is none; a board of several may be out of sight."""
+        by_dictionary = {name: self.finder.markers(grey, name) for name in {t.board.dictionary for t in self.targets}}
+        found = [self._board(grey, by_dictionary, target, name) for target in self.targets]
+        some = any(isinstance(one, View) for one in found)
+        both = zip(found, self.targets, strict=True)
+        return [one or self._why(grey, by_dictionary, target, name) for one, target in both if one or not some]
+
+    def _board(self, grey: Grey, markers: dict[str, Markers], target: Target, name: str) -> View | Refusal | None:
+        key = target.board.dictionary
+        found = view_of(self.finder, grey, markers[key], target, name)
+        if found is None and grey.size > LARGE:
+            markers[key] = self.finder.markers(grey, key, thorough=True)
+            found = view_of(self.finder, grey, markers[key], target, name)
+        return found
+
+    def _why(self, grey: Grey, markers: dict[str, Markers], target: Target, name: str) -> Refusal:
+        self.searches += 1
+        if self.searches > MOST_SEARCHES:
+            return Refusal(name, "board_not_found", f"{target.name} is not found", board=target.name)
+        return why_not(self.finder, grey, markers[target.board.dictionary], target, name)
+
+    def _warnings(self, seen: Seen, source: Source) -> list[str]:
+        warnings = []
+        few = [view for view in seen.views if view["corners"] < FEW_CORNERS]
+        if few:
+            names = ", ".join(view["picture"] for view in few[:3]) + (" ..." if len(few) > 3 else "")
+            warnings.append(
+                f"{len(few)} views have fewer than {FEW_CORNERS} corners ({names}): "
+                "they tell the place of the board badly, whatever their pixels leave"
+            )
+        if self.poses is not None and (unused := self.poses.unused()):
+            rows = ", ".join(map(str, unused[:8])) + (" ..." if len(unused) > 8 else "")
+            warnings.append(f"{len(unused)} rows of {self.poses.log.path} have no picture: {rows}")
+        if source.videos:
+            warnings.append(
+                "a camera that reads line by line (rolling shutter) bends what moves: "
+                "let the arm rest at every pose, longer than a frame"
+            )
+        return warnings
+
+
+def _summary(view: View, row: int | None) -> dict[str, Any]:
+    summary: dict[str, Any] = {"picture": view.picture, "board": view.board, "corners": len(view.places)}
+    summary["sigma_px"] = round(float((view.sigmas**2).mean() ** 0.5), 4)
+    return summary if row is None else summary | {"joints_row": row + 1}
+
+
+def _no_view(seen: Seen) -> FileError:
+    counts = seen.counts()
+    code = next(iter(counts), "joints_missing")
+    first = next((refusal for refusal in seen.refused if refusal.code == code), None)
+    told = ", ".join(f"{count} x {name}" for name, count in counts.items()) or "no picture with a row of joints"
+    said = first.sentence() if first is not None else REMEDIES[code]
+    error = FileError(f"No view of {seen.pictures} pictures can be used ({told}). First: {said}", code=code)
+    error.context["refused"] = [refusal.to_document() for refusal in seen.refused[:100]]
+    return error

@@ -1,0 +1,145 @@
+"""A board as its JSON file describes it: what a detector must know, and the corners in their order."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kilter_files.ground.arrays import Floats
+from kilter_files.ground.errors import UsageError
+from kilter_files.ground.faults import fault
+from kilter_files.rig.board.layout import Board, check_board
+
+MOST_BYTES = 1 << 24
+REMEDY = "Take the JSON that kilter board wrote, or write one anew with the board's sizes."
+
+
+@dataclass(frozen=True)
+class Target:
+    """A board to look for; ``corners_mm`` (n, 3) and ``numbers`` are in the order of its file."""
+
+    name: str
+    board: Board
+    legacy: bool
+    numbers: tuple[int, ...]
+    corners_mm: Floats
+
+    @property
+    def marker_numbers(self) -> list[int]:
+        """Numbers of its markers."""
+        return sorted(self.board.markers())
+
+    def column_of(self) -> dict[int, int]:
+        """Place of every corner's number in the order of the file, from 0."""
+        return {number: k for k, number in enumerate(self.numbers)}
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the board as a campaign names it, without its mount."""
+        return {"name": self.name, "corners_mm": [[round(v, 6) for v in corner] for corner in self.corners_mm.tolist()]}
+
+
+def read_target(path: Path) -> Target:
+    """Read the JSON of a board.
+
+    Raises:
+        FileError: no JSON, a field that is missing or wrong, corners that are not those of its squares.
+
+    """
+    document = _document(path)
+    board = _board(path, document)
+    legacy = document.get("legacy_pattern", False)
+    if not isinstance(legacy, bool):
+        raise fault(path, "legacy_pattern is neither true nor false", REMEDY)
+    numbers, corners = _corners(path, document)
+    own = board.corners()
+    if sorted(numbers) != sorted(own):
+        what = (
+            f"has {len(numbers)} corners, but {board.columns} x {board.rows} squares from {board.first_id} have others"
+        )
+        raise fault(path, what, REMEDY)
+    off = np.abs(corners[:, :2] - [own[number] for number in numbers]).max(axis=1)
+    if off.max() > 0.1 * board.square_mm:
+        worst = numbers[int(off.argmax())]
+        what = f"corner {worst} is {off.max():.3g} mm from where squares of {board.square_mm:g} mm put it"
+        raise fault(path, what, REMEDY)
+    return Target(str(document.get("name") or path.stem), board, legacy, numbers, corners)
+
+
+def check_apart(targets: list[Target]) -> None:
+    """Refuse boards that one picture could not tell apart.
+
+    Raises:
+        UsageError: two boards of one name, or with markers in common.
+
+    """
+    for k, one in enumerate(targets):
+        for other in targets[:k]:
+            if one.name == other.name:
+                raise UsageError(f'--board: two boards are called {one.name}: give one a "name" in its JSON.')
+            both = set(one.marker_numbers) & set(other.marker_numbers)
+            if both and _family(one) == _family(other):
+                what = f"--board: {other.name} and {one.name} both have marker {min(both)}"
+                raise UsageError(f"{what}: print one with other numbers (kilter board --first-id).")
+
+
+def _family(target: Target) -> str:
+    """Name of the markers' pattern: a dictionary of 250 begins with the 50 of the smaller one."""
+    name = target.board.dictionary
+    return name if name.startswith("apriltag") else name.partition("_")[0]
+
+
+def _document(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise fault(path, "is too large for a board", REMEDY)
+        found = json.loads(path.read_bytes())
+    except OSError as error:
+        raise fault(path, f"cannot be read: {error.strerror or error}", REMEDY) from error
+    except (ValueError, RecursionError) as error:
+        raise fault(path, f"is not JSON: {str(error)[:120]}", REMEDY) from error
+    if not isinstance(found, dict):
+        raise fault(path, "is not a JSON object", REMEDY)
+    return found
+
+
+def _board(path: Path, document: dict[str, Any]) -> Board:
+    if document.get("kind") not in ("charuco", "apriltag"):
+        raise fault(path, f"its kind is {document.get('kind')!r}, neither charuco nor apriltag", REMEDY)
+    whole = {name: _number(path, document, name, whole=True) for name in ("columns", "rows", "first_id")}
+    sizes = {name: _number(path, document, name) for name in ("square_mm", "marker_mm")}
+    columns, rows, first = (int(whole[name]) for name in ("columns", "rows", "first_id"))
+    dictionary = str(document.get("dictionary"))
+    try:
+        if max(columns, rows) > 200:
+            raise UsageError(f"{columns} x {rows} squares are too many")
+        return check_board(
+            Board(document["kind"], columns, rows, sizes["square_mm"], sizes["marker_mm"], dictionary, first)
+        )
+    except UsageError as error:
+        raise fault(path, str(error).rstrip("."), REMEDY) from error
+
+
+def _number(path: Path, document: dict[str, Any], name: str, whole: bool = False) -> float:
+    value = document.get(name, 0 if name == "first_id" else None)
+    fits = isinstance(value, int) if whole else isinstance(value, int | float) and math.isfinite(value)
+    if isinstance(value, bool) or not fits or value is None:
+        raise fault(path, f"{name} is {value!r}, not a {'whole ' if whole else ''}number", REMEDY)
+    return float(value)
+
+
+def _corners(path: Path, document: dict[str, Any]) -> tuple[tuple[int, ...], Floats]:
+    given = document.get("corners")
+    try:
+        numbers = tuple(int(corner["id"]) for corner in given or [])
+        mm = [[float(corner.get(f"{axis}_mm", 0.0)) for axis in "xyz"] for corner in given or []]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise fault(path, "a corner has no id, x_mm or y_mm that is a number", REMEDY) from error
+    corners = np.array(mm, dtype=np.float64).reshape(-1, 3)
+    if not numbers or not np.isfinite(corners).all() or len(set(numbers)) != len(numbers):
+        raise fault(path, "its corners are missing, twice there or not finite", REMEDY)
+    return numbers, corners

@@ -1,0 +1,91 @@
+"""One board in one picture: its corners with their standard deviations, or why it is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_files.ground.arrays import Floats
+from kilter_files.rig.see import chess_corners, tag_corners
+from kilter_files.rig.see.edges import usual_blur
+from kilter_files.rig.see.finder import Finder, Markers
+from kilter_files.rig.see.noise import noise_of
+from kilter_files.rig.see.pictures import Grey
+from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.target import Target
+
+LEAST_CORNERS, FEW_CORNERS = 4, 12
+MOST_MOVED_PX = 3.0
+MOST_BLUR_PX = 2.5  # standard deviation across edges; a usual lens has 0.6 to 1.2
+
+
+@dataclass(frozen=True)
+class View:
+    """Corners of one board: ``places`` (n) in the board's order, ``pixels`` (n, 2), ``covariances`` (n, 2, 2)."""
+
+    picture: str
+    board: str
+    places: list[int]
+    pixels: Floats
+    covariances: Floats
+    size: tuple[int, int]
+
+    @property
+    def sigmas(self) -> Floats:
+        """Standard deviation of every corner along u and v (n, 2) px."""
+        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+
+
+def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, picture: str) -> View | Refusal | None:
+    """Return the view of a board, a refusal that needs no further search, or None where nothing was found."""
+    own = markers.of(set(target.marker_numbers))
+    if twice := own.twice():
+        what = f"marker {twice[0]} of {target.name} is seen at two places"
+        return Refusal(picture, "board_twice", what, board=target.name)
+    if not own.numbers:
+        return None
+    numbers, pixels, covariances, blur = _corners(finder, grey, own, target)
+    if not numbers:
+        return None
+    if (wide := usual_blur(blur.max(axis=-1))) > MOST_BLUR_PX:
+        what = f"edges of {target.name} are blurred over {wide:.1f} px"
+        return Refusal(picture, "picture_blurred", what, board=target.name)
+    sure = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(pixels).all(axis=1)
+    if sure.sum() < LEAST_CORNERS:
+        what = f"{int(sure.sum())} corners of {target.name} are seen"
+        return Refusal(picture, "too_few_corners", what, corner=numbers[0], board=target.name)
+    column = target.column_of()
+    order = sorted(np.flatnonzero(sure), key=lambda k: column[numbers[k]])
+    places = [column[numbers[k]] for k in order]
+    size = (grey.shape[1], grey.shape[0])
+    return View(picture, target.name, places, pixels[order], covariances[order], size)
+
+
+def _corners(finder: Finder, grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floats, Floats, Floats]:
+    if target.board.kind == "apriltag":
+        return _tags(grey, markers, target)
+    rough = finder.chessboard(grey, markers, target)
+    if not rough:
+        return [], np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 1))
+    numbers = sorted(rough)
+    start = np.array([rough[number] for number in numbers])
+    board, on_board = target.board, target.board.corners()
+    mm = np.array([on_board[number] for number in numbers])
+    if len(start) < LEAST_CORNERS:
+        return numbers, start, np.full((len(start), 2, 2), np.nan), np.zeros((0, 1))
+    places, covariances, blur = chess_corners.corners_of(
+        grey, start, mm, board.square_mm, board.marker_mm, noise_of(grey, start)
+    )
+    covariances[~(np.abs(places - start).max(axis=1) < MOST_MOVED_PX)] = np.nan
+    return numbers, places, covariances, blur
+
+
+def _tags(grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floats, Floats, Floats]:
+    board = target.board
+    noise = noise_of(grey, markers.quads.reshape(-1, 2))
+    white = board.square_mm / board.marker_mm - 1.0
+    places, covariances, blur = tag_corners.corners_of(grey, markers.quads, board.cells, white, noise)
+    covariances[~(np.abs(places - markers.quads).max(axis=2) < MOST_MOVED_PX)] = np.nan
+    numbers = [4 * number + k for number in markers.numbers for k in range(4)]
+    return numbers, places.reshape(-1, 2), covariances.reshape(-1, 2, 2), blur

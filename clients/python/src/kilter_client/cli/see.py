@@ -1,0 +1,132 @@
+"""``kilter see``: boards in pictures become rows of pixels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.progress import upload_bar
+from kilter_client.errors import FileError, UsageError
+
+if TYPE_CHECKING:
+    from kilter_files.rig.see.run import Looker, Seen
+    from kilter_files.rig.see.sources import Source
+
+CONVENTION = "the centre of the upper left pixel is (0, 0), u to the right, v down"
+SHOWN = 8
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter see pictures --board board.json --joints joints.csv -o views.csv")(see)
+
+
+def see(
+    pictures: Annotated[
+        list[Path], typer.Argument(help="Pictures, folders of them, videos.", metavar="PICTURES...", show_default=False)
+    ],
+    board: Annotated[
+        list[Path],
+        typer.Option(help="JSON of the board, from kilter board; repeat for more.", exists=True, dir_okay=False),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="views.csv; cameras and boards beside it, as JSON.")
+    ],
+    joints: Annotated[
+        Path | None,
+        typer.Option(
+            help="Joints of every picture: by a column picture, by t_s for videos, else in the order of the names.",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Intrinsics: camera.json of kilter see.", exists=True, dir_okay=False)
+    ] = None,
+    mount: Annotated[
+        Literal["fixed", "flange"], typer.Option(help="Where the camera is; the board is on the other side.")
+    ] = "fixed",
+    camera_name: Annotated[
+        str | None, typer.Option("--camera-name", metavar="NAME", help="Name of this camera, of several.")
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Of a video: every how many frames.")] = 1,
+    starts_s: Annotated[float, typer.Option(help="Time of the joint log at which the video begins.")] = 0.0,
+    as_json: Json = False,
+) -> None:
+    """Find boards in pictures: pixels of their corners with their standard deviations, row by row with the joints."""
+    check_numpy()
+    if output.suffix.lower() != ".csv":
+        raise UsageError(f"--output {output}: end it in .csv.")
+    from kilter_files.rig.see.camera import read_own
+    from kilter_files.rig.see.poses import read_poses
+    from kilter_files.rig.see.run import Looker
+    from kilter_files.rig.see.sources import source_of
+    from kilter_files.rig.see.target import check_apart, read_target
+
+    targets = [read_target(path) for path in board]
+    check_apart(targets)
+    known = None if camera is None else read_own(camera, camera.read_text(encoding="utf-8"))
+    source = source_of(pictures, every)
+    count = source.count()
+    poses = None if joints is None else read_poses(joints, count, bool(source.videos), starts_s)
+    looker = Looker(targets, poses, known)
+    seen = _looked(looker, source, output, camera_name, as_json)
+    document = described(seen, looker, mount, camera_name)
+    beside = output.with_suffix(".json")
+    beside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    emit({"file": str(output), "description": str(beside)} | document, as_json, _show)
+
+
+def _looked(looker: Looker, source: Source, output: Path, camera_name: str | None, as_json: bool) -> Seen:
+    """Write beside the file first: what was there stays until all is well."""
+    part = output.with_name(output.name + ".part")
+    total = source.count()
+    try:
+        with upload_bar(f"{total} pictures", as_json) as told, part.open("w", encoding="utf-8", newline="") as stream:
+            seen = looker.look(source, stream, camera_name, lambda done: told(done, total))
+        part.replace(output)
+    except OSError as error:
+        raise FileError(f"{output}: cannot be written: {error.strerror or error}.", file=str(output)) from error
+    finally:
+        part.unlink(missing_ok=True)
+    return seen
+
+
+def described(seen: Seen, looker: Looker, mount: str, camera_name: str | None) -> dict[str, Any]:
+    """Return what the JSON file holds."""
+    other = "flange" if mount == "fixed" else "fixed"
+    cameras = []
+    if looker.camera is not None:
+        one = looker.camera.to_document()
+        cameras = [one | {"name": camera_name or one["name"], "mount": mount}]
+    return {
+        "rows": len(seen.views),
+        "pictures": seen.pictures,
+        "corners": seen.corners,
+        "pixels": CONVENTION,
+        "cameras": cameras,
+        "boards": [target.to_document() | {"mount": other} for target in looker.targets],
+        "views": seen.views,
+        "refused": [refusal.to_document() for refusal in seen.refused],
+        "refused_by_code": seen.counts(),
+        "warnings": seen.warnings,
+    }
+
+
+def _show(document: dict[str, Any]) -> None:
+    rows, pictures = document["rows"], document["pictures"]
+    say(f"{document['file']}: {rows} views of {pictures} pictures, {document['corners']} corners")
+    sigmas = sorted(view["sigma_px"] for view in document["views"])
+    say(f"  Standard deviation of a corner by the pictures: {sigmas[len(sigmas) // 2]:.3f} px, median of the views")
+    for text in document["warnings"]:
+        say(f"  Warning: {text}.")
+    for refusal in document["refused"][:SHOWN]:
+        say(f"  Refused ({refusal['code']}): {refusal['picture']}: {refusal['detail']}. {refusal['remedy']}")
+    if len(document["refused"]) > SHOWN:
+        say(f"  ... and {len(document['refused']) - SHOWN} more, all in {document['description']}")
