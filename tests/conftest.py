@@ -19,20 +19,28 @@ settings.load_profile("kilter")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
-# Modules that take a minute or more. A module is one process's: begun last, the others would wait for it.
+# Modules that take long, on a quiet machine 15 s or more. A module is one process's: begun last, the others would wait for it.
 LONG = (
     "contract/test_doc_examples.py",
-    "blind/test_gap_blind.py",
+    "service/test_degraded_starts.py",
+    "service/test_workers.py",
+    "contract/test_systemd.py",
+    "corrector/test_c_controller.py",
+    "clients/test_lost_connections.py",
     "core/identify/test_plausibility.py",
+    "service/test_kills.py",
+    "contract/test_demo.py",
+    "corrector/test_kill_every.py",
     "service/test_gap.py",
+    "service/test_bad_starts.py",
+    "blind/test_gap_blind.py",
+    "core/arm/test_compiled.py",
+    "contract/test_contributing.py",
     "service/test_activation_guard.py",
     "service/test_seals.py",
-    "core/gap/test_no_worse.py",
     "core/gap/test_find_gap.py",
-    "service/test_workers.py",
-    "contract/test_demo.py",
-    "mix_ups/test_mix_ups.py",
     "clients/files/rig/sheet/test_points_order.py",
+    "mix_ups/test_mix_ups.py",
 )
 
 

@@ -11,7 +11,7 @@ from tests.fuzz.answers import Answers
 from tests.fuzz.fuzz import fuzz
 from tests.fuzz.world import world
 
-CASES = 200
+CASES = 100  # a fault that one request in thirty meets is seen with 97 %; `make fuzz` sends 20 000
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numbers on purpose too large; the answer tells

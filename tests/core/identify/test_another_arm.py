@@ -55,13 +55,15 @@ def test_a_search_says_the_same() -> None:
 
 
 @pytest.mark.parametrize("joint", [2, 3, 4])
-@pytest.mark.parametrize("degrees", [2.0, -12.0])
+@pytest.mark.parametrize("degrees", [2.0, pytest.param(-12.0, marks=pytest.mark.slow)])
 def test_a_joint_that_was_mastered_wrong_is_the_same_arm(joint: int, degrees: float) -> None:
     true = ur10().moved({f"theta_offset_{joint}": math.radians(degrees)})
     assert said(identified(ur10(), true)) == []
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, 1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
+)
 def test_an_arm_made_at_home_is_the_same_arm(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = ur10().moved(table_errors(ur10(), rng, metres=4e-3, radians=1.5e-2))
@@ -69,7 +71,7 @@ def test_an_arm_made_at_home_is_the_same_arm(seed: int) -> None:
 
 
 @pytest.mark.parametrize("prismatic", [False, True])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_arms_of_any_description_with_errors_as_made_are_the_same_arm(seed: int, prismatic: bool) -> None:
     rng = np.random.default_rng([seed, prismatic])
     arm = some_arm(rng, 6, prismatic=prismatic)

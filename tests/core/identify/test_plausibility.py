@@ -288,7 +288,7 @@ def test_a_tool_turned_by_a_right_angle_is_warned_about(axis: str, angle: int) -
     assert judged(robot, measured(straight, rows.q, rng, 2e-5, "pose")) == ()
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(k, marks=pytest.mark.slow) for k in range(4, 12))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))])
 @pytest.mark.parametrize("kind", ["errors", "compliant", "drawn wrong", "few"])
 def test_bad_arms_are_not_accused(seed: int, kind: str) -> None:
     """Errors of 20 mm, 30 to 60 mm of one compliance, joints 15 mm and 2 degrees from the drawing, few poses."""

@@ -146,8 +146,15 @@ SHAPES: dict[str, tuple[Callable[[np.random.Generator], tuple[Arm, Floats]], dic
 }
 
 
-@pytest.mark.parametrize("see", ["position", "pose", "markers"])
-@pytest.mark.parametrize("shape", SHAPES)
+# Each shape under one instrument and each instrument on two shapes or more; `make test-slow` tries the others.
+EACH = [
+    pytest.param(shape, see, marks=() if k % 3 == j else pytest.mark.slow)
+    for k, shape in enumerate(SHAPES)
+    for j, see in enumerate(("position", "pose", "markers"))
+]
+
+
+@pytest.mark.parametrize(("shape", "see"), EACH)
 def test_a_fit_ends_where_the_poses_leave_much_unseen(shape: str, see: str) -> None:
     make, options = SHAPES[shape]
     rng = np.random.default_rng(5)
