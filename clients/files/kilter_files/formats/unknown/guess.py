@@ -148,7 +148,7 @@ def _single_joints(columns: Columns, names: Sequence[str]) -> list[Entry]:
 def _bare_joints(columns: Columns) -> list[str]:
     """Columns of a table without a header that are probably joints: one run of 3 to 7 within ±180, none of them a counter.
 
-    Its first and last go beyond a turn in rad, so that neither radians nor metres are among them.
+    Its first and last go beyond 2 pi, so that neither radians nor metres are among them.
     """
     runs: list[list[str]] = [[]]
     for name in columns.names if not columns.shape.layout.header else ():
