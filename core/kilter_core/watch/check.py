@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, chndtrinc
+from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.estimate import refitted
@@ -26,6 +26,7 @@ from kilter_core.watch.innovation import Innovation
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
 POWER = 0.95  # with which the smallest change is seen
 REFUTED = 1e-3  # chance that the true cause is refuted beside another one
+EXACT = 1e5  # freedom of a scale beyond which it counts as known
 PASSES = 3  # about the change found: a large one bends the derivatives
 FOREIGN = 0.02  # of the reach: rows that miss it by more, and that no one cause brings near, are not of this arm
 BROUGHT_NEAR = 0.1  # share of the misfit that the cause may leave
@@ -88,18 +89,25 @@ class _Linear:
     numbers: int
     columns: tuple[Column, ...]
     hidden: tuple[Column, ...]
+    freedom: float
 
     @staticmethod
     def of(innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]) -> _Linear:
         nuisance, columns = columns_of(innovation, calibration, anew)
         r = innovation.r - nuisance @ (nuisance.T @ innovation.r)
         seen, hidden = ([one for one in columns if one.seen is which] for which in (True, False))
-        return _Linear(r, len(r) - nuisance.shape[1], tuple(seen), tuple(hidden))
+        return _Linear(r, len(r) - nuisance.shape[1], tuple(seen), tuple(hidden), innovation.freedom)
 
     def about(self, cause: Cause, change: Floats) -> _Linear:
         """The same problem linear about a change: the innovation that a cause leaves, with what it took put back."""
         column = next(one for one in self.columns if one.cause == cause)
-        return _Linear(self.r + column.white @ change, self.numbers, self.columns, self.hidden)
+        return replace(self, r=self.r + column.white @ change)
+
+    def chance(self, chi_square: float, numbers: int) -> float:
+        """Chance of as much from so many numbers of an arm that has not moved; of F, as far as the scale was estimated."""
+        if self.freedom > EXACT:
+            return float(chdtrc(numbers, chi_square))
+        return float(fdtrc(numbers, self.freedom, chi_square / numbers))
 
 
 def check(
@@ -189,14 +197,9 @@ def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> Non
 
 def _p_value(linear: _Linear) -> float:
     """Chance of the chi-square, or of the largest gain of any cause; the two and all causes share it."""
-    singles = [_chance(_gain(linear.r, one.span), one.span.shape[1]) for one in linear.columns]
-    whole = _chance(float(linear.r @ linear.r), max(linear.numbers, 1))
+    singles = [linear.chance(_gain(linear.r, one.span), one.span.shape[1]) for one in linear.columns]
+    whole = linear.chance(float(linear.r @ linear.r), max(linear.numbers, 1))
     return min(1.0, 2.0 * whole, 2.0 * len(singles) * min(singles, default=1.0))
-
-
-def _chance(chi_square: float, freedom: int) -> float:
-    """Chance of a chi-square at least as large."""
-    return float(chdtrc(freedom, chi_square))
 
 
 def _gain(r: Floats, span: Floats) -> float:
@@ -217,14 +220,14 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
     found = [
         Judged(
             one.cause, _gain(r, one.span), one.span.shape[1], value, one.change(r), one.deviations(),
-            _refuted(r, one, best, REFUTED / len(linear.columns)),
+            _refuted(linear, one, best, REFUTED / len(linear.columns)),
         )
         for one, value in zip(linear.columns, bic, strict=True)
     ]  # fmt: skip
     return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
 
 
-def _refuted(r: Floats, column: Column, best: Column, chance: float) -> bool:
+def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bool:
     """Whether the best cause explains what this one leaves, more than chance does; one that contains it never is.
 
     The best is the best of all, so that each has its share of the chance.
@@ -232,7 +235,7 @@ def _refuted(r: Floats, column: Column, best: Column, chance: float) -> bool:
     left = best.span - column.span @ (column.span.T @ best.span)
     U, s, _ = np.linalg.svd(left, full_matrices=False)
     more = U[:, s > 1e-5]
-    return bool(more.shape[1] and _chance(_gain(r, more), more.shape[1]) < chance)
+    return bool(more.shape[1] and linear.chance(_gain(linear.r, more), more.shape[1]) < chance)
 
 
 def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
@@ -241,7 +244,7 @@ def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
     kept = []
     for one in judged:
         freedom = linear.numbers - one.rank
-        if not one.refuted and (freedom < 1 or _chance(total - one.gain, freedom) > REFUTED):
+        if not one.refuted and (freedom < 1 or linear.chance(total - one.gain, freedom) > REFUTED):
             kept.append(one)
     return tuple(kept)
 
@@ -253,11 +256,13 @@ def _smallest(linear: _Linear) -> dict[str, float]:
         shown = one.white[:, :3] if one.cause.frame else one.white
         least = float(np.linalg.svd(shown, compute_uv=False)[-1])
         if least > SEEN_LEAST * float(np.linalg.norm(shown)):
-            out[one.cause.name] = float(np.sqrt(needed(one.span.shape[1], len(linear.columns)))) / least
+            power = needed(one.span.shape[1], len(linear.columns), linear.freedom)
+            out[one.cause.name] = float(np.sqrt(power)) / least
     return out
 
 
-def needed(rank: int, causes: int) -> float:
+def needed(rank: int, causes: int, freedom: float = np.inf) -> float:
     """Noncentrality with which the likelihood ratio of a cause of some rank is seen, one of so many."""
-    threshold = chdtri(rank, FALSE_ALARM / (2.0 * causes))
+    chance = FALSE_ALARM / (2.0 * causes)
+    threshold = chdtri(rank, chance) if freedom > EXACT else rank * fdtri(rank, freedom, 1.0 - chance)
     return float(chndtrinc(threshold, rank, 1.0 - POWER))

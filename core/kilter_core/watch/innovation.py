@@ -26,7 +26,8 @@ class Innovation:
     """The whitened innovation ``r (R,)`` of rows, and what whitens the derivatives of their prediction.
 
     ``lower (R, R)`` is the Cholesky factor of the covariance of noise and version, ``seen`` tells which of the coordinates
-    (N, m, 3) were measured. ``poses`` are those that count; of a large campaign some, evenly chosen.
+    (N, m, 3) were measured. ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
+    the scale of the covariance: a fit of few rows does not know well what it left.
     """
 
     measurement: Measurement
@@ -35,6 +36,7 @@ class Innovation:
     lower: Floats
     seen: Bools
     poses: int
+    freedom: float
 
     @staticmethod
     def of(
@@ -75,7 +77,8 @@ class Innovation:
             covariance += more[seen] @ more[seen].T
         lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         r = solve_triangular(lower, left.points[seen], lower=True)
-        return Innovation(measurement, prediction, r, lower, seen, measurement.poses)
+        freedom = _freedom(lower, known.freedom, noise)
+        return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom)
 
     def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
         """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""
@@ -139,3 +142,12 @@ def _own(measurement: Measurement, seen: Bools, inadequacy: float, noise: float)
     alike = place[:, None] == place[None, :]
     least = (LEAST * inadequacy) ** 2  # of a version that says no noise apart: repeats would be one number
     return np.asarray(inadequacy**2 * alike + max(noise**2, least) * np.eye(len(place)))
+
+
+def _freedom(lower: Floats, fitted: float, stated: float | None) -> float:
+    """Freedom of the scale of a covariance, of which a noise that is stated for these rows has no part (Satterthwaite)."""
+    if stated is None or not np.isfinite(fitted):
+        return fitted
+    inverse = solve_triangular(lower, np.eye(len(lower)), lower=True)
+    exact = min(1.0, stated**2 * float(np.mean(np.sum(inverse**2, axis=1))))
+    return fitted / max(1.0 - exact, LEAST) ** 2

@@ -1,7 +1,8 @@
 """The few poses of a check: those that show, and tell apart, the causes that are hardest to see.
 
 Every cause has a size that should be seen, and every other cause that could stand for it. What the poses show of the one
-beyond the other, in chi-square, is its power; the smallest of all is made as large as exchanges of poses can make it.
+beyond the other, in chi-square, is its power. Exchanges of poses raise the powers that an alarm still lacks, each in
+proportion: of a cause alone, and of a cause beyond the one that looks most like it.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ STRETCH = 1e-4  # of the scale
 COARSE = float(np.radians(0.25))  # rad, of a zero that a check must show, or it is not worth its name
 ALIKE = 1e-5  # of what the pool shows of a cause, what another leaves of it where no poses tell them apart
 RIDGE = 1e-12
+NAMED = 3.0  # how often naming a cause counts beside seeing it
+SETTLED = 1e-3  # of the score
+TINY = 1e-12  # of a chi-square, so that it has a logarithm
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,7 @@ class _Shown:
     gram: Floats
     places: tuple[slice, ...]
     pairs: tuple[tuple[int, int | None], ...]
+    enough: float
 
     @staticmethod
     def of(calibration: Calibration, pool: Observations, sigma: float, without: Sequence[int]) -> _Shown:
@@ -102,7 +107,7 @@ class _Shown:
             at += J.shape[2]
         X = np.concatenate(parts, axis=2)
         gram = np.einsum("prk,prl->pkl", X, X)
-        every = _Shown(gram, tuple(places), ())
+        every = _Shown(gram, tuple(places), (), needed(1, len(causes)))
         wanted = [k for k, cause in enumerate(causes) if not (cause.kind == "zero" and cause.joint in without)]
         return replace(every, pairs=every._tellable(wanted))
 
@@ -115,9 +120,23 @@ class _Shown:
         told = [(a, b) for a, b in others if float(self._beyond(whole, a, b)[0]) > ALIKE * alone[a]]
         return (*((a, None) for a in seen), *told)
 
-    def power(self, gram: Floats) -> Floats:
-        """The smallest power (M,) of sets of poses with these Gram matrices (M, K, K)."""
-        return np.asarray(np.min([self._beyond(gram, a, b) for a, b in self.pairs], axis=0))
+    def score(self, gram: Floats) -> Floats:
+        """How much sets of poses with these Gram matrices (M, K, K) show, (M,).
+
+        Each cause counts alone, and beyond whatever looks most like it, by the logarithm of what share of the power that an
+        alarm needs there is. What no poses show better, as a zero whose axis is near, then holds up nothing else, and what
+        is seen well enough adds nothing.
+        """
+        alone: dict[int, Floats] = {}
+        beyond: dict[int, Floats] = {}
+        for a, b in self.pairs:
+            power = np.maximum(self._beyond(gram, a, b), TINY)
+            told = np.log(power / (power + self.enough))
+            if b is None:
+                alone[a] = told
+            else:
+                beyond[a] = np.minimum(beyond.get(a, told), told)
+        return np.asarray(sum(alone.values()) + NAMED * sum(beyond.values()))
 
     def _beyond(self, gram: Floats, a: int, b: int | None) -> Floats:
         """Chi-square (M,) of a cause beyond another; of a frame that of a shift in the direction that shows least."""
@@ -151,17 +170,17 @@ def _size(cause: Cause, J: Floats) -> float:
 def _exchanged(shown: _Shown, picked: Ints) -> tuple[Ints, float]:
     """Exchange one pose after the other for the best of the pool, until none is better."""
     picked = picked.copy()
-    power = float(shown.power(shown.gram[picked].sum(axis=0)[None])[0])
+    power = float(shown.score(shown.gram[picked].sum(axis=0)[None])[0])
     for _ in range(SWEEPS):
         before = power
         for place in range(len(picked)):
             others = np.delete(picked, place)
-            found = shown.power(shown.gram[others].sum(axis=0) + shown.gram)
+            found = shown.score(shown.gram[others].sum(axis=0) + shown.gram)
             found[others] = -np.inf
             best = int(found.argmax())
             if found[best] > power:
                 picked[place], power = best, float(found[best])
-        if power <= 1.001 * before:
+        if power <= before + SETTLED:
             break
     return picked, power
 

@@ -164,6 +164,9 @@ class Covariance(Stored):
         None, description="Standard deviation of a coordinate that the fit left beyond the noise, m."
     )
     noise_m: Metres | None = Field(None, description="Standard deviation of a coordinate of the noise, m.")
+    freedom: float | None = Field(
+        None, description="Degrees of freedom of what the fit left, by which all of it is scaled; null: not known."
+    )
 
 
 class LoadNumber(Stored):

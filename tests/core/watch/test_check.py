@@ -69,6 +69,27 @@ def test_what_a_version_does_not_know_of_itself_is_no_alarm(
     assert verdicts.count("ok") >= 149
 
 
+def test_a_noise_that_few_rows_told_raises_no_more_alarms() -> None:
+    rng = np.random.default_rng(20)
+    freedom, chances, certain = 20.0, [], []
+    arm, calibration = perfect(rng)
+    for _ in range(400):
+        told = NOISE * float(np.sqrt(rng.chisquare(freedom) / freedom))
+        rows = arm.measured(some_poses(5, rng), rng, NOISE)
+        known = Predictive((), np.zeros((0, 0)), 0.0, told, freedom)
+        chances.append(check(calibration, rows, known).p_value)
+        certain.append(check(calibration, rows, replace(known, freedom=float("inf"))).p_value)
+    assert sum(p <= 0.01 for p in certain) >= 12  # by chi-square, of 4 that are meant
+    assert sum(p <= 0.01 for p in chances) <= 9
+    assert sum(p <= 0.1 for p in chances) >= 10  # and it still says something
+    stated = check(calibration, rows, known, noise=NOISE)
+    assert stated.p_value == check(calibration, rows, EXACT).p_value
+    assert check(calibration, rows, known).smallest["zero_2"] > stated.smallest["zero_2"]
+    read = Predictive.from_document({**known.to_document(), "names": ["d_1"], "matrix": [[0.0]]})
+    assert read is not None
+    assert read.freedom == freedom
+
+
 @pytest.mark.parametrize("joint", [1, 2, 3, 4, 5])
 def test_a_step_of_an_encoder_by_a_thirtieth_of_a_degree_is_seen_within_three_checks(joint: int) -> None:
     rng = np.random.default_rng(10 + joint)

@@ -32,13 +32,15 @@ SLICE = 4096  # rows whose Jacobians are held at once
 class Predictive:
     """What a version knows of itself: ``covariance (K, K)`` SI of the parameters ``names``, and standard deviations (m) of
     a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Where nothing shows them apart all that
-    is left counts as inadequacy, and ``noise`` is 0.
+    is left counts as inadequacy, and ``noise`` is 0. All of them were scaled by what the fit left, which has that ``freedom``;
+    infinite where nobody says it.
     """
 
     names: tuple[str, ...]
     covariance: Floats
     inadequacy: float
     noise: float
+    freedom: float = float("inf")
 
     @staticmethod
     def from_document(known: Mapping[str, Any], report: Mapping[str, Any] | None = None) -> Predictive | None:
@@ -50,13 +52,14 @@ class Predictive:
             found = float(known["inadequacy_m"]), float(known["noise_m"])
         else:
             found = _of_report(report or {})
-        return Predictive(tuple(known["names"]), matrix, *found)
+        return Predictive(tuple(known["names"]), matrix, *found, float(known.get("freedom") or "inf"))
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, SI."""
         return {
             "names": list(self.names), "matrix": self.covariance.tolist(), "units": "SI",
             "inadequacy_m": self.inadequacy, "noise_m": self.noise,
+            "freedom": self.freedom if np.isfinite(self.freedom) else None,
         }  # fmt: skip
 
     def of_the_tool(self, calibration: Calibration, rows: Observations, axes: Floats | None = None) -> Floats:
@@ -154,12 +157,13 @@ def predictive(
     if noise is None:
         share = 1.0 if structure is None else structure.at_most
         inadequacy = _reaching(share * left**2, left, structure)
-        return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5)
+        return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, fit.freedom or np.inf)
     known = EXACT if stated is not None or repeats.between is None else freedom
     by_chance = noise**2 * float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), known))
     beyond = left**2 - noise**2 if left**2 > by_chance else 0.0
     smooth = 0.0 if structure is None else structure.share * left**2
-    return Predictive(fit.names, fit.covariance, _reaching(max(beyond, smooth), left, structure), noise)
+    inadequacy = _reaching(max(beyond, smooth), left, structure)
+    return Predictive(fit.names, fit.covariance, inadequacy, noise, fit.freedom or np.inf)
 
 
 def _reaching(variance: float, left: float, structure: Structure | None) -> float:

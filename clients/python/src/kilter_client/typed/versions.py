@@ -42,6 +42,8 @@ class CorrectionLimits(Record):
 class Covariance(Record):
     """What a version knows of its parameters, SI; empty where nothing was identified."""
 
+    freedom: float | None
+    """Degrees of freedom of what the fit left, by which all of it is scaled; None: not known."""
     inadequacy_m: float | None
     """Standard deviation of a coordinate that the fit left beyond the noise, m."""
     matrix: tuple[tuple[float, ...], ...]
