@@ -101,9 +101,10 @@ class Frames:
             OptionError: a method that cannot fit several frames. TooFewPosesError: a set-up with too few poses.
 
         """
-        if train.setup is None or options.base == "fixed" or held(train):
+        placed = train.position is not None or train.markers is not None
+        if train.setup is None or options.base == "fixed" or held(train) or not placed:
             return None
-        codes = [int(code) for code in np.unique(train.setup)]
+        codes = [int(code) for code in np.unique(train.setup[train.tool_seen])]
         if len(codes) > 1:
             _refuse(train, codes, options)
         if options.base == "removed":
