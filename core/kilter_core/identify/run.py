@@ -33,12 +33,12 @@ from kilter_core.identify.reference import named, refuse_contradicted, wanted_fr
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
-from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
+from kilter_core.identify.view_report import predictive_of, views_said, with_held, with_own_scatter
 from kilter_core.identify.worse import PoseErrors, geometry_alone
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
@@ -78,6 +78,7 @@ class Identification:
     fitted_kinds: KindErrors = field(default_factory=dict)
     held_kinds: KindErrors = field(default_factory=dict)
     beyond: BeyondNoise | None = None  # more than the stated noise is left
+    views: dict[str, Any] = field(default_factory=dict)  # cameras and boards, and what their views say of the tool
     held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
 
     @property
@@ -136,6 +137,7 @@ class Identification:
                 for which in ("base", "tool")
             },
             "reference": named(self.calibration),
+            **self.views,
         }
 
 
@@ -197,7 +199,7 @@ def identify(
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row,
-        fitted_kinds=errors_of(stages, measurement), held_kinds=kinds,
+        fitted_kinds=errors_of(stages, measurement), held_kinds=kinds, views=_views(result, validation, measurement),
     )  # fmt: skip
 
 
@@ -209,6 +211,11 @@ def _seen(begin: Calibration, train: Observations, options: IdentifyOptions) -> 
 
 def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -> dict[str, Calibration]:
     return {"nominal": nominal, "registration_only": found, "identified": identified}
+
+
+def _views(result: Identification, validation: Validation, measurement: Measurement) -> dict[str, Any]:
+    """What views say, of those held out too."""
+    return with_held(result.views, result.calibration, validation, measurement)
 
 
 def _left_more(beyond: BeyondNoise | None, inside: Ints | None) -> list[dict[str, Any]]:
@@ -273,7 +280,8 @@ def _reported(
     repeats = Repeats.of(train, fit.residual)
     sigma = repeats.between
     shares = Shares.of(fit, marginal(fit).names)
-    plain, fit = fit, clustered(fit)
+    plain, (fit, scatter) = fit, with_own_scatter(fit)
+    views = views_said(calibration, fit, scatter)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
     beyond = BeyondNoise.of(fit, repeats, stated)
     masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
@@ -282,7 +290,7 @@ def _reported(
         fit = beside_drawn_masses(plain, fit, masses)
     wider = (1.0 if beyond is None else beyond.widening) * fit.sigma / predicted.sigma
     intervals = _intervals(plain, fit, options, progress, each, wider)
-    fit = marginal(fit)
+    fit_of_all, fit = fit, marginal(fit)
     return Identification(
         calibration=calibration,
         fit=fit,
@@ -290,7 +298,8 @@ def _reported(
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
-        predictive=predictive(marginal(predicted), repeats, stated, Structure.of(plain)),
+        predictive=predictive_of(fit_of_all, scatter)
+        or predictive(marginal(predicted), repeats, stated, Structure.of(plain)),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
         warnings=(
@@ -305,6 +314,7 @@ def _reported(
         learned=learned,
         shares=shares,
         beyond=beyond,
+        views=views,
     )
 
 

@@ -144,9 +144,10 @@ class Frames:
 
         """
         own = tuple(which for which in options.refit or ("base",) if getattr(options, which) != "fixed")
-        if train.setup is None or not own or held(train):
+        placed = train.position is not None or train.markers is not None
+        if train.setup is None or not own or held(train) or not placed:
             return None
-        codes = [int(code) for code in np.unique(train.setup)]
+        codes = [int(code) for code in np.unique(train.setup[train.tool_seen])]
         if len(codes) > 1:
             _refuse(train, codes, options)
         if options.base == "removed":

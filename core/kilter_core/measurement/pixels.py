@@ -15,6 +15,7 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
 from kilter_core.measurement.rig_fit import fit_rig, placed_by
+from kilter_core.measurement.view_scatter import ViewScatter, scatter_of, shrunk
 from kilter_core.measurement.views import Views, sight
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
@@ -23,6 +24,34 @@ from kilter_core.observations.rig import Rig
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST_CORNERS = 4  # of a view that tells a pose
+
+
+@dataclass(frozen=True)
+class ToolErrors:
+    """Motions ``motion (K, 6)`` m, rad that explain the views ``rows (K,)``, and their ``covariance`` for corners of 1 px.
+
+    ``rest`` px² is what they leave, in ``numbers`` beyond the poses.
+    """
+
+    rows: Ints
+    motion: Floats
+    covariance: Floats
+    rest: float
+    numbers: int
+
+    def scatter(self, used: float = 0.0, within: float = 0.0) -> ViewScatter:
+        """How far off the tool is; ``used`` numbers between and ``within`` views went into a model fitted to them.
+
+        Raises:
+            ObservationError: no view that tells a pose.
+
+        """
+        if not len(self.rows) or self.numbers <= within:
+            raise ObservationError(
+                f"No view shows {FEWEST_CORNERS} corners or more: none tells a pose. Measure views that show more of a board.",
+                code="no_view",
+            )
+        return scatter_of(self.motion, self.covariance, self.rest, self.numbers - within, used)
 
 
 @dataclass(frozen=True)
@@ -150,17 +179,13 @@ class Pixels(Kind):
         return (Block(self.group, r, out),)
 
     def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
-        """Errors (K, 3) m and (K,) rad of the tool, by the motion that explains each view best."""
-        found = self.tool_errors(calibration)[0]
-        e: Floats = found[~np.isnan(found).any(axis=1)]
-        turns: Floats = np.sqrt(np.sum(e[:, 3:] ** 2, axis=1))
-        return e[:, :3], turns
+        """Errors (K, 3) m and (K,) rad of the tool, by what each view says without its noise."""
+        found = self.tool_errors(calibration)
+        e = shrunk(found.motion, found.covariance, found.scatter())
+        return e[:, :3], np.asarray(np.sqrt(np.sum(e[:, 3:] ** 2, axis=1)), dtype=np.float64)
 
-    def tool_errors(self, calibration: Calibration) -> tuple[Floats, Floats]:
-        """Motions (N, 6) m, rad of the tool that explain what is left of each view best, NaN of views that tell no pose.
-
-        With them their covariance (N, 6, 6) for corners of 1 px.
-        """
+    def tool_errors(self, calibration: Calibration) -> ToolErrors:
+        """Motions of the tool that explain what is left of each view best."""
         prediction = calibration.predict(self.observations)
         rig = self._known(calibration, prediction)
         seen = sight(rig, self.views(prediction), self.pixels.shape[1], slopes=True)
@@ -168,13 +193,12 @@ class Pixels(Kind):
         w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
         r = w * (self.pixels - seen.pixels)
         A = (seen.by_tool * (w * ~np.isnan(r))[..., None]).reshape(len(r), -1, 6)
-        enough = (~np.isnan(r)).sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS
-        H = A.transpose(0, 2, 1) @ A
-        H[~enough] = np.eye(6)
-        C = np.linalg.inv(H)
-        e = (C @ (A.transpose(0, 2, 1) @ np.nan_to_num(r).reshape(len(r), -1, 1)))[:, :, 0]
-        e[~enough] = np.nan
-        return e, C
+        rows = np.flatnonzero((~np.isnan(r)).sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
+        A, flat = A[rows], np.nan_to_num(r[rows]).reshape(len(rows), -1, 1)
+        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
+        e = C @ (A.transpose(0, 2, 1) @ flat)
+        count = int(np.count_nonzero(~np.isnan(r[rows]))) - 6 * len(rows)
+        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
 
     def _known(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
         """The rig of a calibration; where it has none, as it fits the anchor, or else these rows."""

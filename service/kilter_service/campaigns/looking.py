@@ -13,6 +13,7 @@ from kilter_service.db import Database
 from kilter_service.robots import store as robots
 from kilter_service.tables import reading
 from kilter_service.tables.columns import Column, read_columns
+from kilter_service.tables.names import Names
 from kilter_service.wire import joint_scale
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Row
         belong = Judged(None, service.checked_chunks(path, media, names, core)[1])
     except ObservationError as error:
         refusal, belong = error.message, Judged(error) if error.code in MIXED_UP else None
-    table = pa.concat_tables(list(reading.tables(path, media))).select(names)
+    table = pa.concat_tables(list(reading.tables(path, media, Names.stated(None)))).select(names)
     return Rows(table, columns, core, {}), refusal, belong
 
 

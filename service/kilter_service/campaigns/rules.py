@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.joint_limits import JointLimits
-from kilter_service.contract.columns import BASE, CONTACTS, PLACE, TILTS
+from kilter_service.campaigns.view_rules import ViewRules
+from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.tables.columns import Column
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ UNITS_MM = {1e3: "m", 100.0: "dm", 25.4: "inch", 10.0: "cm", 1.0: "mm", 1e-3: "u
 class RowRules:
     """The rules for one upload to one robot; `check` every piece in order, then `finish`."""
 
-    def __init__(self, columns: Sequence[Column], robot: Robot) -> None:
+    def __init__(self, columns: Sequence[Column], robot: Robot, views: ViewRules | None = None) -> None:
         self.columns = columns
+        self._views = views
         self.robot = robot
         self.rows = 0
         self._beside = _beside(columns)
@@ -62,6 +64,8 @@ class RowRules:
         self._check_nothing(cells)
         self._check_contacts(cells)
         self._check_quaternions(cells)
+        if self._views is not None:
+            self._views.check(cells, self.rows)
         self._remember(cells)
         self._belonging.take(table)
         self.rows += table.num_rows
@@ -101,7 +105,7 @@ class RowRules:
 
     def _check_column(self, column: Column, cells: Floats) -> None:
         if not column.may_be_empty and column.quantity not in self._beside:
-            self._refuse(np.isnan(cells), column.name, "is empty: only markers, tips and tilts may be missing")
+            self._refuse(np.isnan(cells), column.name, "is empty: only markers, corners, tips and tilts may be missing")
         if column.is_integer:
             self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
         if column.quantity == "dir":
@@ -154,7 +158,7 @@ class RowRules:
     def _check_nothing(self, cells: dict[str, Floats]) -> None:
         """A row in which nothing was read says nothing."""
         names = [c.name for c in self.columns if c.quantity in (*TILTS, *PLACE, "link")]
-        others = any(c.quantity in ("marker_x", *CONTACTS) for c in self.columns)
+        others = any(c.quantity in ("marker_x", "pixel_u", *CONTACTS) for c in self.columns)
         if names and not others:
             empty = np.all([np.isnan(cells[name]) for name in names], axis=0)
             self._refuse(empty, names[0], "and all other readings are empty: leave the row out")
@@ -256,6 +260,6 @@ def _refuse_upright(columns: Sequence[Column], robot: Robot) -> None:
 
 def _beside(columns: Sequence[Column]) -> frozenset[str]:
     """Quantities that may be missing in some rows, because other sensors measured those."""
-    groups = (PLACE, ("link",), TILTS, ("marker_x",))
+    groups = (PLACE, ("link",), TILTS, ("marker_x",), ("pixel_u",))
     kinds = sum(any(c.quantity in group for c in columns) for group in groups)
-    return frozenset((*PLACE, "link")) if kinds > 1 else frozenset()
+    return frozenset((*PLACE, "link", *NAMED)) if kinds > 1 else frozenset()

@@ -15,6 +15,7 @@ from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.rules import RowRules
+from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.fits import Remark
@@ -27,6 +28,8 @@ from kilter_service.references import retired
 from kilter_service.robots import store as robots
 from kilter_service.tables import reading
 from kilter_service.tables.columns import has, read_columns
+from kilter_service.tables.names import Names
+from kilter_service.tables.views import rig_of
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -35,18 +38,20 @@ STAGED_FOR = timedelta(days=7)
 AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
-MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
+MEASURED = ("x", "marker_x", "link", "pixel_u", *TILTS, *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
     """Store a new campaign of a robot; an unfinished one from long ago is deleted meanwhile.
 
     Raises:
+        ObservationError: cameras or boards that cannot be.
         ServiceError: no such robot or instrument, a name that is taken or invalid, or a day in the future.
 
     """
     body = hash_of(campaign)
     _refuse_future(campaign)
+    rig_of(campaign.conditions.model_dump(mode="json", exclude_none=True))
     with database.transaction() as session:
         known = once.first(session, body, CAMPAIGN)
         if known is not None:
@@ -148,8 +153,9 @@ def upload(
         if known:
             return known
         _same_columns(session, campaign_id, names)
-        robot = robots.core_robot(session, store.get(session, campaign_id).robot_id)
-    chunks, warnings = checked_chunks(path, media, names, robot)
+        campaign = store.get(session, campaign_id)
+        robot = robots.core_robot(session, campaign.robot_id)
+    chunks, warnings = checked_chunks(path, media, names, robot, campaign.conditions)
     # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
     with database.transaction() as session:
         known = once.first(session, sha256, UPLOADED) or _uploaded(session, campaign_id, sha256, new=False)
@@ -178,17 +184,22 @@ def checked(database: Database, robot: str, path: Path, media: str) -> CheckedRo
     return CheckedRows(rows=sum(chunk.rows for chunk in chunks), columns=names, warnings=_remarks(warnings))
 
 
-def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> Checked:
-    """Check every row of a file of measurements and write it as chunks beside it; say what only looks odd."""
+def checked_chunks(
+    path: Path, media: str, names: Sequence[str], robot: Robot, conditions: dict[str, Any] | None = None
+) -> Checked:
+    """Check every row of a file of measurements and write it as chunks beside it; say what only looks odd.
+
+    Without ``conditions``, those of the campaign, cameras and boards are not known, and may have any name.
+    """
     columns = read_columns(names, [joint.kind for joint in robot.joints])
     if not any(has(columns, quantity) for quantity in MEASURED):
         raise ObservationError(
             "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
-            "tilt1x_deg ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
+            "tilt1x_deg ..., or corners u1_px, v1_px ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
         )
-    rules = RowRules(columns, robot)
+    rules = RowRules(columns, robot, views_rules(columns, conditions))
     chunks = []
-    for number, table in enumerate(reading.tables(path, media)):
+    for number, table in enumerate(reading.tables(path, media, Names.stated(conditions))):
         rules.check(table)
         chunks.append(write_chunk(table, path.with_name(f"chunk-{number}")))
     return chunks, rules.finish()

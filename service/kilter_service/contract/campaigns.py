@@ -17,6 +17,49 @@ ODD = "What looks odd in the rows and may be right: they are stored."
 SHA256 = "SHA-256 of the bytes that were sent, 64 hexadecimal digits."
 
 
+MOST_CAMERAS, MOST_CORNERS = 64, 999
+
+
+class Camera(Strict):
+    """A camera that measured; where it stands is fitted."""
+
+    name: Name = Field(description="Its name; one name stands for one camera in one place.")
+    mount: Literal["fixed", "flange"] = Field(
+        description="`fixed`: in the room, it looks at boards on the flange; `flange`: it looks at fixed boards."
+    )
+    width_px: Annotated[int, Field(ge=1, le=100_000)] = Field(description="Width of its pictures, px.")
+    height_px: Annotated[int, Field(ge=1, le=100_000)] = Field(description="Height of its pictures, px.")
+    fx_px: Annotated[float, Field(gt=0)] = Field(description="Focal length along u, px.")
+    fy_px: Annotated[float, Field(gt=0)] = Field(description="Focal length along v, px.")
+    cx_px: float = Field(description="Principal point along u, px; the centre of the top left pixel is 0.")
+    cy_px: float = Field(description="Principal point along v, px.")
+    distortion_model: Literal["none", "brown", "rational", "fisheye"] = Field("none", description="Model of the lens.")
+    distortion: Annotated[list[float], Field(max_length=8)] = Field(
+        [],
+        description="Numbers of the lens in OpenCV's order: k1, k2, p1, p2 (k3) (k4, k5, k6), of a fisheye k1 to k4.",
+    )
+    intrinsics: Literal["fixed", "prior", "free"] | None = Field(
+        None, description="Whether a fit changes them; null: `prior` where `sigmas_px` are given, else `fixed`."
+    )
+    sigmas_px: Annotated[list[Annotated[float, Field(gt=0)]], Field(max_length=12)] | None = Field(
+        None,
+        description="Standard deviations of fx, fy, cx, cy (px) and of each number of the lens, above 0; null: not stated.",
+    )
+
+
+class Board(Strict):
+    """A board, or a solid of several, whose corners were seen."""
+
+    name: Name = Field(description="Its name; one name stands for one board in one place.")
+    mount: Literal["flange", "fixed"] = Field(description="Whether it is on the flange, or in the room.")
+    corners_mm: Annotated[list[PointMm], Field(min_length=4, max_length=MOST_CORNERS)] = Field(
+        description="Corners 1, 2, ... in a frame of its own, mm."
+    )
+    scale_sigma_percent: Annotated[float, Field(ge=0, le=10)] | None = Field(
+        None, description="Standard deviation of its scale, percent: it is then fitted; null: the scale is exact."
+    )
+
+
 class Conditions(Strict):
     """What held during the whole campaign; a column of the rows takes precedence over it."""
 
@@ -30,6 +73,12 @@ class Conditions(Strict):
     )
     tool_moment_nm: tuple[NewtonMetre, NewtonMetre, NewtonMetre] | None = Field(
         None, description="Moment on the tool point in the tool frame, N m."
+    )
+    cameras: Annotated[list[Camera], Field(min_length=1, max_length=MOST_CAMERAS)] | None = Field(
+        None, description="Cameras whose pixels the rows have, in the order of their numbers; null: none."
+    )
+    boards: Annotated[list[Board], Field(min_length=1, max_length=MOST_CAMERAS)] | None = Field(
+        None, description="Boards that the cameras saw, in the order of their numbers; null: none."
     )
 
 

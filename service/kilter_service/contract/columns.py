@@ -38,7 +38,13 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     **{f"m{axis}": {"nm": 1.0} for axis in "xyz"},
     **{f"{kind}_id": {"": 1.0} for kind in ("socket", "plane", "bar")},
     "bar": LENGTHS,
+    **{what: {"": 1.0} for what in ("camera", "board")},
 }
+# Corners of a board that a camera saw, by number: `u1_px`, `v1_px`, and their standard deviations `su1_px`, `sv1_px`.
+PIXEL_UNITS = {"px": 1.0}
+PIXELS = ("pixel_u", "pixel_v", "pixel_su", "pixel_sv")
+# Cells that may hold a name, of those that the campaign names in its conditions.
+NAMED = {"camera": "cameras", "board": "boards"}
 # Readings of inclinometers, by joint (0: the base) and axis of its frame: `tilt2x_deg`. A cell is empty where nothing was
 # read.
 TILT_UNITS = ANGLES

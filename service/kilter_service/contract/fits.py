@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
+from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.units import Deg, Metres, Mm, Stored
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
@@ -360,6 +361,11 @@ class FitDetails(Stored):
     tool_refitted: list[OwnBase] | None = Field(None, description="Tools that were fitted to rows of their own.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     measurements: list[KindOfMeasurement] | None = Field(None, description="What each kind of measurement says.")
+    cameras: list[CameraFound] | None = Field(None, description="Cameras as they were found; null: none measured.")
+    boards: list[BoardFound] | None = Field(None, description="Boards as they were found; null: none measured.")
+    pixels: PixelsFound | None = Field(
+        None, description="What views alone say; null: a tracker measured too, or no camera."
+    )
     known_together: list[str] | None = Field(
         None, description="Parameters that the kinds tell together and none of them alone."
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kilter_core.observations import CONDITIONS, Observations
 from kilter_service.contract.columns import BASE, LOAD_PARTS, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
 from kilter_service.tables.columns import Column
+from kilter_service.tables.views import views
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -54,6 +55,7 @@ def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[st
     fields["link_mass"] = _on_links(si, table.num_rows, (LOAD_PARTS[0],))
     fields["link_wrench"] = _on_links(si, table.num_rows, LOAD_PARTS[1:])
     fields["markers"] = _markers(si)
+    fields |= views(si, conditions, table.num_rows)
     return Observations(**_filled(fields, conditions, table.num_rows))
 
 

@@ -16,6 +16,9 @@ from kilter_service.contract.columns import (
     LENGTHS,
     LOAD_PARTS,
     LOAD_UNITS,
+    NAMED,
+    PIXEL_UNITS,
+    PIXELS,
     PLAIN_UNITS,
     TILT_UNITS,
     TILTS,
@@ -26,6 +29,7 @@ from kilter_service.limits import MAX_COLUMNS, MAX_NAME
 _JOINT = re.compile(r"(q|qd|qdd|link|cmd|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
 _TILT = re.compile(r"tilt(0|[1-9][0-9]?)([xyz])(?:_(\w+))?")
 _LOAD = re.compile(r"load([1-9][0-9]?)_(kg|[xyz]|[fm][xyz])(?:_(\w+))?")
+_PIXEL = re.compile(r"(s?[uv])([1-9][0-9]{0,2})(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")
 _PLAIN = re.compile(rf"({'|'.join(sorted(PLAIN_UNITS, key=len, reverse=True))})(?:_(\w+))?")
 
@@ -41,13 +45,13 @@ class Column:
 
     @property
     def may_be_empty(self) -> bool:
-        """Whether a cell may be missing: a marker can be out of sight, a tip or a joint is looked at in some rows only."""
-        return self.quantity.startswith(("marker_", "tip")) or self.quantity in TILTS
+        """Whether a cell may be missing: markers and corners can be out of sight, a tip or joint is looked at in some rows."""
+        return self.quantity.startswith(("marker_", "tip")) or self.quantity in (*TILTS, *PIXELS)
 
     @property
     def is_integer(self) -> bool:
         """Whether the cells are whole numbers."""
-        return self.quantity in ("dir", "session", "pose_id", "row", *CONTACTS)
+        return self.quantity in ("dir", "session", "pose_id", "row", *CONTACTS, *NAMED)
 
 
 def check_names(names: Sequence[str]) -> None:
@@ -116,6 +120,9 @@ def _read(name: str, kinds: Sequence[str]) -> Column:
         _of_joint(name, int(match[1]), kinds)
         stem, quantity = f"load{match[1]}_{match[2]}", f"load_{match[2]}"
         return Column(name, quantity, int(match[1]) - 1, _factor(name, stem, match[3] or "", LOAD_UNITS[quantity]))
+    if match := _PIXEL.fullmatch(name):
+        factor = _factor(name, f"{match[1]}{match[2]}", match[3] or "", PIXEL_UNITS)
+        return Column(name, f"pixel_{match[1]}", int(match[2]) - 1, factor)
     if match := _MARKER.fullmatch(name):
         factor = _factor(name, f"m{match[1]}{match[2]}", match[3] or "", LENGTHS)
         return Column(name, f"marker_{match[2]}", int(match[1]) - 1, factor)
@@ -163,7 +170,19 @@ def _complete(columns: dict[tuple[str, int | None], Column], kinds: Sequence[str
     for marker in {number for quantity, number in columns if quantity.startswith("marker_")}:
         parts = [f"m{(marker or 0) + 1}{axis}" for axis in "xyz"]
         _whole(parts, [part for part, axis in zip(parts, "xyz", strict=True) if (f"marker_{axis}", marker) in columns])
+    for corner in sorted({number for q, number in columns if q in PIXELS and number is not None}):
+        _whole_corner(columns, corner)
     _conflicts(present, {number for quantity, number in columns if quantity == "marker_x" and number is not None})
+
+
+def _whole_corner(columns: dict[tuple[str, int | None], Column], corner: int) -> None:
+    for prefix in ("", "s"):
+        there = [axis for axis in "uv" if (f"pixel_{prefix}{axis}", corner) in columns]
+        if len(there) == 1 or (prefix and there and ("pixel_u", corner) not in columns):
+            absent = (
+                f"{prefix}{'v' if there == ['u'] else 'u'}{corner + 1}_px" if len(there) == 1 else f"u{corner + 1}_px"
+            )
+            raise refuse(f"Column {absent!r} is missing: both coordinates of a corner belong together.", absent)
 
 
 def _whole(group: Sequence[str], there: Sequence[str]) -> None:

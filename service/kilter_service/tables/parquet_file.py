@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import ObservationError
+from kilter_service.contract.columns import NAMED
 from kilter_service.limits import BATCH_CELLS, MAX_CELLS, MAX_COLUMNS
 from kilter_service.tables.columns import check_names
+from kilter_service.tables.names import Names
 from kilter_service.tables.parquet_pages import check_pages
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ def parquet_names(path: Path) -> list[str]:
         return list(file.schema_arrow.names)
 
 
-def parquet_tables(path: Path) -> Iterator[pa.Table]:
+def parquet_tables(path: Path, named: Names) -> Iterator[pa.Table]:
     """Read a file piece by piece as float64.
 
     Raises:
@@ -43,7 +45,7 @@ def parquet_tables(path: Path) -> Iterator[pa.Table]:
     with _opened(path) as file:
         _check_size(file.metadata)
         columns = file.schema_arrow.names
-        schema = pa.schema([(name, pa.float64()) for name in columns])
+        schema = pa.schema([(name, pa.string() if name in named else pa.float64()) for name in columns])
         rows = max(1, min(PIECE_ROWS, BATCH_CELLS // len(columns)))
         with _explained():
             for batch in file.iter_batches(batch_size=rows, use_threads=False):
@@ -95,7 +97,8 @@ def _numeric(schema: pa.Schema) -> None:
     import pyarrow as pa
 
     for field in schema:
-        if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+        text = field.name in NAMED and (pa.types.is_string(field.type) or pa.types.is_large_string(field.type))
+        if not (text or pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
             raise ObservationError(
                 f"Column {field.name[:64]!r} is {str(field.type)[:64]}, not numbers.", column=field.name[:64]
             )

@@ -18,6 +18,7 @@ from kilter_core.errors import ObservationError
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_CELL, MAX_CELLS, MAX_COLUMNS, MAX_HEADER_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES
 from kilter_service.tables.columns import check_names
+from kilter_service.tables.names import Names
 from kilter_service.tables.parquet_file import parquet_names, parquet_tables
 
 if TYPE_CHECKING:
@@ -63,18 +64,20 @@ def column_names(path: Path, media: str) -> list[str]:
     return list(_json(path))
 
 
-def tables(path: Path, media: str) -> Iterator[pa.Table]:
-    """Read a file piece by piece; cells that are empty are null.
+def tables(path: Path, media: str, names: Names | None = None) -> Iterator[pa.Table]:
+    """Read a file piece by piece; cells that are empty are null, and ``names`` become their numbers.
 
     Raises:
         ObservationError: no rows, a ragged row, a cell that is not a finite number.
 
     """
-    pieces = {CSV: _csv_tables, PARQUET: parquet_tables, JSON: _json_tables}[media](path)
+    named = names or Names({})
+    pieces = {CSV: _csv_tables, PARQUET: parquet_tables, JSON: _json_tables}[media](path, named)
     first = 1
     for table in pieces:
         if (first - 1 + table.num_rows) * table.num_columns > MAX_CELLS:
             raise ObservationError(f"The upload has more than {MAX_CELLS} cells: split it.")
+        table = named.numbered(table, first)
         _finite(table, first)
         first += table.num_rows
         if table.num_rows:
@@ -101,7 +104,7 @@ def whole_table(path: Path, media: str, most_rows: int) -> pa.Table:
     return pa.concat_tables(pieces)
 
 
-def _csv_tables(path: Path) -> Iterator[pa.Table]:
+def _csv_tables(path: Path, named: Names) -> Iterator[pa.Table]:
     import pyarrow as pa  # 0.4 s: not at the start of the API process
     from pyarrow import csv as arrow
 
@@ -113,13 +116,17 @@ def _csv_tables(path: Path) -> Iterator[pa.Table]:
                 use_threads=False, block_size=BLOCK_BYTES, column_names=columns, skip_rows=1
             ),
             parse_options=arrow.ParseOptions(ignore_empty_lines=False),
-            convert_options=arrow.ConvertOptions(column_types=dict.fromkeys(columns, pa.float64()), null_values=[""]),
+            convert_options=arrow.ConvertOptions(
+                column_types={c: pa.string() if c in named else pa.float64() for c in columns},
+                null_values=[""],
+                strings_can_be_null=True,
+            ),
         )
         for batch in reader:
             yield pa.Table.from_batches([batch])
     except pa.ArrowInvalid as error:
         # Arrow is fast, but its errors say too little: the slow reader finds the place.
-        _find_fault(path, columns)
+        _find_fault(path, columns, named)
         raise ObservationError(f"The CSV cannot be read: {str(error)[:300]}.") from error
 
 
@@ -157,14 +164,14 @@ def _header(path: Path) -> list[str]:
     return found
 
 
-def _find_fault(path: Path, names: Sequence[str]) -> None:
+def _find_fault(path: Path, names: Sequence[str], named: Names) -> None:
     number = 0
     with path.open("rb") as file:
         rows = csv.reader(_lines(file))
         try:
             next(rows)
             for number, cells in enumerate(rows, 1):
-                _find_fault_in(number, cells, names)
+                _find_fault_in(number, cells, names, named)
         except csv.Error as error:
             raise _at(
                 number + 1, None, f"cannot be read ({error}): look for a quotation mark that is not closed"
@@ -183,7 +190,7 @@ def _lines(file: io.BufferedReader) -> Iterator[str]:
         yield line.decode("utf-8-sig" if number == 0 else "utf-8", errors="replace")
 
 
-def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str]) -> None:
+def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str], named: Names) -> None:
     if len(cells) != len(names):
         raise _at(
             number,
@@ -192,7 +199,7 @@ def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str]) -> N
             "and decimal points, not commas",
         )
     for name, cell in zip(names, cells, strict=True):
-        if cell and (len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell)):
+        if cell and name not in named and (len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell)):
             raise _at(number, name, f"is {cell[:40]!r}, which is not a number: write it like -12.5")
 
 
@@ -227,7 +234,7 @@ def _not_columns() -> NoReturn:
     )
 
 
-def _json_tables(path: Path) -> Iterator[pa.Table]:
+def _json_tables(path: Path, named: Names) -> Iterator[pa.Table]:
     import pyarrow as pa
 
     document = _json(path)
@@ -235,10 +242,12 @@ def _json_tables(path: Path) -> Iterator[pa.Table]:
     for name, column in document.items():
         if len(column) != longest:
             raise _at(len(column) + 1, name, "is missing: give every column as many values")
-        _cells(name, column)
-    yield pa.table(
-        {name: pa.array(map(_float, column), pa.float64(), size=longest) for name, column in document.items()}
-    )
+        _cells(name, column, name in named)
+    yield pa.table({
+        name: pa.array(map(str, column), pa.string(), size=longest) if name in named
+        else pa.array(map(_float, column), pa.float64(), size=longest)
+        for name, column in document.items()
+    })  # fmt: skip
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -254,8 +263,10 @@ def _float(cell: float | None) -> float | None:
     return None if cell is None else float(cell)
 
 
-def _cells(name: str, column: list[Any]) -> None:
+def _cells(name: str, column: list[Any], named: bool) -> None:
     for number, cell in enumerate(column, 1):
+        if named and isinstance(cell, str):
+            continue
         if cell is not None and (isinstance(cell, bool) or not isinstance(cell, int | float)):
             raise _at(number, name, f"is {str(cell)[:40]!r}, which is not a number")
         if isinstance(cell, int) and cell.bit_length() > HUGE_BITS:

@@ -129,6 +129,18 @@ COLUMNS: list[dict[str, str]] = [
         "columns": "tilt0x_deg, tilt0y_deg",
         "meaning": "or the rotation of the base about axis x (y, z) of the robot's base frame, from an inclinometer on the base, up to a constant in every session; an axis that stands upright is refused. Only identify and gap read it, beside the tool",
     },
+    {
+        "columns": "u1_px, v1_px …",
+        "meaning": "or corner 1, 2, … of a board that a camera saw in this row: pixels, the centre of the top left one (0, 0), u to the right and v down, as OpenCV has it. Other programs put (0.5, 0.5) there: take half a pixel off. Cells of a corner that was not seen are empty. Cameras and boards are described in the campaign's conditions (cameras, boards)",
+    },
+    {
+        "columns": "su1_px, sv1_px …",
+        "meaning": "standard deviation of that corner, px; where none is given all weigh alike",
+    },
+    {
+        "columns": "camera, board",
+        "meaning": "which camera saw which board, by name or by number from 1; only where the campaign has several. In Parquet and JSON columns too",
+    },
     {"columns": "t_s", "meaning": "time"},
     {"columns": "qd1_deg_s …, qdd1_deg_s2 …", "meaning": "joint velocities and accelerations"},
     {"columns": "tau1_nm …", "meaning": "measured joint torques"},

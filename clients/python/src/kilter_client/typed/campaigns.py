@@ -10,9 +10,57 @@ from kilter_client.typed.fits import Remark
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Board(Record):
+    """A board, or a solid of several, whose corners were seen."""
+
+    corners_mm: tuple[tuple[float, ...], ...]
+    """Corners 1, 2, ... in a frame of its own, mm."""
+    mount: str
+    """Whether it is on the flange, or in the room."""
+    name: str
+    """Its name; one name stands for one board in one place."""
+    scale_sigma_percent: float | None
+    """Standard deviation of its scale, percent: it is then fitted; None: the scale is exact."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Camera(Record):
+    """A camera that measured; where it stands is fitted."""
+
+    cx_px: float
+    """Principal point along u, px; the centre of the top left pixel is 0."""
+    cy_px: float
+    """Principal point along v, px."""
+    distortion: tuple[float, ...]
+    """Numbers of the lens in OpenCV's order: k1, k2, p1, p2 (k3) (k4, k5, k6), of a fisheye k1 to k4."""
+    distortion_model: str
+    """Model of the lens."""
+    fx_px: float
+    """Focal length along u, px."""
+    fy_px: float
+    """Focal length along v, px."""
+    height_px: int
+    """Height of its pictures, px."""
+    intrinsics: str | None
+    """Whether a fit changes them; None: `prior` where `sigmas_px` are given, else `fixed`."""
+    mount: str
+    """`fixed`: in the room, it looks at boards on the flange; `flange`: it looks at fixed boards."""
+    name: str
+    """Its name; one name stands for one camera in one place."""
+    sigmas_px: tuple[float, ...]
+    """Standard deviations of fx, fy, cx, cy (px) and of each number of the lens, above 0; None: not stated."""
+    width_px: int
+    """Width of its pictures, px."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Conditions(Record):
     """What held during the whole campaign; a column of the rows takes precedence over it."""
 
+    boards: Records[Board]
+    """Boards that the cameras saw, in the order of their numbers; None: none."""
+    cameras: Records[Camera]
+    """Cameras whose pixels the rows have, in the order of their numbers; None: none."""
     payload_com_mm: tuple[float, ...]
     """Centre of the payload in the tool frame, mm; None: the tool point."""
     payload_kg: float | None

@@ -9,6 +9,8 @@ from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 from kilter_client.typed.identifications import (
+    BoardFound,
+    CameraFound,
     CorrelatedGroup,
     Influence,
     JointMotions,
@@ -19,6 +21,7 @@ from kilter_client.typed.identifications import (
     Noise,
     Observability,
     OwnBase,
+    PixelsFound,
     Scale,
     SetAside,
 )
@@ -86,6 +89,10 @@ class Details(Record):
 
     base_refitted: Records[OwnBase]
     """Bases that were fitted to rows of their own."""
+    boards: Records[BoardFound]
+    """Boards as they were found; None: none measured."""
+    cameras: Records[CameraFound]
+    """Cameras as they were found; None: none measured."""
     correlated_groups: Records[CorrelatedGroup]
     """Parameters that go together."""
     held_out_fraction: float | None
@@ -118,6 +125,8 @@ class Details(Record):
     """What the noise was estimated from."""
     observability: Observability | None
     """Observability indices of the poses."""
+    pixels: PixelsFound | None
+    """What views alone say; None: a tracker measured too, or no camera."""
     reference: Reference | None
     """Where the frames of a correction come from."""
     scale: Scale | None

@@ -1,0 +1,111 @@
+"""What an identification from pixels alone knows: of its parameters, of the tool where a camera sees it, and of its cameras.
+
+Corners of one view share what the model gets wrong there, blur and a bent board. So the covariance is scaled by how much
+views scatter beyond what the corners within them do, never below it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.stats
+
+from kilter_core.identify.cameras import rig_of
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.options import FRAME_NAMES
+from kilter_core.identify.uncertainty.clustered import NORMAL
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.measurement.view_scatter import ViewScatter
+from kilter_core.model.placed_rig import PlacedRig, Unknown
+from kilter_core.transforms import inverse, skew
+from kilter_core.types import Floats
+
+
+def view_scatter(fit: Fit) -> ViewScatter:
+    """How far off the tool is in the views that were fitted, corrected for what the fit took from them."""
+    views = fit.problem.measurement.pixels
+    assert views is not None
+    inner = sum(unknown.what != "pose" for unknown, _ in _unknowns(fit))
+    return views.tool_errors(fit.calibration()).scatter(fit.effective - inner, inner)
+
+
+def by_views(fit: Fit, found: ViewScatter) -> Fit:
+    """The fit with the covariance that its views support, scaled so that 1.96 sigma are half of Student's 95 % interval."""
+    problem, views = fit.problem, fit.problem.measurement.pixels
+    assert views is not None
+    taken = float(np.mean(problem.weights.points)) / views.metres_per_px
+    factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
+    scaled = fit.J * problem.prior_sigma
+    held = np.zeros((0, len(fit.names))) if problem.held is None else problem.held
+    H = scaled.T @ scaled / max(factor, 1e-12) + np.eye(len(fit.names)) + 1e8 * held.T @ held
+    scale = problem.prior_sigma * float(scipy.stats.t.ppf(0.975, found.freedom)) / NORMAL
+    inverse_ = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    return replace(fit, covariance=inverse_ * np.outer(scale, scale), freedom=found.freedom)
+
+
+def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
+    """What is known of the tool as cameras see it: where the first camera and board stand counts as base and tool do."""
+    names, rows = [], []
+    keep = [name for name in fit.names if name not in {p.name for _, p in _unknowns(fit)}]
+    for name in keep:
+        names.append(name)
+        rows.append(np.eye(len(fit.names))[fit.names.index(name)])
+    rig = rig_of(fit.calibration())
+    assert rig is not None
+    for frame, block in _frames(rig, fit):
+        names += [f"{frame}_{k}" for k in FRAME_NAMES]
+        rows += list(block)
+    M = np.array(rows)
+    views = fit.problem.measurement.pixels
+    assert views is not None
+    noise = found.sigma_px * views.metres_per_px
+    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise)
+
+
+def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
+    """How base and tool (6, F) follow the places of the first camera and board that the rows have, as cameras see the arm."""
+    views = fit.problem.measurement.observations
+    assert views.camera is not None
+    assert views.board is not None
+    first = int(np.flatnonzero(views.camera >= 0)[0])
+    camera, board = int(views.camera[first]), int(views.board[first])
+    outside = rig.rig.cameras[camera].mount == "fixed"
+    places = {True: (True, camera), False: (False, board)}
+    room, tool = (places[True], places[False]) if outside else (places[False], places[True])
+    T = inverse(fit.calibration().model.T_base)
+    poses = {key: (rig.cameras if key[0] else rig.boards)[key[1]].pose for key in (room, tool)}
+    return [
+        ("base", -_adjoint(T @ poses[room]) @ _selected(fit, *room)),
+        ("tool", _adjoint(poses[tool]) @ _selected(fit, *tool)),
+    ]
+
+
+def _selected(fit: Fit, camera: bool, place: int) -> Floats:
+    """Rows (6, F) that pick the increments of a part; zero where they were not fitted."""
+    out = np.zeros((6, len(fit.names)))
+    for unknown, parameter in _unknowns(fit):
+        if (unknown.camera, unknown.place, unknown.what) == (camera, place, "pose") and parameter.name in fit.names:
+            out[unknown.index, fit.names.index(parameter.name)] = 1.0
+    return out
+
+
+def _unknowns(fit: Fit) -> tuple[tuple[Unknown, Any], ...]:
+    effect = next(e for e in fit.problem.model.effects if e.instrument is not None)
+    return tuple(effect.instrument.unknowns)
+
+
+def _adjoint(T: Floats) -> Floats:
+    """Takes a twist (v, w) in a frame into the frame in which it stands at T (4, 4)."""
+    R = T[:3, :3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    out[:3, 3:] = skew(T[None, :3, 3])[0] @ R
+    return out
+
+
+def sigmas_of(fit: Fit) -> dict[str, float]:
+    """Standard deviations of what was fitted of cameras and boards, SI and px."""
+    names = {p.name for e in fit.problem.model.effects if e.instrument is not None for p in e.instrument.parameters}
+    return {name: float(s) for name, s in zip(fit.names, fit.sigma, strict=True) if name in names}

@@ -1,0 +1,47 @@
+"""What a result says of its views: their cameras and boards, how noisy corners are, and how far off the tool is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kilter_core.identify.camera_report import cameras_document, pixels_document, tool_document
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
+from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.view_scatter import ViewScatter
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+
+
+def with_own_scatter(fit: Fit) -> tuple[Fit, ViewScatter | None]:
+    """The fit with the covariance that its poses support, or its views where nothing else was measured of the tool."""
+    if not fit.problem.measurement.tool.places_itself:
+        return clustered(fit), None
+    found = view_scatter(fit)
+    return by_views(fit, found), found
+
+
+def predictive_of(fit: Fit, found: ViewScatter | None) -> Predictive | None:
+    """What is known of the tool from views alone; None where there is a tracker."""
+    return None if found is None else predictive_of_views(fit, found)
+
+
+def views_said(calibration: Calibration, fit: Fit, found: ViewScatter | None) -> dict[str, Any]:
+    """Cameras and boards of a result and, from views alone, ``pixels``; empty where no camera measured."""
+    if fit.problem.measurement.pixels is None:
+        return {}
+    said = cameras_document(calibration, sigmas_of(fit))
+    return said if found is None else {**said, "pixels": pixels_document(found)}
+
+
+def with_held(said: dict[str, Any], identified: Calibration, validation: Any, train: Measurement) -> dict[str, Any]:
+    """The same with how far off the tool is in views that were not fitted, where there are such."""
+    if "pixels" not in said or not isinstance(validation, Observations):
+        return said
+    held = Measurement.of(validation, held=True, anchor=train).pixels
+    if held is None:
+        return said
+    found = held.tool_errors(identified).scatter()
+    return {**said, "pixels": {**said["pixels"], "validation": tool_document(found)}}

@@ -1,0 +1,104 @@
+"""How far the tool is from where a model has it, seen through views that are noisy themselves.
+
+A single view tells the tool's place along its line of sight ten times worse than across it. So what views say is taken apart:
+the noise of a view is what its corners scatter by about the pose that fits them, which owes nothing to the model; what views
+scatter by beyond that is the tool's. Both are normal; their widths are the likeliest (EM), and the errors of single views are
+shrunk by what is noise in them, and then scaled so that together they scatter as the tool does (Louis 1984).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.types import Floats
+
+ROUNDS = 80
+MOST = 400  # views that widths are found from
+SMALLEST_M, SMALLEST_RAD = 1e-8, 1e-8
+GRID = 60
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class ViewScatter:
+    """Standard deviations of a coordinate of the tool: ``place`` m, its 95 % interval, and ``turn`` rad.
+
+    ``sigma_px`` is that of a corner, from within views; ``beyond`` is how much larger the variance between views is than the
+    noise of their corners explains, with ``freedom`` numbers.
+    """
+
+    place: float
+    place_low: float
+    place_high: float
+    turn: float
+    sigma_px: float
+    beyond: float
+    freedom: float
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square distance of the tool."""
+        return float(np.sqrt(3.0) * self.place)
+
+
+def scatter_of(e: Floats, C: Floats, rest: float, numbers: float, used: float = 0.0) -> ViewScatter:
+    """Widths from motions ``e (N, 6)`` with covariances ``C (N, 6, 6)`` for corners of 1 px.
+
+    ``rest`` px² is what poses of their own leave of all corners, in as many ``numbers``; ``used`` numbers went into a model
+    that was fitted to these views.
+    """
+    square = rest / max(numbers, 1.0)
+    whole = float(np.einsum("ni,nij,nj->", e, np.linalg.inv(C), e))
+    freedom = max(6.0 * len(e) - used, 1.0)
+    lost = 6.0 * len(e) / freedom
+    some = slice(None, None, max(1, -(-len(e) // MOST)))
+    e, noise = e[some] * np.sqrt(lost), square * C[some]
+    place, turn = _widths(e, noise)
+    low, high, mean = _interval(e, noise, place, turn)
+    return ViewScatter(
+        mean, low, high, turn, float(np.sqrt(square)), whole / freedom / max(square, 1e-300), freedom
+    )  # fmt: skip
+
+
+def shrunk(e: Floats, C: Floats, found: ViewScatter) -> Floats:
+    """Errors (N, 6) of single views without their noise, that scatter as the tool does."""
+    noise = found.sigma_px**2 * C
+    T = np.diag([max(found.place, SMALLEST_M) ** 2] * 3 + [max(found.turn, SMALLEST_RAD) ** 2] * 3)
+    kept: Floats = (T @ np.linalg.inv(T + noise) @ e[:, :, None])[:, :, 0]
+    for part, width in ((slice(0, 3), found.place), (slice(3, 6), found.turn)):
+        size = float(np.sqrt(np.mean(kept[:, part] ** 2)))
+        kept[:, part] *= width / size if size > 0.0 else 1.0
+    return np.asarray(kept)
+
+
+def _widths(e: Floats, noise: Floats) -> tuple[float, float]:
+    precision = np.linalg.inv(noise)
+    pull = precision @ e[:, :, None]
+    place, turn = (max(float(np.sqrt(np.mean(e[:, k : k + 3] ** 2))), 1e-6) for k in (0, 3))
+    for _ in range(ROUNDS):
+        P = np.linalg.inv(precision + np.diag([place**-2.0] * 3 + [turn**-2.0] * 3))
+        m = (P @ pull)[:, :, 0]
+        second = m**2 + np.diagonal(P, axis1=1, axis2=2)
+        place, turn = (
+            max(float(np.sqrt(second[:, k : k + 3].mean())), least) for k, least in ((0, SMALLEST_M), (3, SMALLEST_RAD))
+        )
+    return place, turn
+
+
+def _interval(e: Floats, noise: Floats, place: float, turn: float) -> tuple[float, float, float]:
+    """The 95 % interval of a coordinate's width, all widths likely before, and the root of its mean square."""
+    spread = float(np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2)[:, :3].min(axis=1))))
+    widths = np.linspace(0.0, 3.0 * place + 2.0 * spread / np.sqrt(len(e)), GRID)
+    logs = np.array([_log_likelihood(e, noise, max(w, SMALLEST_M), turn) for w in widths])
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    total = np.cumsum(weight)
+    low, high = (float(np.interp(p, total, widths)) for p in ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0))
+    return low, high, float(np.sqrt(weight @ widths**2))
+
+
+def _log_likelihood(e: Floats, noise: Floats, place: float, turn: float) -> float:
+    S = noise + np.diag([place**2] * 3 + [turn**2] * 3)
+    return float(-0.5 * (np.linalg.slogdet(S)[1].sum() + np.einsum("ni,nij,nj->", e, np.linalg.inv(S), e)))

@@ -1,0 +1,157 @@
+"""Pixels from the upload to the version: columns, conditions, refusals, and a job that fits them."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import httpx
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from kilter_core.observations import Observations
+from tests.core.pixel_scene import Scene, eye_to_hand
+
+MM = 1e3
+SCENE = eye_to_hand()
+
+
+def described(scene: Scene) -> dict[str, Any]:
+    """Cameras and boards as a campaign names them."""
+    cameras = [
+        {
+            "name": e.name, "mount": e.mount, "width_px": e.size[0], "height_px": e.size[1],
+            "fx_px": e.focal[0], "fy_px": e.focal[1], "cx_px": e.centre[0], "cy_px": e.centre[1],
+            "distortion_model": "brown", "distortion": list(e.distortion),
+        }
+        for e in scene.eyes
+    ]  # fmt: skip
+    boards = [{"name": s.name, "mount": s.mount, "corners_mm": (MM * s.corners).tolist()} for s in scene.sheets]
+    return {"cameras": cameras, "boards": boards}
+
+
+def columns(rows: Observations) -> dict[str, list[Any]]:
+    """Views as they are uploaded; corners that were not seen are empty."""
+    out: dict[str, list[Any]] = {f"q{j + 1}_deg": np.degrees(rows.q[:, j]).tolist() for j in range(6)}
+    for k in range(rows.pixels.shape[1]):
+        for axis, letter in enumerate("uv"):
+            out[f"{letter}{k + 1}_px"] = [None if np.isnan(v) else float(v) for v in rows.pixels[:, k, axis]]
+    return out | {"pose_id": rows.pose_id.tolist()}
+
+
+def csv(table: dict[str, list[Any]]) -> str:
+    """The same as text."""
+    lines = [",".join(table)]
+    lines += [",".join("" if cell is None else str(cell) for cell in row) for row in zip(*table.values(), strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def seen(count: int = 60, seed: int = 1) -> Observations:
+    rng = np.random.default_rng(seed)
+    return SCENE.observed(SCENE.poses(count, rng), rng, 0.1)
+
+
+def campaign(client: httpx.Client, conditions: dict[str, Any], name: str = "views") -> str:
+    client.post("/v1/robots", json=SCENE.drawn.document() | {"name": "watched"})
+    asked = {"name": name, "conditions": conditions, "device": "camera"}
+    return str(client.post("/v1/robots/watched/campaigns", json=asked).raise_for_status().json()["id"])
+
+
+def send(client: httpx.Client, campaign_id: str, text: str) -> httpx.Response:
+    return client.post(
+        f"/v1/campaigns/{campaign_id}/observations", content=text.encode(), headers={"content-type": "text/csv"}
+    )
+
+
+def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -> None:
+    made = campaign(client, described(SCENE))
+    table = columns(seen()) | {"camera": ["cell"] * 60, "board": ["board"] * 60}
+    assert send(client, made, csv(table)).raise_for_status().json()["rows"] == 60
+    assert client.get(f"/v1/campaigns/{made}").json()["conditions"]["cameras"][0]["name"] == "cell"
+    worker.start()
+    options = {"effects": [{"id": "axial_compliance", "joints": [2, 3]}], "masses": "as_stated"}
+    asked = {"kind": "identify", "robot": "watched", "campaigns": [made], "validation": 0.25, "options": options}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    found = client.get(f"/v1/jobs/{job}").json()
+    assert found["state"] == "succeeded", found["error"]
+    result = found["result"]
+    assert result["pixels"]["noise_px"] == pytest.approx(0.1, rel=0.1)
+    assert result["pixels"]["validation"]["rms_mm"] < 0.05
+    assert result["metrics"]["validation"]["identified"]["mean_mm"] < 0.05
+    camera = result["cameras"][0]
+    assert camera["frame"] == "base"
+    place = np.array([camera[f"{k}_mm"] for k in "xyz"])
+    assert np.abs(place - MM * SCENE.eyes[0].pose.translation).max() < 1.0
+    # The version corrects like any other, and predicts views it never saw.
+    path = {f"q{j + 1}_deg": [10.0, 12.0] for j in range(6)} | {"t_s": [0.0, 1.0]}
+    asked = {"version": result["version_id"]}
+    corrected = client.post("/v1/robots/watched/correct", params=asked, json=path).raise_for_status()
+    assert corrected.status_code == 200
+    other = campaign(client, described(SCENE), "others")
+    send(client, other, csv(columns(seen(20, 9)))).raise_for_status()
+    asked = {"kind": "evaluate", "robot": "watched", "campaigns": [other], "options": {"version": result["version_id"]}}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    found = client.get(f"/v1/jobs/{job}").json()
+    assert found["state"] == "succeeded", found["error"]
+    errors = found["result"]["metrics"][other]
+    assert errors["identified"]["mean_mm"] < 0.05 < errors["registration_only"]["mean_mm"]
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "says"),
+    [
+        ({"camera": ["cell", "cell", "door"]}, "camera_unknown", "Row 3, column 'camera' is 'door'"),
+        ({"board": [1, 2, 1]}, "board_unknown", "Row 2, column 'board'"),
+        ({"u1_px": [100.0, 100.0, 2500.0], "v1_px": [100.0] * 3}, "outside_picture", "Row 3, column 'u1_px'"),
+        ({"u2_px": [None] * 3, "v2_px": [5.0, 5.0, 5.0]}, "observations_invalid", "Row 1, column 'u2_px'"),
+        ({"u49_px": [5.0] * 3, "v49_px": [5.0] * 3}, "corner_unknown", "Row 1, column 'u49_px'"),
+        ({"su1_px": [0.1, 0.0, 0.1], "sv1_px": [0.1] * 3}, "observations_invalid", "Row 2, column 'su1_px'"),
+        ({"su50_px": [0.1] * 3, "sv50_px": [0.1] * 3}, "observations_invalid", "'u50_px' is missing"),
+        ({"u3_mm": [0.1] * 3}, "observations_invalid", "has the unit 'mm'"),
+    ],
+)
+def test_odd_views_are_refused_with_their_place(
+    shared_client: httpx.Client, change: dict[str, list[Any]], code: str, says: str
+) -> None:
+    made = campaign(shared_client, described(SCENE), f"odd {says}")
+    refused = send(shared_client, made, csv(columns(seen(3)) | change))
+    assert refused.status_code == 400
+    assert refused.json()["code"] == code
+    assert says in refused.json()["detail"]
+    assert shared_client.get(f"/v1/campaigns/{made}").json()["rows"] == 0
+
+
+def test_views_need_their_cameras(shared_client: httpx.Client) -> None:
+    refused = send(shared_client, campaign(shared_client, {}, "none"), csv(columns(seen(3))))
+    assert refused.json()["code"] == "cameras_missing"
+    two = described(SCENE)
+    two["cameras"] = [two["cameras"][0], two["cameras"][0] | {"name": "door"}]
+    refused = send(shared_client, campaign(shared_client, two, "two"), csv(columns(seen(3))))
+    assert refused.json()["code"] == "cameras_missing"
+    two["cameras"][1]["distortion"] = [0.1]
+    asked = {"name": "odd", "conditions": two}
+    refused = shared_client.post("/v1/robots/watched/campaigns", json=asked)
+    assert refused.json()["code"] == "camera_invalid"
+
+
+def test_names_come_in_json_and_parquet_too(shared_client: httpx.Client) -> None:
+    table = columns(seen(3)) | {"camera": ["cell", "1", "cell"]}
+    made = campaign(shared_client, described(SCENE), "json")
+    address = f"/v1/campaigns/{made}/observations"
+    assert shared_client.post(address, json=table).raise_for_status().json()["rows"] == 3
+    file = io.BytesIO()
+    parquet.write_table(pa.table(table), file)
+    made = campaign(shared_client, described(SCENE), "parquet")
+    sent = shared_client.post(
+        f"/v1/campaigns/{made}/observations", content=file.getvalue(),
+        headers={"content-type": "application/vnd.apache.parquet"},
+    )  # fmt: skip
+    assert sent.raise_for_status().json()["rows"] == 3
+    whole = shared_client.post(
+        "/v1/robots/watched/observations/check", content=csv(table).encode(), headers={"content-type": "text/csv"}
+    )
+    assert whole.status_code in (200, 404)
