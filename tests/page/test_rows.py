@@ -100,7 +100,8 @@ def test_the_file_has_what_was_measured_and_what_is_left(there: Made) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"), [("61", "has no row 61"), ("0", "has no row 0"), ("", "No row is chosen"), ("a", "cannot be read as rows")]
+    ("rows", "said"),
+    [("61", "has no row 61"), ("0", "has no row 0"), ("", "No row is chosen"), ("a", "cannot be read as rows")],
 )
 def test_rows_that_are_not_there_are_refused(there: Made, rows: str, said: str) -> None:
     answer = there.client.get(f"/campaigns/{there.campaign}/rows", params={"rows": rows})
