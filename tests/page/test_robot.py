@@ -134,7 +134,7 @@ def test_what_people_wrote_is_text(there: Made) -> None:
 
 
 def test_the_bundle_is_small() -> None:
-    assert len(gzip.compress((STATIC / hashed("arm.js")).read_bytes(), 9)) <= 150_000
+    assert len(gzip.compress((STATIC / hashed("arm.js")).read_bytes(), 9)) <= 160_000
 
 
 def arm_of(page: Page, robot: str, query: str = "") -> None:
@@ -174,7 +174,8 @@ def test_the_arm_is_drawn_and_follows_its_controls(there: Made, page: Page) -> N
     before = picture(page)
     assert before.std() > 5.0  # not blank
     # Kinematics of the browser and of the core agree but for what the version corrects.
-    assert np.linalg.norm(np.subtract(tool(page), shown["at"][0])) < 5.0
+    worst = np.linalg.norm(errors(there), axis=1).argmax()
+    assert np.linalg.norm(np.subtract(tool(page), shown["at"][worst])) < 5.0
     page.get_by_label("Measured row").fill("7")
     page.get_by_label("Measured row").blur()
     page.get_by_text("drawn at row 7,").wait_for()

@@ -129,6 +129,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}": READ,
     "POST /robots/{robot}/compensation": ADMINISTER,
     "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/pose": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/arm.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/places.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/reach.json": READ_COMPUTED.timed(LATER),

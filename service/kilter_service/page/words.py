@@ -71,6 +71,16 @@ def mm(value: float | None) -> str:
     return f"{number(value)} mm"
 
 
+def within(value: float, low: float | None, high: float | None) -> str:
+    """Write a length in mm with its interval, all three in the unit of the length and to the second digit of the width."""
+    if low is None or high is None or not high > low:
+        return mm(value)
+    unit, scale = ("µm", 1e3) if abs(value) < 0.1 else ("mm", 1.0)
+    decimals = max(1 - math.floor(math.log10(scale * (high - low))), 0)
+    one, first, last = (f"{round(scale * end, decimals) + 0.0:.{decimals}f}" for end in (value, low, high))
+    return f"{one} {unit} ({first} to {last})"
+
+
 def age(moment: datetime | None) -> str:
     """Write how long ago something was."""
     if moment is None:
@@ -126,7 +136,7 @@ def of_joints(numbers: Sequence[int]) -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "age": age, "moment": moment, "percent": percent, "count": count,
+    "number": number, "mm": mm, "within": within, "age": age, "moment": moment, "percent": percent, "count": count,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
     "left_out": left_out,
 }  # fmt: skip

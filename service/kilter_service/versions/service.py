@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from kilter_service.versions.at_pose import AtPose
     from kilter_service.versions.contributions import Contribution
     from kilter_service.versions.places import Places, Reach
     from kilter_service.versions.workspace import Workspace
@@ -112,6 +113,15 @@ def joint_errors(database: Database, version_id: str, campaign: str) -> Floats:
     from kilter_service.versions.joint_space import joint_errors as found  # compiled kernels: not at the start
 
     return found(database, version_id, campaign)
+
+
+def at_pose(
+    database: Database, version_id: str, q: Floats | None, campaign: str, row: int, temperature_c: float | None
+) -> AtPose:
+    """Say where the tool is at a pose, what moves it there, and how well that is known."""
+    from kilter_service.versions.at_pose import at_pose as found  # compiled kernels: not at the start
+
+    return found(database, version_id, q, campaign, row, temperature_c)
 
 
 def workspace(database: Database, version_id: str, temperature_c: float | None) -> Workspace:

@@ -74,8 +74,9 @@ def read(text: str) -> list[int]:
     for part in filter(None, text.split(",")):
         low, _, high = part.partition("-")
         if not (low.isdigit() and (high or low).isdigit()):
-            said = f"{part[:40]!r} cannot be read as rows: write them as 1-3,7."
-            raise ServiceError(said, code="payload_invalid", field="rows")
+            raise ServiceError(
+                f"{part[:40]!r} cannot be read as rows: write them as 1-3,7.", code="payload_invalid", field="rows"
+            )
         first, last = int(low), int(high or low)
         if last - first > 10_000_000:
             raise ServiceError("More than ten million rows: choose fewer.", code="payload_invalid", field="rows")

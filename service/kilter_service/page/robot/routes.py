@@ -15,9 +15,10 @@ from kilter_service.contract.references import RobotChange
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.limits import MAX_MESH_MB
 from kilter_service.meshes import service as meshes
+from kilter_service.page.robot import pose as asked_pose
 from kilter_service.page.robot import scene, service
 from kilter_service.page.route import PageRoute
-from kilter_service.page.shell import render
+from kilter_service.page.shell import is_part, render
 from kilter_service.robots import service as robots
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
@@ -30,10 +31,16 @@ ID = Annotated[str, Query(max_length=64)]
 
 @router.get("/robots/{robot}")
 def overview(
-    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, version: ID = "", campaign: ID = ""
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    version: ID = "",
+    campaign: ID = "",
+    other: ID = "",
 ) -> HTMLResponse:
     """Show how good a robot is, what corrects it, and what to do next."""
-    shown = service.of(database, settings, robot, version or None, campaign or None)
+    shown = service.of(database, settings, robot, version or None, campaign or None, other)
     return render(request, "robot/overview.html", shown=shown)
 
 
@@ -52,6 +59,17 @@ def worst(robot: str, request: Request, database: DatabaseOfApp, version: ID, ca
     scene.check(database, robot, version)
     found = scene.worst(database, version, campaign)
     return render(request, "robot/worst.html", found=found, version=version, campaign=campaign)
+
+
+@router.get("/robots/{robot}/pose")
+def pose(
+    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, version: ID = "", other: ID = "",
+    campaign: ID = "", row: Annotated[int, Query(ge=0, le=10**12)] = 0, q: Annotated[str, Query(max_length=1500)] = "",
+) -> HTMLResponse:  # fmt: skip
+    """Show what one or two versions say of a pose."""
+    found = asked_pose.asked(database, settings, robot, q, (version, other), campaign if row else "", row)
+    template = "robot/pose_part.html" if is_part(request) else "robot/pose.html"
+    return render(request, template, robot=robot, pose=found)
 
 
 @router.get("/robots/{robot}/arm.json")

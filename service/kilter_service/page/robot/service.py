@@ -34,7 +34,9 @@ NEWEST = Page(limit=50)
 
 @dataclass(frozen=True)
 class Shown:
-    """A robot; ``version`` is the active one, ``candidate`` a newer one that is not, ``looked_at`` the one of the picture."""
+    """A robot; ``version`` is the active one, ``candidate`` a newer one that is not, ``looked_at`` the one of the picture,
+    ``other`` the one that is drawn beside it.
+    """
 
     robot: RobotReport
     today: Today
@@ -47,6 +49,7 @@ class Shown:
     campaigns: Sequence[Campaign]
     versions: Sequence[VersionSummary]
     looked_at: VersionSummary | None
+    other: VersionSummary | None
     campaign: Campaign | None
     meshes: Sequence[Mesh]
     suspicious: Sequence[SuspiciousRows]
@@ -72,7 +75,9 @@ class Shown:
         return sum(one.identifiable is False or one.value is None for one in rows)
 
 
-def of(database: Database, settings: Settings, name: str, version: str | None, campaign: str | None) -> Shown:
+def of(
+    database: Database, settings: Settings, name: str, version: str | None, campaign: str | None, other: str = ""
+) -> Shown:
     """Return what the view shows; ``version`` and ``campaign`` are those of the picture, where they were chosen."""
     robot, now = robots.get(database, name), today.of_robot(database, name)
     active = None if robot.active_version is None else versions.get(database, robot.active_version)
@@ -93,6 +98,7 @@ def of(database: Database, settings: Settings, name: str, version: str | None, c
         campaigns=measured,
         versions=made,
         looked_at=looked_at,
+        other=next((one for one in made if one.id == other), None),
         campaign=_campaign(database, measured, looked_at, campaign, now),
         meshes=meshes.listed(database, name).meshes,
         watched=watched(drift.of_robot(database, name)),

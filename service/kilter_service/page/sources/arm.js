@@ -1,7 +1,10 @@
 // The arm in 3-D (page/robot): fetches the chain, the measured places and the workspace, and draws what is asked for.
-import { AmbientLight, AxesHelper, DirectionalLight, GridHelper, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
+import { Box3, PerspectiveCamera, Scene, Sphere, Vector3, WebGLRenderer } from "three";
+import { Address } from "./arm/address.js";
+import { Asked } from "./arm/asked.js";
 import { posed } from "./arm/chain.js";
 import { Looking } from "./arm/camera.js";
+import { furniture } from "./arm/furniture.js";
 import { key } from "./arm/key.js";
 import { Linked } from "./arm/linked.js";
 import { arm, arrows, cloud, mesh, points, release } from "./arm/parts.js";
@@ -19,6 +22,8 @@ class Picture {
     this.scene = new Scene();
     this.parts = {};
     this.data = { places: null, reach: null };
+    this.row = 0; // the measured one whose load and directions hold
+    this.address = new Address();
   }
 
   find(name) {
@@ -38,16 +43,21 @@ class Picture {
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.camera = new PerspectiveCamera(40, 1, this.size / 100, this.size * 30);
     this.camera.up.set(0, 0, 1);
-    this.furnish();
+    const { group, cell } = furniture(this.size);
+    this.scene.add(group);
+    this.find("grid").textContent = `A cell of the grid is ${cell} mm. Axes of the robot's base: x orange, y green, z blue.`;
     this.sliders();
     this.drawArm();
     new ResizeObserver(() => this.fit()).observe(this.canvas.parentElement);
-    this.looking = new Looking(this.camera, this.canvas, new Vector3(0, 0, 0.1 * this.size), 2.6 * this.size, () => this.draw());
+    this.asked = new Asked(this);
+    const { center, radius } = this.around();
+    this.looking = new Looking(this.camera, this.canvas, center, 1.2 * radius / Math.sin((20 * Math.PI) / 180), () => this.looked(), this.address.get("camera"));
     this.listen();
     this.fit();
     const { version, campaign } = this.place.dataset;
     if (version && campaign) await this.loadPlaces(version, campaign);
     else this.say("There are no measured errors to show yet: a version and a campaign are needed.");
+    this.begin();
     this.place.dataset.ready = "yes";
   }
 
@@ -63,14 +73,33 @@ class Picture {
     return segments.reduce((sum, [from, to]) => sum + from.distanceTo(to), flange.distanceTo(tool)) * 0.6 || 500;
   }
 
-  furnish() {
-    const light = new DirectionalLight(0xffffff, 2.2);
-    light.position.set(1, -2, 3);
-    const grid = new GridHelper(4 * this.size, 16, 0x808080, 0x808080);
-    grid.rotation.x = Math.PI / 2;
-    grid.material.transparent = true;
-    grid.material.opacity = 0.35;
-    this.scene.add(new AmbientLight(0xffffff, 1.3), light, grid, new AxesHelper(0.35 * this.size));
+  /** The ball that holds the arm as it is drawn and its base. */
+  around() {
+    const { segments, tool } = posed(this.chain, this.readings);
+    const box = new Box3().setFromPoints([new Vector3(), tool, ...segments.flatMap(([from, to]) => [from, to])]);
+    const ball = box.getBoundingSphere(new Sphere());
+    return { center: ball.center, radius: Math.max(ball.radius, 0.7 * this.size) };
+  }
+
+  looked() {
+    this.draw();
+    this.address.set({ camera: this.looking?.told() ?? null });
+  }
+
+  /** Show what the address says: a pose by its joints, or a measured row; else the worst row. */
+  begin() {
+    const joints = (this.address.get("q") || "").split(",").map(Number);
+    const sizes = this.data.places ? this.left().map(length) : [];
+    const held = this.data.places?.held_out.some(Boolean) ? this.data.places.held_out : sizes.map(() => true);
+    const worst = sizes.reduce((found, size, k) => (held[k] && (found < 0 || size > sizes[found]) ? k : found), -1);
+    if (this.data.places) this.toRow(Number(this.address.get("row")) || this.data.places.row[worst], false);
+    if (joints.length === this.readings.length && joints.every(Number.isFinite)) this.pose(joints);
+    else if (!this.data.places) this.asked.pose(this.readings, 0);
+    const cloud = this.find("cloud");
+    if (this.address.get("cloud")) {
+      cloud.value = this.address.get("cloud");
+      this.workspace();
+    }
   }
 
   show(name, object) {
@@ -98,7 +127,11 @@ class Picture {
       const told = document.createElement("span"); // an output would take the label from the slider
       const slider = Object.assign(document.createElement("input"), { type: "range", min: low, max: high, step: (high - low) / 1000 });
       slider.value = this.readings[k];
-      slider.addEventListener("input", () => this.pose(this.readings.map((value, j) => (j === k ? Number(slider.value) : value))));
+      slider.addEventListener("input", () => {
+        const readings = this.readings.map((value, j) => (j === k ? Number(slider.value) : value));
+        this.pose(readings);
+        this.address.set({ q: readings.map((value) => value.toFixed(3)) });
+      });
       label.append(`${name} `, told, slider);
       return { label, slider, told, unit };
     });
@@ -119,6 +152,7 @@ class Picture {
     this.tell();
     this.drawArm();
     this.draw();
+    this.asked.pose(readings, this.row);
   }
 
   drawArm() {
@@ -128,9 +162,15 @@ class Picture {
   }
 
   listen() {
-    this.find("stage").addEventListener("change", () => this.measured());
-    this.find("scale").addEventListener("input", () => this.errors());
-    this.find("cloud").addEventListener("change", () => this.workspace());
+    this.find("stage").addEventListener("change", () => this.measured(true));
+    this.find("scale").addEventListener("input", () => {
+      this.errors();
+      this.address.set({ scale: this.find("scale").value });
+    });
+    this.find("cloud").addEventListener("change", () => {
+      this.workspace();
+      this.address.set({ cloud: this.find("cloud").value });
+    });
     this.find("to-row").addEventListener("change", (event) => this.toRow(Number(event.target.value)));
     this.place.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => this.looking.go(button.dataset.view)));
   }
@@ -146,14 +186,16 @@ class Picture {
   async loadPlaces(version, campaign) {
     this.data.places = await this.get("places.json", { version, campaign });
     this.linked = this.place.linked = new Linked(this, campaign, version);
-    this.find("to-row").value = this.data.places.row[0];
-    this.toRow(this.data.places.row[0]);
+    this.find("stage").value = this.address.get("stage") || "identified";
     this.measured();
   }
 
-  toRow(row) {
+  toRow(row, noted = true) {
     const k = this.data.places?.row.indexOf(row) ?? -1;
     if (k < 0) return this.say(`Row ${row} is not among those shown.`);
+    this.row = row;
+    this.find("to-row").value = row;
+    if (noted) this.address.set({ row, q: null });
     this.pose(this.data.places.q[k]);
     return this.say(`The arm is drawn at row ${row}, where ${STAGES[this.find("stage").value]} is wrong by ${mm(length(this.left()[k]))}.`);
   }
@@ -162,7 +204,7 @@ class Picture {
     return this.data.places.left[this.find("stage").value];
   }
 
-  measured() {
+  measured(chosen = false) {
     if (!this.data.places) return;
     const { at, held_out: held, set_aside: aside, row, total } = this.data.places;
     const left = this.left();
@@ -174,7 +216,8 @@ class Picture {
     const sizes = left.map(length);
     const wanted = (SHARE * 2 * this.size) / (quantile(sizes, 0.95) || 1);
     const times = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((one) => one <= wanted).pop() ?? 1;
-    this.find("scale").value = Math.log10(times);
+    if (chosen) this.address.set({ stage: this.find("stage").value, scale: null });
+    this.find("scale").value = this.address.get("scale") ?? Math.log10(times);
     this.errors();
     const some = row.length < total ? `${row.length} of ${total} rows are shown, the worst and the outermost among them` : `${total} rows`;
     const mean = sizes.reduce((sum, size) => sum + size, 0) / sizes.length;

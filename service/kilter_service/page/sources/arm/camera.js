@@ -7,7 +7,7 @@ const KEYS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown:
 const SIDES = { front: [1, 0, 0.05], side: [0, -1, 0.05], top: [0.001, 0, 1], start: [1, -1.1, 0.6] };
 
 export class Looking {
-  constructor(camera, canvas, centre, distance, changed) {
+  constructor(camera, canvas, centre, distance, changed, told = null) {
     this.camera = camera;
     this.distance = distance;
     this.controls = new OrbitControls(camera, canvas);
@@ -18,7 +18,15 @@ export class Looking {
       event.preventDefault();
       this.go(KEYS[event.key]);
     });
-    this.go("start");
+    const from = (told || "").split(",").map(Number);
+    if (from.length === 3 && from.every(Number.isFinite)) camera.position.copy(centre).add(new Vector3(...from));
+    else this.go("start");
+    this.controls.update();
+  }
+
+  /** From where the arm is looked at, mm from what is in the middle. */
+  told() {
+    return this.camera.position.clone().sub(this.controls.target).toArray().map(Math.round);
   }
 
   /** Whether dragging is for something else now. */

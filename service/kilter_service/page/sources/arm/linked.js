@@ -32,7 +32,14 @@ export class Linked {
 
   listen() {
     const { places } = this.picture.data;
-    Object.values(this.selects).forEach((select) => select.addEventListener("change", () => this.redraw()));
+    for (const [name, select] of Object.entries(this.selects)) {
+      const told = this.picture.address.get(name);
+      if ([...select.options].some(({ value }) => value === told)) select.value = told;
+      select.addEventListener("change", () => {
+        this.picture.address.set({ [name]: select.selectedIndex ? select.value : null });
+        this.redraw();
+      });
+    }
     this.boxing.addEventListener("click", () => this.boxing.setAttribute("aria-pressed", String(!this.boxed())));
     const shared = {
       hover: (k, event) => (k < 0 ? window.kilter.rows.leave() : window.kilter.rows.point(this.campaign, places.row[k], event.clientX, event.clientY)),

@@ -13,7 +13,7 @@ export function colourOf(share) {
   return STOPS[first].map((value, k) => Math.round(value + (place - first) * (STOPS[first + 1][k] - value)));
 }
 
-function rod(from, to, radius, material) {
+export function rod(from, to, radius, material) {
   const length = from.distanceTo(to);
   const mesh = new Mesh(new CylinderGeometry(radius, radius, Math.max(length, 0.1), 20), material);
   mesh.position.copy(from).add(to).multiplyScalar(0.5);

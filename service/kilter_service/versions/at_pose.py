@@ -1,0 +1,142 @@
+"""What a version says of one pose: where the tool is, what moves it, effect by effect, and how well that is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.stream_messages import Status
+from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.correction_limits import options_of
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.tables.assemble import with_default_load
+from kilter_service.versions import store
+
+if TYPE_CHECKING:
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something that moves the tool: by how much, ``size`` m, with the ends of its 95 % interval; None: not known."""
+
+    name: str
+    size: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class AtPose:
+    """A pose ``q (n,)``, rad or m. ``tool (3,)`` m is where a version has the tool, ``moved (3,)`` m how far that is from where
+    the nominal robot expects it, both in the frame of the robot's base; ``sigma`` m the standard deviation of the tool in the
+    worst direction, None where nothing is known of it. ``status`` is the correction's verdict; ``missing`` are the effects
+    whose columns the pose lacks.
+    """
+
+    q: Floats
+    tool: Floats
+    moved: Floats
+    status: str
+    parts: tuple[Part, ...]
+    missing: tuple[str, ...]
+    sigma: float | None
+
+
+def at_pose(
+    database: Database, version: str, q: Floats | None, campaign: str, row: int, temperature_c: float | None
+) -> AtPose:
+    """Look at joints ``q``, by default those of a measured row; its load, temperature and directions hold either way.
+
+    Raises:
+        ServiceError: no such version, campaign or row, or joints of another arm.
+
+    """
+    with database.reading() as session:
+        limits = CorrectionLimits(**store.get(session, version).limits)
+        calibration, known = store.calibration(session, version), store.known(session, version)
+        rows = _rows(session, calibration, q, campaign, row)
+    return _looked_at(calibration, known, rows, limits, temperature_c)
+
+
+def _rows(session: Session, calibration: Calibration, q: Floats | None, campaign: str, row: int) -> Observations:
+    from kilter_core.observations import Observations
+
+    n = calibration.robot.n_joints
+    if q is not None and len(q) != n:
+        raise ServiceError(f"The arm has {n} joints, not {len(q)}: give one number for each.", code="payload_invalid")
+    if not campaign:
+        there = np.zeros(n) if q is None else q
+        return with_default_load(Observations(q=there[None, :]), calibration.robot)
+    whole = campaigns.observations(session, campaign, calibration.robot)
+    if not 1 <= row <= len(whole):
+        raise ServiceError(f"The campaign has no row {row}: choose one from 1 to {len(whole)}.", code="payload_invalid")
+    one = whole.select(np.array([row - 1]))
+    kept = {name: getattr(one, name) for name in ("payload_kg", "payload_com", "temperature_c", "direction")}
+    return Observations(q=one.q if q is None else q[None, :], **kept)
+
+
+def _looked_at(
+    calibration: Calibration,
+    known: Predictive | None,
+    rows: Observations,
+    limits: CorrectionLimits,
+    temperature_c: float | None,
+) -> AtPose:
+    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start
+    from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
+    from kilter_core.transforms import inverse
+
+    arm, wanted = acting(calibration, rows), calibration.wanted()
+    to_base = inverse(np.asarray(wanted.model.T_base))
+    tool, expected = arm.predict(rows).position[0], wanted.predict(rows).position[0]
+    done = correct_trajectory(arm, rows, options_of(limits, temperature_c))
+    there = {effect.id for effect in arm.model.effects}
+    missing = [one.id for one in calibration.model.effects if one.stage != "measurement" and one.id not in there]
+    sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / QUANTILE
+    return AtPose(
+        rows.q[0], to_base[:3, :3] @ tool + to_base[:3, 3], to_base[:3, :3] @ (tool - expected),
+        Status(int(done.status[0])).name, tuple(_parts(arm, known, rows, expected)), tuple(dict.fromkeys(missing)), sigma,
+    )  # fmt: skip
+
+
+def _parts(arm: Calibration, known: Predictive | None, rows: Observations, expected: Floats) -> Iterator[Part]:
+    """What geometry and each effect move the tool by, the geometry first, then the largest."""
+    model = arm.model
+    rigid = arm.with_effects([]).predict(rows).position[0] - expected
+    # With the base: what a first link does a base does too, so either alone is hardly known, and both together are.
+    yield _part("geometry", rigid, arm, known, rows, range(model.n_geometric))
+    slices = model.effect_slices()
+    moved = model.contribution(rows, arm.values)
+    for key, shift in sorted(moved.items(), key=lambda one: -float(np.linalg.norm(one[1][0]))):
+        where = slices[key]
+        yield _part(key.partition("#")[0], shift[0], arm, known, rows, range(where.start, where.stop))
+
+
+def _part(
+    name: str, shift: Floats, arm: Calibration, known: Predictive | None, rows: Observations, own: Sequence[int]
+) -> Part:
+    """The size of a movement with its 95 % interval along itself, by the covariance of the parameters that make it."""
+    from kilter_core.identify.uncertainty.predictive import QUANTILE
+
+    size = float(np.linalg.norm(shift))
+    free = [k for k in own if known is not None and arm.names[k] in known.names]
+    if known is None or not free or size == 0.0:
+        return Part(name, size, None, None)
+    place = [known.names.index(arm.names[k]) for k in free]
+    jacobian = arm.model.jacobian(rows, arm.values, np.array(free, dtype=np.int64), False)[1][0, :3]
+    along = np.asarray((shift / size) @ jacobian)
+    variance = float(np.einsum("i,ij,j", along, known.covariance[np.ix_(place, place)], along))
+    half = QUANTILE * math.sqrt(max(variance, 0.0))
+    return Part(name, size, size - half, size + half)
