@@ -25,22 +25,36 @@ SHOWN_TIMES = 20_000
 
 
 class Request(NamedTuple):
-    """A request of the controller: its time stamp, its joints (n,) rad or None, and how many answers it missed itself."""
+    """A request of the controller: its time stamp, its joints (n,) rad or None, and how many answers it missed itself.
+
+    ``moving``: it carries answers out. ``clock``: a second stamp, to be echoed.
+    """
 
     stamp: int
     joints: tuple[float, ...] | None
     missed: int | None = None
+    moving: bool = True
+    clock: int = 0
 
 
 class Wire(Protocol):
     """The messages of a controller."""
 
+    @property
+    def counts(self) -> Counter[str]:
+        """What was not followed, by its name."""
+        ...
+
     def read(self, data: bytes) -> Request | None:
         """Return a request; None when the bytes are none."""
         ...
 
+    def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
+        """Return the wanted joints (n,) rad, ``cycles`` after the last ones; ``fresh``: the controller begins."""
+        ...
+
     def answer(self, request: Request, offset: Sequence[float]) -> bytes:
-        """Return the answer that offsets (n,) rad make."""
+        """Return the answer that offsets (n,) rad make; nothing where there is none."""
         ...
 
 
@@ -131,11 +145,17 @@ class Loop:
             return
         if not self._admits(sender, request.stamp, began_s):
             return
-        cycles = max(1, round((began_s - self._heard_s) / self._cycle_s)) if self._stamp >= 0 else 1
+        fresh = self._stamp < 0 or not request.moving
+        cycles = 1 if fresh else max(1, round((began_s - self._heard_s) / self._cycle_s))
         self.counts["lost"] += cycles - 1
         self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
-        offset = self._correction.step(request.joints, cycles)
-        self._port.sendto(self._wire.answer(request, offset), sender)
+        wanted = self._wire.wanted(request, cycles, fresh)
+        if not request.moving:
+            self._correction.begin()
+        offset = self._correction.step(wanted, cycles) if request.moving else self._correction.offset
+        answer = self._wire.answer(request, offset)
+        if answer:
+            self._port.sendto(answer, sender)
         took_s = time.monotonic() - began_s
         self.counts["answered"] += 1
         self.counts["late"] += took_s > self._cycle_s
@@ -180,7 +200,7 @@ class Loop:
             told |= {"state": waits, "why": BEFORE if waits == "refusing" else told["why"]}
         return told | {
             "controller": None if self._controller is None else "{}:{}".format(*self._controller),
-            "counts": dict(self.counts),
+            "counts": dict(self.counts + self._wire.counts),
             "controller_missed": self._missed,
             "answer_us": {
                 name: round(1e6 * times[min(len(times) - 1, int(part * len(times)))], 1) if times else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from enum import StrEnum
 
@@ -34,6 +35,7 @@ class RsiWire:
         self._signs, self._source = tuple(signs), source
         self._element = re.compile(rb"<" + source.value.encode() + rb"\s([^>]*)>")
         self._answered = (0.0,) * len(self._signs)
+        self.counts: Counter[str] = Counter()
 
     def read(self, data: bytes) -> Request | None:
         """Return a request; None without an IPOC, which an answer must have."""
@@ -56,6 +58,10 @@ class RsiWire:
         if self._source is From.ACTUAL:
             q = tuple(a - b for a, b in zip(q, self._answered, strict=True))
         return q
+
+    def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
+        """Return the joints of the message: the controller has its own plan."""
+        return request.joints
 
     def answer(self, request: Request, offset: Sequence[float]) -> bytes:
         """Return the answer: AK in deg, of axes beyond the robot's joints zero."""

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kilter_client.bridges.egm import AXES as EGM_AXES
+from kilter_client.bridges.egm import EgmWire
+from kilter_client.bridges.plan import Setpoints, planned
 from kilter_client.bridges.rsi import AXES, From, RsiWire
 from kilter_client.cli.arguments import Json, Robot
 from kilter_client.cli.groups import Group
@@ -39,6 +44,20 @@ GoneAfter = Annotated[
     ),
 ]
 Publish = Annotated[str, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to publish the state on; port 0: any.")]
+PathFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--path",
+        help="Table of setpoints (t_s, q1_deg, ...): played when the controller begins.",
+        exists=True,
+        dir_okay=False,
+    ),
+]
+SetpointsPort = Annotated[
+    int | None,
+    typer.Option(min=1, max=65535, help="UDP port of this machine to which a planner sends setpoints."),
+]
+Speed = Annotated[float, typer.Option(min=0.1, max=500.0, help="Setpoints that move faster are not followed, deg/s.")]
 
 bridge = typer.Typer(
     help="Correct an arm from a process between its controller and its drives.",
@@ -78,6 +97,38 @@ def rsi(
     start = running.prepared(robot, "rsi", version, force, as_json, publish)
     wire = RsiWire(running.signs_of(signs, start.joints, AXES), joints_from)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
+    emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
+
+
+@bridge.command(epilog="Example: kilter bridge egm cell7 --listen 192.168.1.10 --setpoints-port 6600")
+def egm(
+    robot: Robot,
+    path: PathFile = None,
+    setpoints_port: SetpointsPort = None,
+    listen: Listen = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="UDP port that the controller sends to; 0: any.")] = 6510,
+    cycle_ms: Annotated[float, typer.Option(min=1.0, max=100.0, help="Cycle of the controller, ms.")] = 4.0,
+    speed_deg_s: Speed = 30.0,
+    signs: Signs = None,
+    version: Version = None,
+    largest_deg: Largest = 1.0,
+    rate_deg_s: Rate = 5.0,
+    ramp_s: Ramp = 2.0,
+    gone_after_s: GoneAfter = 2.0,
+    publish: Publish = "tcp/127.0.0.1:0",
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Guide an ABB controller (Externally Guided Motion, joints) along corrected setpoints: protobuf over UDP.
+
+    The setpoints come from a file, or from a planner. Ctrl-C fades the offsets out and ends; a second one ends at once.
+    """
+    running = _needed()
+    start = running.prepared(robot, "egm", version, force, as_json, publish)
+    bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
+    plan = planned(path, setpoints_port, start.joints)
+    setpoints = Setpoints(plan, math.radians(speed_deg_s), bounds.cycle_s)
+    wire = EgmWire(running.signs_of(signs, start.joints, EGM_AXES), setpoints)
     emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
 
 

@@ -1,0 +1,70 @@
+"""ABB Externally Guided Motion: protobuf over UDP. The controller asks; the answer echoes its number and has whole joints, deg.
+
+Joint guidance (``EGMRunJoint``): the controller has no plan of its own and goes where it is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from kilter_client.bridges import protobuf
+from kilter_client.bridges.loop import Request, radians
+from kilter_client.bridges.plan import Setpoints
+
+PORT = 6510
+AXES = 6
+HEADER, FEEDBACK, PLANNED, MCI = 1, 2, 2, 5  # fields of EgmRobot, and of EgmSensor: header and planned
+JOINTS, SEQUENCE, TIME, KIND, STATE = 1, 1, 2, 3, 1
+CORRECTION, RUNNING = 3, 3  # kind of a message; state of the motion
+
+
+class EgmWire:
+    """Messages for an arm of ``signs`` (n,): +1 where an axis has the direction of the robot's joint, -1 where the opposite."""
+
+    def __init__(self, signs: Sequence[float], setpoints: Setpoints) -> None:
+        self._signs, self._setpoints = tuple(signs), setpoints
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What of the plan was not followed."""
+        return self._setpoints.counts
+
+    def read(self, data: bytes) -> Request | None:
+        """Return a request; None when it is not the message of a robot."""
+        try:
+            header = protobuf.message_of(data, HEADER)
+            stamp = None if header is None else protobuf.number_of(header, SEQUENCE)
+            if header is None or stamp is None:
+                return None
+            state = protobuf.message_of(data, MCI)
+            moving = state is None or protobuf.number_of(state, STATE) == RUNNING
+            return Request(stamp, self._joints(data), None, moving, protobuf.number_of(header, TIME) or 0)
+        except ValueError:
+            return None
+
+    def _joints(self, data: bytes) -> tuple[float, ...] | None:
+        joints = protobuf.message_of(data, FEEDBACK, JOINTS)
+        degrees = [] if joints is None else protobuf.doubles_of(joints, JOINTS)
+        good = len(degrees) == len(self._signs) and all(map(math.isfinite, degrees))
+        return radians(degrees, self._signs) if good else None
+
+    def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
+        """Return the setpoint: of the plan, and where the arm stands when the controller begins."""
+        return self._setpoints.begin(request.joints) if fresh else self._setpoints.step(cycles)
+
+    def answer(self, request: Request, offset: Sequence[float]) -> bytes:
+        """Return the answer; nothing before it is known where the arm stands."""
+        if self._setpoints.at is None:
+            return b""
+        degrees = [
+            math.degrees(sign * (q + one)) for sign, q, one in zip(self._signs, self._setpoints.at, offset, strict=True)
+        ]
+        header = (
+            protobuf.number(SEQUENCE, request.stamp)
+            + protobuf.number(TIME, request.clock)
+            + protobuf.number(KIND, CORRECTION)
+        )
+        joints = protobuf.message(JOINTS, protobuf.doubles(JOINTS, degrees))
+        return protobuf.message(HEADER, header) + protobuf.message(PLANNED, joints)

@@ -1,0 +1,190 @@
+"""Where the wanted joints come from where a controller has no plan of its own: from a file, or from a planner over UDP.
+
+A bridge that answers whole joints must never answer a jump: a setpoint is followed no faster than the speed allows, and one
+that is far from the last one is not followed at all.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import socket
+import struct
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from kilter_client.errors import FileError, UsageError
+from kilter_client.frames import HEADER, MAGIC, POINT
+
+MOST_WAITING = 64
+FAR_S = 0.1  # of motion at the highest speed: a setpoint beyond that is not on the way of this arm
+
+
+class Plan(Protocol):
+    """Setpoints (n,) rad of the robot's joints."""
+
+    counts: Counter[str]
+
+    def begin(self) -> None:
+        """The controller has begun."""
+        ...
+
+    def next(self, step_s: float) -> Sequence[float] | None:
+        """Return the setpoint ``step_s`` after the last one; None where nothing new is planned."""
+        ...
+
+
+class Table:
+    """The rows of a table, from the first one on when the controller begins; between rows on a straight line."""
+
+    def __init__(self, times_s: Sequence[float], rows: Sequence[Sequence[float]]) -> None:
+        self.counts: Counter[str] = Counter()
+        self._times_s, self._rows = times_s, rows
+        self._row, self._now_s = 0, times_s[0]
+
+    def begin(self) -> None:
+        """Begin at the first row."""
+        self._row, self._now_s = 0, self._times_s[0]
+
+    def next(self, step_s: float) -> Sequence[float] | None:
+        """Return the setpoint after a step; the first call, and those behind the end, return the first and last row."""
+        times, row = self._times_s, self._row
+        while row + 2 < len(times) and times[row + 1] <= self._now_s:
+            row += 1
+        self._row = row
+        share = min(1.0, max(0.0, (self._now_s - times[row]) / (times[row + 1] - times[row])))
+        self._now_s += step_s
+        return [a + share * (b - a) for a, b in zip(self._rows[row], self._rows[row + 1], strict=True)]
+
+
+def read_table(path: Path, joints: int) -> Table:
+    """Read a table ``t_s,q1_deg,...`` (CSV).
+
+    Raises:
+        FileError: a column or a number is missing, or the time does not grow.
+
+    """
+    names = ["t_s", *(f"q{k}_deg" for k in range(1, joints + 1))]
+    times: list[float] = []
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for line, row in enumerate(csv.DictReader(file), 2):
+                numbers = [float(row[name]) for name in names]
+                if not all(map(math.isfinite, numbers)) or (times and numbers[0] <= times[-1]):
+                    raise FileError(f"{path}, line {line}: a number is not finite, or t_s does not grow.", line=line)
+                times.append(numbers[0])
+                rows.append([math.radians(value) for value in numbers[1:]])
+    except (OSError, UnicodeError) as error:
+        raise FileError(f"{path} cannot be read: {error}") from error
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        said = f"{path}: a column or a number is missing ({error})"
+        raise FileError(f"{said}: give t_s and q1_deg to q{joints}_deg in every row.") from error
+    if len(rows) < 2:
+        raise FileError(f"{path} has fewer than two rows.")
+    return Table(times, rows)
+
+
+class Heard:
+    """Setpoints that a planner sends over UDP, as messages of the stream (kind point); the newest counts."""
+
+    def __init__(self, port: socket.socket, joints: int) -> None:
+        self.counts: Counter[str] = Counter()
+        self._port, self._joints, self._seq = port, joints, -1
+        self._layout = struct.Struct(f"<{joints}d")
+        port.setblocking(False)
+
+    def begin(self) -> None:
+        """Forget what came before the controller began."""
+        self._newest()
+        self._seq = -1
+
+    def next(self, step_s: float) -> Sequence[float] | None:
+        """Return the newest setpoint that has come; None where none has."""
+        return self._newest()
+
+    def _newest(self) -> tuple[float, ...] | None:
+        found = None
+        for _ in range(MOST_WAITING):
+            try:
+                data = self._port.recv(2048)
+            except (BlockingIOError, ConnectionError):
+                break
+            found = self._read(data) or found
+        return found
+
+    def _read(self, data: bytes) -> tuple[float, ...] | None:
+        """A setpoint that is newer than the last; None for anything else, which is counted."""
+        if len(data) != HEADER.size + self._layout.size:
+            self.counts["plan_malformed"] += 1
+            return None
+        magic, kind, joints, _, seq, *_ = HEADER.unpack_from(data)
+        q = self._layout.unpack_from(data, HEADER.size)
+        if magic != MAGIC or kind != POINT or joints != self._joints or not all(map(math.isfinite, q)):
+            self.counts["plan_malformed"] += 1
+            return None
+        if seq <= self._seq:
+            self.counts["plan_old"] += 1
+            return None
+        self._seq = seq
+        return q
+
+
+class Setpoints:
+    """The setpoints that are followed: those of a plan, from where the arm stands, and no faster than ``speed_rad_s``."""
+
+    def __init__(self, plan: Plan, speed_rad_s: float, cycle_s: float) -> None:
+        self._plan, self._speed, self._cycle_s = plan, speed_rad_s, cycle_s
+        self.at: tuple[float, ...] | None = None
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What was not followed."""
+        return self._plan.counts
+
+    def begin(self, q: Sequence[float] | None) -> tuple[float, ...] | None:
+        """Begin where the arm stands (n,) rad; None: nobody knows where that is."""
+        self._plan.begin()
+        self.at = None if q is None else tuple(q)
+        return self.at
+
+    def step(self, cycles: int) -> tuple[float, ...] | None:
+        """Return the setpoint (n,) rad after so many cycles; the last one where the next cannot be followed."""
+        step_s = cycles * self._cycle_s
+        wanted = self._plan.next(step_s)
+        if wanted is None or self.at is None:
+            return self.at
+        gaps = [new - old for new, old in zip(wanted, self.at, strict=True)]
+        farthest, most = max(map(abs, gaps)), self._speed * step_s
+        if farthest > max(most, self._speed * FAR_S):
+            self.counts["plan_too_far"] += 1
+            return self.at
+        if farthest > most:
+            self.counts["plan_slowed"] += 1
+            self.at = tuple(old + gap * most / farthest for old, gap in zip(self.at, gaps, strict=True))
+        else:
+            self.at = tuple(wanted)
+        return self.at
+
+
+def planned(path: Path | None, port: int | None, joints: int) -> Plan:
+    """Make the plan of a bridge: of a file, or of a UDP port of this machine.
+
+    Raises:
+        UsageError: both or none is given, or the port cannot be had.
+
+    """
+    if (path is None) == (port is None):
+        raise UsageError("Say where setpoints come from: --path FILE, or --setpoints-port PORT.")
+    if path is not None:
+        return read_table(path, joints)
+    assert port is not None
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        udp.bind(("127.0.0.1", port))
+    except OSError as error:
+        udp.close()
+        raise UsageError(f"UDP port {port} cannot be had for setpoints: {error}.") from error
+    return Heard(udp, joints)
