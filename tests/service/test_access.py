@@ -37,7 +37,7 @@ NEEDED = {
         GET /v1/robots/{robot}/meshes/{link} GET /v1/campaigns/{campaign} GET /v1/jobs
         GET /v1/jobs/{job} GET /v1/jobs/{job}/events GET /v1/versions/{version} GET /v1/resolve GET /v1/tombstones
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals
-        GET /v1/campaigns/{campaign}/suspicious
+        GET /v1/campaigns/{campaign}/suspicious GET /v1/campaigns/{campaign}/observations
         GET /v1/robots/{robot}/urdf-shapes
         GET /v1/versions/{version}/export GET /metrics GET /v1/fleet-jobs GET /v1/fleet-jobs/{fleet_job}
         GET /v1/instruments""",
@@ -132,7 +132,9 @@ def looked_up(route: str) -> str:
     """Robot to ask about: what computes for long is asked about a version that does not exist."""
     return (
         "nobody"
-        if any(word in route for word in ("/preview", "/diff/", "/residuals", "/suspicious", "/export"))
+        if any(
+            word in route for word in ("/preview", "/diff/", "/residuals", "/suspicious", "/export", "/observations")
+        )
         else OWN
     )
 

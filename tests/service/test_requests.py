@@ -38,7 +38,7 @@ OPEN = {
     "GET /v1/versions/{version}",
     "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/export",
     "GET /v1/versions/{version}/residuals", "GET /v1/resolve", "GET /v1/tombstones",
-    "GET /v1/campaigns/{campaign}/suspicious",
+    "GET /v1/campaigns/{campaign}/suspicious", "GET /v1/campaigns/{campaign}/observations",
     "GET /v1/versions/{version}/preview", "GET /v1/whoami", "GET /metrics",
 }  # fmt: skip
 POINTS = [{"known_mm": [k, k * k, 0], "measured_mm": [k, k * k, 5]} for k in range(4)]

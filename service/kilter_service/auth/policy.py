@@ -63,6 +63,7 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots/{robot}/meshes/{link}": READ,
     "GET /v1/campaigns/{campaign}": READ,
     "GET /v1/campaigns/{campaign}/suspicious": READ_COMPUTED.timed(LATER),
+    "GET /v1/campaigns/{campaign}/observations": READ_COMPUTED.timed(LATER),
     "GET /v1/jobs": READ,
     "GET /v1/jobs/{job}": READ,
     "GET /v1/jobs/{job}/events": READ,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
@@ -63,6 +65,22 @@ async def check(robot: str, request: Request, database: DatabaseOfApp, settings:
 def get(campaign: str, database: DatabaseOfApp) -> Campaign:
     """Show a campaign and its uploads."""
     return service.get(database, campaign)
+
+
+@router.get(
+    "/campaigns/{campaign}/observations",
+    response_class=Response,
+    responses={200: {"content": {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}}},
+)
+def observations(
+    campaign: str,
+    database: DatabaseOfApp,
+    format: Literal["csv", "parquet", "json"] = "csv",  # noqa: A002 (the name of the export's parameter)
+) -> Response:
+    """Download the rows of a campaign with the columns in which they were uploaded."""
+    media = {"csv": reading.CSV, "parquet": reading.PARQUET, "json": reading.JSON}[format]
+    headers = {"Content-Disposition": f'attachment; filename="{campaign}.{format}"'}
+    return Response(service.rows(database, campaign, media), media_type=media, headers=headers)
 
 
 @router.post("/campaigns/{campaign}/commit")

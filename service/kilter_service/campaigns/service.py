@@ -30,6 +30,7 @@ from kilter_service.tables import reading
 from kilter_service.tables.columns import has, read_columns
 from kilter_service.tables.names import Names
 from kilter_service.tables.views import rig_of
+from kilter_service.tables.writing import write_table
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -81,6 +82,19 @@ def get(database: Database, campaign_id: str) -> Campaign:
     """Return a campaign."""
     with database.reading() as session:
         return shown(session, campaign_id)
+
+
+def rows(database: Database, campaign_id: str, media: str) -> bytes:
+    """Return the rows of a campaign as they were uploaded, as CSV, Parquet or JSON.
+
+    Raises:
+        ObservationError: nothing was uploaded yet.
+
+    """
+    with database.reading() as session:
+        shown(session, campaign_id)
+        table = store.table(session, campaign_id)
+    return write_table(table, media)
 
 
 def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:

@@ -164,6 +164,10 @@ class Campaigns(Kept):
         """Return a campaign and its uploads."""
         return self._run(campaigns.one(campaign, robot))
 
+    def rows(self, campaign: str, form: str = "csv", robot: str | None = None) -> bytes:
+        """Return the rows of a campaign as a file (csv, parquet, json), with the columns of their upload."""
+        return self._run(campaigns.rows(campaign, form, robot))
+
     def suspicious(self, campaign: str, robot: str | None = None) -> Document:
         """Return the rows of a campaign that look wrong, and who says so."""
         return self._run(campaigns.suspicious(campaign, robot))

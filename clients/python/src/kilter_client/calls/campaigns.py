@@ -55,6 +55,13 @@ def suspicious(campaign: str, robot: str | None = None) -> Steps[Document]:
     return (yield from get(path))
 
 
+def rows(campaign: str, form: str, robot: str | None = None) -> Steps[bytes]:
+    """Return the rows of a campaign as a file."""
+    path = yield from place("campaign", campaign, robot, "observations")
+    answer = yield from answer_of(Request("GET", path, params={"format": form}))
+    return answer.content
+
+
 def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str | None = None) -> Steps[Document]:
     """Send observations."""
     path = yield from place("campaign", campaign, robot, "observations")

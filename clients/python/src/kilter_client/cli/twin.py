@@ -1,0 +1,120 @@
+"""``kilter twin compare``: how far anybody's model of MuJoCo is from measured poses, beside the models of the server."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import Json, split_names
+from kilter_client.cli.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.progress import job_bar
+from kilter_client.cli.references import OfRobot, resolved, resolved_options
+from kilter_client.cli.tables import show_rows
+from kilter_client.errors import UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+group = typer.Typer(
+    help="Score a simulator's model on measured poses.", rich_markup_mode=None, no_args_is_help=True
+)  # fmt: skip
+MODELS = {"nominal": "registration_only", "identified": "identified"}
+MEASURES = ("mean_mm", "rms_mm", "p95_mm", "max_mm")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.add_typer(group, name="twin")
+    group.callback()(_nothing)  # a group with one command is still a group
+
+
+def _nothing() -> None:
+    """Score a simulator's model on measured poses."""
+
+
+@group.command(epilog="Example: kilter twin compare so101.xml held-out --robot my-arm")
+def compare(
+    model: Annotated[
+        Path, typer.Argument(help="An MJCF file.", metavar="MODEL", show_default=False, exists=True, dir_okay=False)
+    ],
+    campaign: Annotated[
+        str, typer.Argument(help="Measured poses: id, name or `latest`.", metavar="CAMPAIGN", show_default=False)
+    ],
+    version: Annotated[
+        str | None, typer.Option(help="The version beside it; left out: the active one, else the nominal robot.")
+    ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option(metavar="A,B,C", help="The model's joints in the robot's order; left out: as the robot's."),
+    ] = None,
+    site: Annotated[str, typer.Option(help="The model's site at the tool.")] = "tool",
+    payload_body: Annotated[str, typer.Option(help="The model's body whose mass is the payload.")] = "payload",
+    step_ms: Annotated[float | None, typer.Option(help="Time step; left out: the model's.", min=0.01, max=20.0)] = None,
+    rows: Annotated[int, typer.Option(help="Rows to settle at most, evenly chosen.", min=6, max=5000)] = 200,
+    robot: OfRobot = None,
+    as_json: Json = False,
+) -> None:
+    """Score a model on measured poses, settled, beside the nominal and the identified arm; base and tool fitted for each."""
+    from kilter_client.settled import Settings, errors_of, loaded, rows_of
+
+    found = loaded(model)
+    with Kilter() as kilter:
+        used = resolved(kilter, "campaign", campaign, robot, as_json)
+        known = kilter.campaigns.get(used)
+        of = kilter.robots.get(known["robot"])
+        measured = rows_of(kilter.campaigns.rows(used), len(of["joints"]), known.get("conditions") or {}, rows)
+        job = _evaluated(kilter, known["robot"], used, version, as_json)
+    names = split_names(joints) or [joint["name"] for joint in of["joints"]]
+    if len(names) != len(of["joints"]):
+        raise UsageError(f"--joints names {len(names)} joints, robot {known['robot']} has {len(of['joints'])}.")
+    settings = Settings(names, site, payload_body, None if step_ms is None else step_ms * 1e-3)
+    apart = errors_of(found, measured, settings, model)
+    emit(_document(model, used, job, apart), as_json, _show)
+
+
+def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, as_json: bool) -> dict[str, Any]:
+    options = resolved_options(kilter, {} if version is None else {"version": version}, robot, as_json)
+    job = kilter.jobs.submit("evaluate", robot, [campaign], None, options | {"refit": ["base", "tool"]}, [], "")
+    with on_interrupt(partial(job_goes_on, job["id"])), job_bar("evaluate", as_json) as progress:
+        done: dict[str, Any] = kilter.jobs.wait(job["id"], progress)
+    return done
+
+
+def _document(model: Path, campaign: str, job: Mapping[str, Any], apart: NDArray[np.float64]) -> dict[str, Any]:
+    import numpy as np
+
+    result = job["result"]
+    errors = result["metrics"][campaign]
+    mm = apart * 1e3
+    own = {
+        "mean_mm": float(mm.mean()), "rms_mm": float(np.sqrt(np.mean(mm**2))), "p95_mm": float(np.percentile(mm, 95)),
+        "max_mm": float(mm.max()),
+    }  # fmt: skip
+    others = {
+        name: {key: errors[stage].get(key) for key in MEASURES} for name, stage in MODELS.items() if errors.get(stage)
+    }
+    return {
+        "campaign_id": campaign, "version_id": result["version_id"], "model": str(model), "rows": len(mm),
+        "errors": others | {str(model): own}, "warnings": result.get("warnings") or [],
+    }  # fmt: skip
+
+
+def _show(document: Mapping[str, Any]) -> None:
+    show_rows(("arm", "mean mm", "rms mm", "95 % mm", "max mm"), list(_lines(document["errors"])), numbers=True)
+    say(
+        f"{document['model']} settled at {document['rows']} rows of {document['campaign_id']}; base and tool fitted for each."
+    )
+    for warning in document["warnings"]:
+        say(f"warning: {warning['message']}")
+
+
+def _lines(errors: Mapping[str, Mapping[str, float | None]]) -> Iterator[tuple[str, ...]]:
+    for name, own in errors.items():
+        yield (name, *("" if own[key] is None else f"{own[key]:.4f}" for key in MEASURES))
