@@ -1,4 +1,4 @@
-"""The page on the stream's latency, docs/explanation/stream-latency.md, from the samples of a run.
+"""What docs/explanation/corrected-stream.md says of the stream's latency, from the samples of a run.
 
     python -m benchmarks.stream --samples 100000 --rounds 10 --save samples.npz
     python -m benchmarks.latency_page samples.npz
@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 QUANTILES = {"median": 50.0, "95 %": 95.0, "99 %": 99.0, "99.9 %": 99.9}
 NAMES = {"echo_us": "bare echo", "corrected_us": "corrected"}
+BEGIN, END = "<!-- benchmarks.latency_page -->\n", "<!-- end -->\n"
 COLOURS = {"echo_us": "#1f2933", "corrected_us": "#c2410c"}
 STEADY: Any = {
     "svg.hashsalt": "kilter", "svg.fonttype": "none", "font.size": 9, "axes.grid": True, "grid.alpha": 0.3,
@@ -37,10 +38,10 @@ PICTURE = (
     "![Round trips of the bare echo and of the corrected stream: how many took how long, and which share took longer]"
     "(../images/stream-latency.svg)"
 )
-PAGE = """# How late a corrected setpoint is
+SECTION = """## How late a corrected setpoint is
 
 A controller sends a setpoint over zenoh and waits for the corrected one.
-Most of this time is transport; this page says what the correction adds to it.
+Most of this time is transport; this section says what the correction adds to it.
 For comparison an echo that only returns what it receives is measured in the same run, alternating with the corrector,
 so that other load of the machine affects both. Both are restarted in each of {rounds} rounds,
 because two processes of the same program differ by several per cent, depending on the layout of their memory.
@@ -54,7 +55,7 @@ Round by round the ratio of the medians was {ratios}.
 
 {picture}
 
-## What the correction adds
+### What the correction adds
 
 - Inside the corrector a setpoint takes {inside50:.0f} µs at the median and {inside99:.0f} µs at 99 %,
   from the arrival of its bytes to the departure of its answer: key, decoding, rules, kernel, encoding.
@@ -70,13 +71,13 @@ Of everything we tried, `SCHED_FIFO` helped them most; the corrector asks for it
 On a machine without a real-time kernel a deadline must allow for them; `kilter_client.stream` then holds the last
 correction.
 
-## How to repeat it
+### How to repeat it
 
 ```
 make bench-stream
 ```
 
-prints the figures, with `ratio p50=… p99=… lost=…` as its last line. This page and its picture come from
+prints the figures, with `ratio p50=… p99=… lost=…` as its last line. This section and its picture come from
 
 ```
 python -m benchmarks.stream --samples 100000 --rounds 10 --save samples.npz
@@ -131,14 +132,14 @@ def grouped(number: float) -> str:
     return f"{number:,.0f}".replace(",", " ")
 
 
-def page(samples: Mapping[str, Floats]) -> str:
-    """The page's text with the run's figures."""
+def section(samples: Mapping[str, Floats]) -> str:
+    """The section's text with the run's figures."""
     echo, ours = samples["echo_us"], samples["corrected_us"]
     (e50, e99), (p50, p99) = (np.percentile(x, [50, 99]) for x in (echo, ours))
     inside50, inside99 = np.percentile(samples["inside_us"], [50, 99])
     sent = len(samples["inside_us"]) + int(samples["lost"][1])
     medians = samples["medians_us"]
-    return PAGE.format(
+    return SECTION.format(
         rounds=len(medians), ratios=", ".join(f"{ratio:.3f}" for ratio in medians[:, 1] / medians[:, 0]),
         table=table(samples), picture=PICTURE, p50=p50 / e50, p99=p99 / e99, lost=int(samples["lost"][1]), sent=grouped(sent),
         rate=float(samples["rate_hz"]), load=float(samples["load"]), cores=os.cpu_count(),
@@ -150,14 +151,17 @@ def page(samples: Mapping[str, Floats]) -> str:
 
 
 def main() -> None:
-    """Write the page and its picture."""
-    parser = argparse.ArgumentParser(description="Write docs/explanation/stream-latency.md from the samples of a run.")
+    """Write the section and its picture."""
+    parser = argparse.ArgumentParser(description="Write the stream's latency into its page from the samples of a run.")
     parser.add_argument("samples", type=Path, help="file that benchmarks.stream --save wrote")
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder of the documentation")
     given = parser.parse_args()
     samples = load(given.samples)
     draw(samples, given.docs / "images" / "stream-latency.svg")
-    (given.docs / "explanation" / "stream-latency.md").write_text(page(samples), encoding="utf-8")
+    page = given.docs / "explanation" / "corrected-stream.md"
+    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    page.write_text(f"{before}{BEGIN}{section(samples)}{END}{after}", encoding="utf-8")
     print(table(samples))
 
 

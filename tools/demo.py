@@ -173,7 +173,7 @@ def say_farewell(seconds: float) -> None:
     say("  make serve                                  a server that stays")
     say("  .venv/bin/kilter --help                     robots, uploads, identifications, versions")
     say("  docs/tutorial/first-calibration.md          the same by hand, in five minutes")
-    say("  docs/how-to/bring-your-measurements.md      your own robot and files")
+    say("  docs/how-to/from-your-files.md              your own robot and files")
 
 
 def say(text: str) -> None:

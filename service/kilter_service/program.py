@@ -284,7 +284,7 @@ def _number(text: str) -> int:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; exits 0 when it is done, 1 when it failed, 2 when it was called wrongly."""
     given = parser().parse_args(arguments)
-    os.umask(UMASK)  # whatever a library writes, the job engine's database too, is its owner's
+    os.umask(UMASK)  # whatever a library writes, the database too, is its owner's
     # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
     # busy machine with two cores (docs/explanation/surprises.md). It is read when numpy is imported, by a command.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

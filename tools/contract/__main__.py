@@ -19,7 +19,7 @@ PAGES = (
     "docs/reference/job-options.md",
     "docs/reference/routes.md",
     "docs/reference/effects.md",
-    "docs/how-to/read-device-files.md",
+    "docs/how-to/from-your-files.md",
 )
 TYPED = "clients/python/src/kilter_client/typed"
 MATLAB = ("identify", "gap", "evaluate", "plan")

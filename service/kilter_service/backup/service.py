@@ -1,7 +1,7 @@
 """Back up, restore and verify, whatever runs meanwhile.
 
-A backup is one SQLite file with all rows of one snapshot, also of a PostgreSQL database: it is restored into either. The
-database of the job engine is not in it: jobs that were not over are queued again when a worker finds them.
+A backup is one SQLite file with all rows of one snapshot, also of a PostgreSQL database: it is restored into either.
+Jobs that were not over are queued again when a worker finds them.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ POSTGRESQL = (
 def in_words(error: BaseException | None) -> CoreError | None:
     """Return what an error says as a refusal of Kilter; None when neither the database nor its disk failed.
 
-    The causes of an error are looked through too: the job engine wraps what its database said.
+    The causes of an error are looked through too: a library may wrap what the database said.
     """
     seen: set[int] = set()
     while error is not None and id(error) not in seen:

@@ -2,7 +2,7 @@
 
 A signed frame is a plain one with the magic ``KLT2``, followed by the session id (16 bytes) and a tag (16 bytes): keyed
 BLAKE2s over everything before the tag. Each use of a key has its own personalisation, so that no signed message can be
-passed off as one of another kind. docs/explanation/stream-security.md has the argument.
+passed off as one of another kind. docs/explanation/corrected-stream.md has the argument.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Smooth errors of one joint: names that are words for a shape, where the joint moved less than one turn (trap 11).
+"""Smooth errors of one joint: names that are words for a shape, where the joint moved less than one turn.
 
 Over ±75° q, sin q and cos q span every smooth curve, so a hose's torque fits as a scale error and an eccentricity, and a
 belt's as an eccentricity. Such a name is kept only where no smooth curve with as many parameters does as well, and where

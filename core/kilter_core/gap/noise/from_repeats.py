@@ -1,4 +1,4 @@
-"""Measurement noise from repeats (E0): within a visit and from one approach to the next, with full covariance.
+"""Measurement noise from repeats: within a visit and from one approach to the next, with full covariance.
 
 The only noise that owes nothing to the model. Assuming it 1.5 times too small gives 50 % false alarms, so it is never
 guessed: without repeats the search goes on with the scatter of the fit itself, and every verdict becomes relative.

@@ -1,4 +1,4 @@
-"""Trajectories (E10): samples of a motion are not independent, and there are too many of them.
+"""Trajectories: samples of a motion are not independent, and there are too many of them.
 
 With 5 ms correlation a naive test on 4600 Hz samples false-alarms 99 %. Residuals are averaged over windows, the
 window's middle row represents it, what correlation is left inflates the noise, and blocks of ten correlation times are

@@ -1,4 +1,4 @@
-"""From rows to the first linearised problem: visits, the robust geometry fit, noise, outliers, the library (E0, E1)."""
+"""From rows to the first linearised problem: visits, the robust geometry fit, noise, outliers, the library."""
 
 from __future__ import annotations
 
