@@ -96,6 +96,22 @@ def test_the_real_arm_goes_where_the_nominal_was_taught(
     assert after.max() < tolerance_mm
 
 
+def test_a_controller_that_compensates_is_named(
+    kilter: Kilter, arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = tmp_path / "weld.dat", tmp_path / "out.dat"
+    path.write_bytes(krl(TAUGHT))
+    for value, said in (("factory", "corrected twice"), ("unknown", "is not known"), ("none", "")):
+        kilter.set_controller_compensation(arm, value)
+        told = document(capsys, "filter", path, "--robot", arm, "-o", output)
+        about = [note for note in told["notes"] if "controller" in note]
+        assert said in "".join(about)
+        assert bool(about) == bool(said)
+    kilter.set_controller_compensation(arm, "kilter")
+    assert run(["filter", str(path), "--robot", arm, "-o", str(output)]) == 0
+    assert "Note: The controller of" in capsys.readouterr().err
+
+
 def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

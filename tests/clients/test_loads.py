@@ -130,6 +130,7 @@ def test_what_a_path_states_goes_before_the_default_load(
     kilter: Kilter, capsys: Capture, tmp_path: Path, path: Path
 ) -> None:
     robot = default(kilter)
+    kilter.set_controller_compensation(robot, "none")
     campaign = kilter.campaigns.add(robot, "empty", conditions={"payload_kg": 0.0})["id"]
     kilter.campaigns.upload(campaign, write(tmp_path / "empty.csv", measured(poses(80, 4), 0.0, NO_LOAD)))
     result = fit(kilter, robot, [campaign])
@@ -152,6 +153,7 @@ def test_a_path_without_any_load_is_told_what_that_means(
     kilter: Kilter, capsys: Capture, tmp_path: Path, path: Path
 ) -> None:
     robot = added(kilter)
+    kilter.set_controller_compensation(robot, "none")
     campaign = kilter.campaigns.add(robot, "c", conditions={"payload_kg": LOAD, "payload_com_mm": list(OFF)})["id"]
     kilter.campaigns.upload(campaign, write(tmp_path / "c.csv", measured(poses(80, 5), LOAD, OFF)))
     kilter.versions.activate(fit(kilter, robot, [campaign])["version_id"])

@@ -155,6 +155,19 @@ def test_a_stream_begins_with_a_warning_or_not_at_all(
         source.close()
 
 
+def test_a_corrected_path_says_what_activation_and_stream_do(client: httpx.Client, database: Database) -> None:
+    add(client, "arm")
+    client.post(f"/v1/versions/{store_version(database, 'arm', 1)}/activate").raise_for_status()
+    path = {f"q{k}_deg": [10.0, 12.0] for k in range(1, 6)}
+    for value in VALUES:
+        say(client, "arm", value)
+        answer = client.post("/v1/robots/arm/correct", json=path).raise_for_status()
+        said = answer.headers.get("Kilter-Notes", "")
+        now = client.get("/v1/robots/arm/today").json()["sentences"][-1]
+        assert (now in said) == (value != "none")
+        assert ("corrected twice" in said) == (value != "none")
+
+
 def test_a_file_for_a_controller_says_what_to_say_then(client: httpx.Client, database: Database) -> None:
     add(client, "arm")
     version = store_version(database, "arm", 1)

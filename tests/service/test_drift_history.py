@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import httpx
 import numpy as np
@@ -112,3 +113,38 @@ def test_a_date_that_was_set_back_changes_the_order_and_nothing_else(
     found = watched.history()
     assert [one["at"][:10] for one in found["history"]] == ["2026-09-04", "2026-09-06"]
     assert found["last"]["campaign_id"] == campaign
+
+
+def test_the_number_of_today_is_that_of_the_newest_check(
+    client: httpx.Client, arm: DriftingArm, database: Database
+) -> None:
+    watched = Watched(client, None, arm, "today")
+    version = watched.calibrated(database)
+
+    def today() -> dict[str, Any]:
+        return dict(client.get("/v1/robots/today/today").raise_for_status().json())
+
+    assert today()["newest"]["source"] == "fitted"
+    watched.checked_here(database, arm, 400, 0)
+    checked = watched.history()["last"]
+    found = today()
+    assert (found["newest"]["source"], found["newest"]["job_id"]) == ("check", checked["job_id"])
+    assert [one["id"] for one in found["newest"]["campaigns"]] == [checked["campaign_id"]]
+    assert found["sentences"][0].startswith("Mean error ")
+    assert "on the rows of a check, which no fit used" in found["sentences"][0]
+    assert "measured on 2026-09-01" in found["sentences"][0]
+    assert (found["changed"], found["not_evaluated"]) == (False, [])
+    evaluated = watched.done_here(database, "evaluate", [checked["campaign_id"]])["metrics"][checked["campaign_id"]]
+    assert found["newest"]["errors"]["identified"] == evaluated["identified"]
+    assert found["newest"]["errors"]["budget"] == evaluated["budget"]
+    assert "registration_only" not in found["newest"]["errors"]
+
+    watched.checked_here(database, arm.after("zero_2", 4e-3), 401, 1)
+    found = today()
+    assert found["changed"]
+    assert found["newest"]["errors"]["identified"]["mean_mm"] > 0.5
+    assert "more than chance explains: the arm, or what it was measured with, has changed" in found["sentences"][1]
+    card = client.get("/").raise_for_status().text
+    assert "On the rows of a check, which no fit used" in card
+    assert "more than chance explains" in card
+    assert "Today: Mean error" in client.get(f"/versions/{version}").raise_for_status().text

@@ -10,7 +10,8 @@ from pydantic import Field
 from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.units import COMPENSATION, ControllerCompensation, Mm, Strict
 
-Source = Literal["evaluation", "held_out", "fitted"]
+Source = Literal["evaluation", "check", "held_out", "fitted"]
+UNUSED: frozenset[Source] = frozenset({"evaluation", "check"})  # rows that no fit used
 
 
 class MeasuredCampaign(Strict):
@@ -30,8 +31,8 @@ class ErrorsToday(Strict):
     """Errors of the active version on some rows."""
 
     source: Source = Field(
-        description="`evaluation`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the "
-        "rows it was fitted to, which flatters."
+        description="`evaluation` and `check`: of rows that no fit used; `held_out`: of rows that its own job held out; "
+        "`fitted`: of the rows it was fitted to, which flatters."
     )
     job_id: str = Field(description="The job that computed them.")
     at: datetime = Field(description="When that was.")

@@ -91,7 +91,7 @@ async def correct(
     `DAMPED` or `LIMITED`; refused rows have no numbers. ``strict`` refuses the whole trajectory unless every row is `OK`.
     Effects of the version that a correction leaves out are named in ``Kilter-Not-Corrected``.
     Where neither the path nor ``payload_kg`` states a load, the robot's default load is taken; ``Kilter-Notes`` says so, or
-    that effects which follow the load were corrected without one.
+    that effects which follow the load were corrected without one, or that the controller corrects by itself too.
     """
     media = reading.media_type(request.headers.get("content-type"))
     with scratch_of(request).folder_for("correct") as folder:

@@ -19,6 +19,7 @@ from kilter_service.correction_limits import options_of
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
+from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.tables.assemble import observations
 from kilter_service.tables.columns import Column
@@ -85,6 +86,7 @@ def correct(
     with database.reading() as session:
         row, options = _version(session, robot, wanted, temperature_c)
         calibration, known = versions.calibration(session, row.id), versions.known(session, row.id)
+        compensated = compensation.sentence(robot, robots.compensation_of(session, row.robot_id))
     kinds = [joint.kind for joint in calibration.robot.joints]
     table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if wanted.form == ROS2 else MAX_TRAJECTORY_ROWS)
     stated = observations(table, columns, {})
@@ -94,7 +96,7 @@ def correct(
         _refuse_what_is_left(found)
     left_out = found.done.not_corrected
     told = load.load_notes(calibration, stated.payload_kg is not None, left_out, carried)
-    notes = (*told, *outcome.summary(found))
+    notes = (*told, *outcome.summary(found), *([compensated] if compensated else ()))
     if wanted.form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
         return Answer(joint_trajectory(names, rows.t, found, notes), left_out, notes)

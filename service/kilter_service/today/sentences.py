@@ -9,6 +9,7 @@ from kilter_service.contract.today import ErrorsToday, Today
 
 SOURCES = {
     "evaluation": "on rows that no fit used",
+    "check": "on the rows of a check, which no fit used",
     "held_out": "on rows that its own job held out",
     "fitted": "on the rows it was fitted to, which flatters",
 }

@@ -113,14 +113,15 @@ def _own(version: Active, campaigns: Campaigns) -> ErrorsToday | None:
 
 
 def _evaluations(version: Active, campaigns: Campaigns, evaluated: Iterable[Evaluated]) -> Iterable[ErrorsToday]:
-    """The errors of each campaign of each evaluation of which the version's line was fitted to no file."""
+    """The errors of each campaign of each evaluation or check of which the version's line was fitted to no file."""
     for one in evaluated:
         for campaign, metrics in one.metrics.items():
             known = campaigns.get(campaign)
             if known is None or known.hashes & version.fitted:
                 continue
             errors = as_written(StageErrors, metrics)
-            yield _errors(version, "evaluation", one.job_id, one.at, [campaign], campaigns, errors, one.refit)
+            source = "check" if one.kind == "drift" else "evaluation"
+            yield _errors(version, source, one.job_id, one.at, [campaign], campaigns, errors, one.refit)
 
 
 def _errors(

@@ -40,8 +40,9 @@ class Active:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An evaluation of a version: errors by campaign, and the frames that were refitted."""
+    """An evaluation of a version, or a check against it (``kind``): errors by campaign, and the frames that were refitted."""
 
+    kind: str
     job_id: str
     at: datetime
     version_id: str
@@ -115,18 +116,18 @@ def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measu
 
 
 def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluated]]:
-    """Return the evaluations of versions that gave errors, oldest first; the rows in them stay unread."""
+    """Return the evaluations and checks of versions that gave errors, oldest first; the rows in them stay unread."""
     row = JobRow
     version = row.result["version_id"].as_string()
     query = (
-        select(row.id, row.finished_at, version, row.result["metrics"], row.result["refit"])
-        .where(row.kind == "evaluate", row.state == "succeeded", version.in_(of))
+        select(row.kind, row.id, row.finished_at, version, row.result["metrics"], row.result["refit"])
+        .where(row.kind.in_(("evaluate", "drift")), row.state == "succeeded", version.in_(of))
         .order_by(row.created_at, row.id)
     )
     out: dict[str, list[Evaluated]] = {}
-    for key, at, evaluated, metrics, refit in session.execute(query):
+    for kind, key, at, evaluated, metrics, refit in session.execute(query):
         if metrics:
-            out.setdefault(evaluated, []).append(Evaluated(key, at, evaluated, metrics, refit or []))
+            out.setdefault(evaluated, []).append(Evaluated(kind, key, at, evaluated, metrics, refit or []))
     return out
 
 

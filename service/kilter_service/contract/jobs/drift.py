@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.fits import Remark
+from kilter_service.contract.fits import Remark, StageErrors
 from kilter_service.contract.jobs.shared import NoiseMm, Version
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
 
@@ -84,6 +84,10 @@ class DriftResult(Stored):
     smallest: list[SmallestChange] | None = Field(None, description="The smallest changes that these rows show.")
     unseen: list[str] | None = Field(None, description="Causes that move nothing that was measured, in words.")
     new_setup: list[str] | None = Field(None, description="Frames that were set up anew.")
+    refit: list[str] | None = Field(None, description="The same, as an evaluation calls them: fitted to these rows.")
+    metrics: dict[str, StageErrors] | None = Field(
+        None, description="Errors of the version on the rows, `identified`, by campaign, as an evaluation gives them."
+    )
     agreed_at: datetime | None = Field(None, description="When a check last agreed with the version; null: never.")
     temperature_c: Celsius | None = Field(
         None, description="Mean temperature of the rows, degrees Celsius; null: not known."

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
+from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.foresight import Foresight
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
@@ -118,8 +119,26 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
         "unseen": [wire.cause_words(one) for one in found.unseen], "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
-        "fitted_c": job.fit.temperatures_c, "warnings": [],
+        "fitted_c": job.fit.temperatures_c, "warnings": [], "refit": list(found.new_setup),
+        "metrics": {campaign: _errors(job, rows, known, found) for campaign in job.campaigns},
     }  # fmt: skip
+
+
+def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
+    """Errors of the version on the rows, the numbers of an evaluation.
+
+    Base and tool of the nominal robot are not fitted to a few poses beside it: they would take up most of the errors.
+    """
+    from kilter_core.identify.estimate import refitted
+    from kilter_core.measurement import Measurement
+    from kilter_core.measurement.metrics import Errors
+
+    assert job.calibration is not None
+    measurement = Measurement.of(rows, job.calibration.marker_points, held=True)
+    errors = Errors.of(refitted(job.calibration, measurement, found.new_setup), measurement)
+    ((campaign, _),) = job.campaigns.items()
+    budget = budget_of(job.calibration, known, rows, job.instruments.get(campaign), found.new_setup)
+    return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
 
 
 DRIFT = JobKind(

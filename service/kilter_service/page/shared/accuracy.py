@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import UNUSED, Today
 
 QUANTILE = 1.96  # of the standard normal at 97.5 %
 
@@ -56,7 +56,7 @@ def accuracy_today(today: Today) -> Accuracy | None:
     if newest is None or newest.errors.identified is None:
         return None
     found = _read(newest.source != "fitted", newest.errors, newest.errors.identified)
-    return replace(found, unused=newest.source == "evaluation")
+    return replace(found, unused=newest.source in UNUSED)
 
 
 def interval(found: Errors, n: int | None) -> tuple[float, float] | None:

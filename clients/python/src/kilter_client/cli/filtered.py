@@ -73,16 +73,19 @@ def filtered(
     coupled = fanuc_j3 is ThirdJoint.COUPLED and found.dialect == "FANUC LS"
     _refuse(found, [(line, what) for line, what in found.left] if strict else [], "is not rewritten")
     directions = _signs(signs, len(found.targets[0].joints_deg))
-    joints, status = _corrected(found, robot, version, directions, coupled)
+    joints, status, notes = _corrected(found, robot, version, directions, coupled)
     wrong = [(t, s) for t, s in zip(found.targets, status, strict=True) if s not in ({"OK"} if strict else ANSWERED)]
     _refuse(found, [(target.line, f"{target.name}: {word}") for target, word in wrong], "is not corrected")
     text = found.rewritten(joints)
     if output is not None:
         write(output, text.encode("latin-1"))
     document = _document(found, joints, status) | {"robot": robot, "output": output and str(output)}
+    document["notes"] = list(notes)
     document["diff"] = _diff(found.text, text, program) if diff else None
     for line, what in found.left:
         note(f"Warning: line {line} is left as it is: {what}.", as_json)
+    for remark in notes:
+        note(f"Note: {remark}", as_json)
     emit(document, as_json, _show)
 
 
@@ -95,8 +98,8 @@ def _signs(text: str | None, count: int) -> list[float]:
 
 def _corrected(
     found: Program, robot: str, version: str | None, signs: Sequence[float], coupled: bool
-) -> tuple[list[list[float]], list[str]]:
-    """Correct all targets in one call: joints of the program in deg, and a status for each."""
+) -> tuple[list[list[float]], list[str], tuple[str, ...]]:
+    """Correct all targets in one call: joints of the program in deg, a status for each, and what the server says of it."""
     rows = [[*target.joints_deg] for target in found.targets]
     if coupled:
         rows = [[*q[:2], q[2] + q[1], *q[3:]] for q in rows]
@@ -110,13 +113,14 @@ def _corrected(
             raise FileError(
                 f"{found.path}, line {target.line}: {what}. Name the robot of this program.", line=target.line
             )
-        answer = kilter.correct(robot, columns, version=version).rows.to_dict()
+        content = kilter.correct(robot, columns, version=version)
+    answer = content.rows.to_dict()
     status = [str(word) for word in answer["status"]]
     joints = [
         [signs[k] * float(answer[name][row]) if word in ANSWERED else float("nan") for k, name in enumerate(names)]
         for row, word in enumerate(status)
     ]
-    return [[*q[:2], q[2] - q[1], *q[3:]] if coupled else q for q in joints], status
+    return [[*q[:2], q[2] - q[1], *q[3:]] if coupled else q for q in joints], status, content.notes
 
 
 def _refuse(found: Program, places: Sequence[tuple[int, str]], what: str) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownDrift
-from kilter_client.typed.fits import Metrics, Objection, Parameter, Remark
+from kilter_client.typed.fits import Metrics, Objection, Parameter, Remark, StageErrors
 from kilter_client.typed.plans import SmallestChange
 
 
@@ -64,6 +65,8 @@ class DriftResult(ShownDrift, Record):
     """Lowest and highest temperature, degrees Celsius, of the rows of the fit; None: not known."""
     looked_at: Records[DriftCause]
     """All causes that these rows show, best first."""
+    metrics: Mapping[str, StageErrors]
+    """Errors of the version on the rows, `identified`, by campaign, as an evaluation gives them."""
     misfit_mm: float | None
     """Root mean square of measured minus predicted, mm."""
     new_setup: tuple[str, ...]
@@ -76,6 +79,8 @@ class DriftResult(ShownDrift, Record):
     """Chance of so much from an arm that has not moved."""
     poses: int | None
     """Distinct poses that counted."""
+    refit: tuple[str, ...]
+    """The same, as an evaluation calls them: fitted to these rows."""
     remedy: str | None
     """What to do, or what would settle it; None: nothing."""
     sentence: str | None

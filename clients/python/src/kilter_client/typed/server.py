@@ -128,7 +128,7 @@ class ErrorsToday(Record):
     refit: tuple[str, ...]
     """Frames that were fitted to these rows, `base` and `tool`; empty: none."""
     source: str
-    """`evaluation`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the rows it was fitted to, which flatters."""
+    """`evaluation` and `check`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the rows it was fitted to, which flatters."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
