@@ -10,6 +10,7 @@ from typing import Any, TextIO
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.see.camera import Camera
 from kilter_files.rig.see.finder import LARGE, Finder, Markers
+from kilter_files.rig.see.intrinsics import Kept, check_known, fitted
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.poses import Poses
 from kilter_files.rig.see.refusals import REMEDIES, Refusal
@@ -33,6 +34,7 @@ class Seen:
     corners: int = 0
     warnings: list[str] = field(default_factory=list)
     size: tuple[int, int] | None = None
+    intrinsics: dict[str, Any] | None = None
 
     def counts(self) -> dict[str, int]:
         """Refusals by code, the most frequent first."""
@@ -41,13 +43,15 @@ class Seen:
 
 @dataclass
 class Looker:
-    """Looks for boards in pictures of one camera."""
+    """Looks for boards in pictures of one camera; ``lens`` is the model whose intrinsics are wanted."""
 
     targets: list[Target]
     poses: Poses | None = None
     camera: Camera | None = None
+    lens: str | None = None
     finder: Finder = field(default_factory=Finder)
     searches: int = 0
+    kept: Kept = field(default_factory=Kept)
 
     def look(self, source: Source, stream: TextIO, camera_name: str | None, told: Told = lambda _: None) -> Seen:
         """Write a row for every view.
@@ -64,7 +68,17 @@ class Looker:
         if not seen.views:
             raise _no_view(seen)
         seen.warnings = self._warnings(seen, source)
+        self._intrinsics(seen, camera_name or "camera")
         return seen
+
+    def _intrinsics(self, seen: Seen, name: str) -> None:
+        if self.lens is not None and seen.size is not None:
+            self.camera, seen.intrinsics, warnings = fitted(self.kept, seen.size, self.lens, name)
+            seen.warnings += warnings
+        elif self.camera is not None:
+            seen.warnings += check_known(self.kept, self.camera)
+        else:
+            seen.warnings.append("intrinsics are missing: give --camera FILE, or --intrinsics brown to find them")
 
     def _frame(self, frame: Frame, rows: Rows, seen: Seen) -> None:
         number = seen.pictures
@@ -87,6 +101,7 @@ class Looker:
                 seen.refused.append(found)
                 continue
             seen.size = size
+            self.kept.offer(found, next(target for target in self.targets if target.name == found.board))
             rows.write(found, row, number + 1)
             seen.corners += len(found.places)
             seen.views.append(_summary(found, row))
