@@ -15,6 +15,7 @@ from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.poses import Poses
 from kilter_files.rig.see.refusals import REMEDIES, Refusal
 from kilter_files.rig.see.search import why_not
+from kilter_files.rig.see.second import MOST_BIAS_PX, Second
 from kilter_files.rig.see.sources import Frame, Source
 from kilter_files.rig.see.table import Rows
 from kilter_files.rig.see.target import Target
@@ -49,6 +50,7 @@ class Looker:
     poses: Poses | None = None
     camera: Camera | None = None
     lens: str | None = None
+    second: Second | None = None
     finder: Finder = field(default_factory=Finder)
     searches: int = 0
     kept: Kept = field(default_factory=Kept)
@@ -100,11 +102,20 @@ class Looker:
             if isinstance(found, Refusal):
                 seen.refused.append(found)
                 continue
+            target = next(target for target in self.targets if target.name == found.board)
+            if differs := self._compared(frame.grey, found, target):
+                seen.refused.append(differs)
+                continue
             seen.size = size
-            self.kept.offer(found, next(target for target in self.targets if target.name == found.board))
+            self.kept.offer(found, target)
             rows.write(found, row, number + 1)
             seen.corners += len(found.places)
             seen.views.append(_summary(found, row))
+
+    def _compared(self, grey: Grey, view: View, target: Target) -> Refusal | None:
+        if self.second is None or target.board.kind != "apriltag":
+            return None
+        return self.second.compare(grey, view, target)
 
     def boards(self, grey: Grey, name: str) -> list[View | Refusal]:
         """Return the view of every board, or why there is none; a board of several may be out of sight."""
@@ -140,6 +151,8 @@ class Looker:
         if self.poses is not None and (unused := self.poses.unused()):
             rows = ", ".join(map(str, unused[:8])) + (" ..." if len(unused) > 8 else "")
             warnings.append(f"{len(unused)} rows of {self.poses.log.path} have no picture: {rows}")
+        if self.second is not None and (biased := self.second.bias_px()) > MOST_BIAS_PX:
+            warnings.append(f"the two detectors put corners {biased:.2f} px apart on average, all the same way")
         if source.videos:
             warnings.append(
                 "a camera that reads line by line (rolling shutter) bends what moves: "

@@ -69,6 +69,9 @@ def see(
     ] = None,
     every: Annotated[int, typer.Option(min=1, help="Of a video: every how many frames.")] = 1,
     starts_s: Annotated[float, typer.Option(help="Time of the joint log at which the video begins.")] = 0.0,
+    cross_check: Annotated[
+        bool, typer.Option("--cross-check", help="Compare AprilTag corners with those of a second detector.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Find boards in pictures: pixels of their corners with their standard deviations, row by row with the joints."""
@@ -80,6 +83,7 @@ def see(
     from kilter_files.rig.see.intrinsics_file import read_camera
     from kilter_files.rig.see.poses import read_poses
     from kilter_files.rig.see.run import Looker
+    from kilter_files.rig.see.second import second_of
     from kilter_files.rig.see.sources import source_of
     from kilter_files.rig.see.target import check_apart, read_target
 
@@ -89,7 +93,7 @@ def see(
     source = source_of(pictures, every)
     count = source.count()
     poses = None if joints is None else read_poses(joints, count, bool(source.videos), starts_s)
-    looker = Looker(targets, poses, known, intrinsics)
+    looker = Looker(targets, poses, known, intrinsics, second_of(targets) if cross_check else None)
     seen = _looked(looker, source, output, camera_name, as_json)
     document = described(seen, looker, mount, camera_name)
     beside = output.with_suffix(".json")
@@ -127,6 +131,7 @@ def described(seen: Seen, looker: Looker, mount: str, camera_name: str | None) -
         "cameras": cameras,
         "boards": [target.to_document() | {"mount": other} for target in looker.targets],
         **({"intrinsics": seen.intrinsics} if seen.intrinsics else {}),
+        **({"cross_check": looker.second.to_document()} if looker.second else {}),
         "views": seen.views,
         "refused": [refusal.to_document() for refusal in seen.refused],
         "refused_by_code": seen.counts(),
@@ -144,6 +149,9 @@ def _show(document: dict[str, Any]) -> None:
         pairs = zip(("fx", "fy", "cx", "cy"), one["sigmas_px"], strict=False)
         numbers = ", ".join(f"{name} {one[f'{name}_px']:.2f} ± {sigma:.2f}" for name, sigma in pairs)
         say(f"  Intrinsics ({fit['model']}): {numbers} px; {fit['rms_px']:.3f} px rms left in {fit['views']} views")
+    if other := document.get("cross_check"):
+        apart = f"{other['mean_u_px']:+.3f}, {other['mean_v_px']:+.3f} px on average, {other['rms_px']:.3f} px rms"
+        say(f"  {other['detector']} on {other['corners']} corners: ours are {apart} from its")
     for text in document["warnings"]:
         say(f"  Warning: {text}.")
     for refusal in document["refused"][:SHOWN]:
