@@ -23,4 +23,4 @@ echo "Setting up .venv: this takes a few minutes, once."
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 pip() { .venv/bin/python -m pip "$@" --disable-pip-version-check --quiet --constraint constraints.txt; }
 pip install hatchling editables
-pip install --no-build-isolation --editable ./core --editable ./clients/files --editable '.[cluster,dev,pdf,postgresql,tracing]' --editable 'clients/python[bridge,files,meshes,notebook,plots,sheet,stream]'
+pip install --no-build-isolation --editable ./core --editable ./clients/files --editable '.[cluster,dev,pdf,postgresql,tracing]' --editable 'clients/python[bridge,camera,files,meshes,notebook,plots,sheet,stream,tags]'

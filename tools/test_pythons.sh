@@ -32,7 +32,7 @@ for version in "$@"; do
     # Old versions come as sources, which want setuptools and wheel.
     pip install hatchling editables setuptools wheel pytest pytest-timeout pytest-xdist hypothesis ezc3d packaging pin
     pip install --no-build-isolation --editable ./core --editable ./clients/files --editable '.[postgresql]' \
-        --editable 'clients/python[files,meshes,notebook,plots,sheet,stream]'
+        --editable 'clients/python[camera,files,meshes,notebook,plots,sheet,stream,tags]'
     echo "Python $version, SQLite $("$home/bin/python" -c 'import sqlite3; print(sqlite3.sqlite_version)'):"
     # Kernels compiled by one Python are of no use to another, and their folder is that of the sources.
     NUMBA_CACHE_DIR="$PWD/build/kernels$version" "$home/bin/python" -m pytest -q -n "${TESTERS:-2}" --dist loadscope $QUICK

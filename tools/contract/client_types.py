@@ -18,7 +18,8 @@ MODULES: Mapping[str, Sequence[str]] = {
     "acceptance": ("Acceptance",),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "cameras": ("PixelsFound",),
-    "identifications": ("IdentifyResult", "JointParametersResult"),
+    "identifications": ("IdentifyResult",),
+    "joint_parameters": ("JointParametersResult",),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),
     "search_numbers": (

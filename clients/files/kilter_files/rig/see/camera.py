@@ -13,13 +13,18 @@ from kilter_files.ground.faults import fault
 MODELS: dict[str, tuple[int, ...]] = {"none": (0,), "brown": (4, 5), "rational": (8,), "fisheye": (4,)}
 ORDER = {"brown": "k1 k2 p1 p2 k3", "rational": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "none": ""}
 REMEDY = "Take the camera.json that kilter see wrote, or a file of ROS, Kalibr or OpenCV."
+KNOWN = ("fixed", "prior", "free")
 SIZES = ("width_px", "height_px")
 FOCAL = ("fx_px", "fy_px", "cx_px", "cy_px")
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics in px, the centre of the upper left pixel being (0, 0); ``distortion`` is in OpenCV's order."""
+    """Intrinsics in px, the centre of the upper left pixel being (0, 0); ``distortion`` is in OpenCV's order.
+
+    ``sigmas_px`` are the standard deviations of focal lengths, centre and distortion. A fit takes them as ``known``: fixed,
+    prior (within their standard deviations) or free.
+    """
 
     width_px: int
     height_px: int
@@ -31,6 +36,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     name: str = "camera"
     sigmas_px: tuple[float, ...] = ()
+    known: str = "fixed"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -42,6 +48,7 @@ class Camera:
         document: dict[str, Any] = {"name": self.name}
         document |= {name: getattr(self, name) for name in (*SIZES, *FOCAL, "distortion_model")}
         document["distortion"] = list(self.distortion)
+        document["intrinsics"] = self.known
         return document | ({"sigmas_px": list(self.sigmas_px)} if self.sigmas_px else {})
 
 
@@ -74,7 +81,12 @@ def checked_camera(path: Path, document: dict[str, Any]) -> Camera:
     padded = (*whole, 0.0) if model == "brown" and len(whole) == 4 else tuple(whole)
     name = str(document.get("name") or "camera")
     fx, fy, cx, cy = (numbers[key] for key in FOCAL)
-    return Camera(width, height, fx, fy, cx, cy, model, padded, name)
+    sigmas = tuple(float(value) for value in document.get("sigmas_px") or () if _is_number(value) and value > 0)
+    told = len(sigmas) == 4 + len(padded) == 4 + len(whole)
+    known = str(document.get("intrinsics") or ("prior" if told else "fixed"))
+    if known not in KNOWN or (known == "prior" and not told):
+        raise fault(path, f"intrinsics is {known!r} with {len(sigmas)} sigmas_px", REMEDY)
+    return Camera(width, height, fx, fy, cx, cy, model, padded, name, sigmas if told else (), known)
 
 
 def read_own(path: Path, text: str) -> Camera:
@@ -105,5 +117,5 @@ def _is_number(value: Any) -> bool:
 def _number(path: Path, document: dict[str, Any], name: str) -> float:
     value = document.get(name)
     if not _is_number(value):
-        raise fault(path, f"{name} is {'missing' if value is None else f'{value!r}, no number'}", REMEDY)
+        raise fault(path, f"{name} is {'missing' if value is None else f'{value!r}, not a number'}", REMEDY)
     return float(value)  # type: ignore[arg-type]

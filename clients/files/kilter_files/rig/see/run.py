@@ -10,10 +10,12 @@ from typing import Any, TextIO
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.see.camera import Camera
 from kilter_files.rig.see.finder import LARGE, Finder, Markers
+from kilter_files.rig.see.intrinsics import Kept, check_known, fitted
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.poses import Poses
 from kilter_files.rig.see.refusals import REMEDIES, Refusal
 from kilter_files.rig.see.search import why_not
+from kilter_files.rig.see.second import MOST_BIAS_PX, Second
 from kilter_files.rig.see.sources import Frame, Source
 from kilter_files.rig.see.table import Rows
 from kilter_files.rig.see.target import Target
@@ -33,6 +35,7 @@ class Seen:
     corners: int = 0
     warnings: list[str] = field(default_factory=list)
     size: tuple[int, int] | None = None
+    intrinsics: dict[str, Any] | None = None
 
     def counts(self) -> dict[str, int]:
         """Refusals by code, the most frequent first."""
@@ -41,13 +44,16 @@ class Seen:
 
 @dataclass
 class Looker:
-    """Looks for boards in pictures of one camera."""
+    """Looks for boards in pictures of one camera; ``lens`` is the model whose intrinsics are wanted."""
 
     targets: list[Target]
     poses: Poses | None = None
     camera: Camera | None = None
+    lens: str | None = None
+    second: Second | None = None
     finder: Finder = field(default_factory=Finder)
     searches: int = 0
+    kept: Kept = field(default_factory=Kept)
 
     def look(self, source: Source, stream: TextIO, camera_name: str | None, told: Told = lambda _: None) -> Seen:
         """Write a row for every view.
@@ -64,7 +70,17 @@ class Looker:
         if not seen.views:
             raise _no_view(seen)
         seen.warnings = self._warnings(seen, source)
+        self._intrinsics(seen, camera_name or "camera")
         return seen
+
+    def _intrinsics(self, seen: Seen, name: str) -> None:
+        if self.lens is not None and seen.size is not None:
+            self.camera, seen.intrinsics, warnings = fitted(self.kept, seen.size, self.lens, name)
+            seen.warnings += warnings
+        elif self.camera is not None:
+            seen.warnings += check_known(self.kept, self.camera)
+        else:
+            seen.warnings.append("intrinsics are missing: give --camera FILE, or --intrinsics brown to find them")
 
     def _frame(self, frame: Frame, rows: Rows, seen: Seen) -> None:
         number = seen.pictures
@@ -86,10 +102,20 @@ class Looker:
             if isinstance(found, Refusal):
                 seen.refused.append(found)
                 continue
+            target = next(target for target in self.targets if target.name == found.board)
+            if differs := self._compared(frame.grey, found, target):
+                seen.refused.append(differs)
+                continue
             seen.size = size
+            self.kept.offer(found, target)
             rows.write(found, row, number + 1)
             seen.corners += len(found.places)
             seen.views.append(_summary(found, row))
+
+    def _compared(self, grey: Grey, view: View, target: Target) -> Refusal | None:
+        if self.second is None or target.board.kind != "apriltag":
+            return None
+        return self.second.compare(grey, view, target)
 
     def boards(self, grey: Grey, name: str) -> list[View | Refusal]:
         """Return the view of every board, or why there is none; a board of several may be out of sight."""
@@ -125,6 +151,8 @@ class Looker:
         if self.poses is not None and (unused := self.poses.unused()):
             rows = ", ".join(map(str, unused[:8])) + (" ..." if len(unused) > 8 else "")
             warnings.append(f"{len(unused)} rows of {self.poses.log.path} have no picture: {rows}")
+        if self.second is not None and (biased := self.second.bias_px()) > MOST_BIAS_PX:
+            warnings.append(f"the two detectors put corners {biased:.2f} px apart on average, all the same way")
         if source.videos:
             warnings.append(
                 "a camera that reads line by line (rolling shutter) bends what moves: "

@@ -20,6 +20,26 @@ if TYPE_CHECKING:
 
 CONVENTION = "the centre of the upper left pixel is (0, 0), u to the right, v down"
 SHOWN = 8
+Joints = Annotated[
+    Path | None,
+    typer.Option(
+        help="Joints of every picture: by a column picture, by t_s for videos, else in the order of the names.",
+        exists=True,
+        dir_okay=False,
+    ),
+]
+CameraFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="Intrinsics: a camera_info of ROS, a camchain of Kalibr, YAML or XML of OpenCV, or views.json.",
+        exists=True,
+        dir_okay=False,
+    ),
+]
+Lens = Annotated[
+    Literal["none", "brown", "rational", "fisheye"] | None,
+    typer.Option(help="Find the intrinsics from the views, with a lens of this model."),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -38,17 +58,9 @@ def see(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="views.csv; cameras and boards beside it, as JSON.")
     ],
-    joints: Annotated[
-        Path | None,
-        typer.Option(
-            help="Joints of every picture: by a column picture, by t_s for videos, else in the order of the names.",
-            exists=True,
-            dir_okay=False,
-        ),
-    ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Intrinsics: camera.json of kilter see.", exists=True, dir_okay=False)
-    ] = None,
+    joints: Joints = None,
+    camera: CameraFile = None,
+    intrinsics: Lens = None,
     mount: Annotated[
         Literal["fixed", "flange"], typer.Option(help="Where the camera is; the board is on the other side.")
     ] = "fixed",
@@ -57,25 +69,31 @@ def see(
     ] = None,
     every: Annotated[int, typer.Option(min=1, help="Of a video: every how many frames.")] = 1,
     starts_s: Annotated[float, typer.Option(help="Time of the joint log at which the video begins.")] = 0.0,
+    cross_check: Annotated[
+        bool, typer.Option("--cross-check", help="Compare AprilTag corners with those of a second detector.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Find boards in pictures: pixels of their corners with their standard deviations, row by row with the joints."""
     check_numpy()
     if output.suffix.lower() != ".csv":
         raise UsageError(f"--output {output}: end it in .csv.")
-    from kilter_files.rig.see.camera import read_own
+    if camera is not None and intrinsics is not None:
+        raise UsageError("Give --camera, or --intrinsics to find them, not both.")
+    from kilter_files.rig.see.intrinsics_file import read_camera
     from kilter_files.rig.see.poses import read_poses
     from kilter_files.rig.see.run import Looker
+    from kilter_files.rig.see.second import second_of
     from kilter_files.rig.see.sources import source_of
     from kilter_files.rig.see.target import check_apart, read_target
 
     targets = [read_target(path) for path in board]
     check_apart(targets)
-    known = None if camera is None else read_own(camera, camera.read_text(encoding="utf-8"))
+    known = None if camera is None else read_camera(camera, camera_name)
     source = source_of(pictures, every)
     count = source.count()
     poses = None if joints is None else read_poses(joints, count, bool(source.videos), starts_s)
-    looker = Looker(targets, poses, known)
+    looker = Looker(targets, poses, known, intrinsics, second_of(targets) if cross_check else None)
     seen = _looked(looker, source, output, camera_name, as_json)
     document = described(seen, looker, mount, camera_name)
     beside = output.with_suffix(".json")
@@ -112,6 +130,8 @@ def described(seen: Seen, looker: Looker, mount: str, camera_name: str | None) -
         "pixels": CONVENTION,
         "cameras": cameras,
         "boards": [target.to_document() | {"mount": other} for target in looker.targets],
+        **({"intrinsics": seen.intrinsics} if seen.intrinsics else {}),
+        **({"cross_check": looker.second.to_document()} if looker.second else {}),
         "views": seen.views,
         "refused": [refusal.to_document() for refusal in seen.refused],
         "refused_by_code": seen.counts(),
@@ -124,6 +144,14 @@ def _show(document: dict[str, Any]) -> None:
     say(f"{document['file']}: {rows} views of {pictures} pictures, {document['corners']} corners")
     sigmas = sorted(view["sigma_px"] for view in document["views"])
     say(f"  Standard deviation of a corner by the pictures: {sigmas[len(sigmas) // 2]:.3f} px, median of the views")
+    if fit := document.get("intrinsics"):
+        one = document["cameras"][0]
+        pairs = zip(("fx", "fy", "cx", "cy"), one["sigmas_px"], strict=False)
+        numbers = ", ".join(f"{name} {one[f'{name}_px']:.2f} ± {sigma:.2f}" for name, sigma in pairs)
+        say(f"  Intrinsics ({fit['model']}): {numbers} px; {fit['rms_px']:.3f} px rms left in {fit['views']} views")
+    if other := document.get("cross_check"):
+        apart = f"{other['mean_u_px']:+.3f}, {other['mean_v_px']:+.3f} px on average, {other['rms_px']:.3f} px rms"
+        say(f"  {other['detector']} on {other['corners']} corners: ours are {apart} from its")
     for text in document["warnings"]:
         say(f"  Warning: {text}.")
     for refusal in document["refused"][:SHOWN]:

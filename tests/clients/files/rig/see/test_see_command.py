@@ -60,7 +60,8 @@ def test_pictures_in_order_with_their_joints(
         assert np.abs(there - truth).max() < 0.2
         assert (sigmas > 0).all()
     assert document["rows"] == document["pictures"] == 3
-    assert document["refused"] == document["warnings"] == []
+    assert document["refused"] == []
+    assert ["intrinsics are missing" in text for text in document["warnings"]] == [True]
     [one] = document["boards"]
     assert one["corners_mm"][0] == [25.0, 25.0, 0.0]
     assert (len(one["corners_mm"]), one["mount"]) == (24, "flange")
@@ -77,7 +78,7 @@ def test_pictures_by_name_and_what_lacks_its_counterpart(
     [missing] = document["refused"]
     assert missing["code"] == "joints_missing"
     assert missing["picture"].endswith("pose10.png")
-    assert document["warnings"] == [f"1 rows of {joints} have no picture: 3"]
+    assert document["warnings"][0] == f"1 rows of {joints} have no picture: 3"
 
 
 def test_other_counts_without_names_are_refused(
@@ -126,7 +127,9 @@ def test_a_camera_and_a_picture_of_another(pictures: Path, tmp_path: Path, capsy
     given = [str(pictures), str(other), "--board", own_board(), "--camera", str(camera)]
     document = seen(tmp_path, capsys, *given)
     assert document["cameras"] == [
-        {"name": "camera"} | numbers | {"distortion_model": "brown", "distortion": [0.1, 0, 0, 0, 0], "mount": "fixed"}
+        {"name": "camera"}
+        | numbers
+        | {"distortion_model": "brown", "distortion": [0.1, 0, 0, 0, 0], "intrinsics": "fixed", "mount": "fixed"}
     ]
     assert [one["code"] for one in document["refused"]] == ["picture_other_camera"]
 
@@ -146,7 +149,7 @@ def test_a_video_by_the_time_of_its_frames(tmp_path: Path, capsys: pytest.Captur
     for row in table:
         truth = true_corners(board(CHARUCO)[1], shots()[int(float(row["q1_deg"])) - 10])
         assert abs(float(row["u1_px"]) - truth[0, 0]) < 0.3
-    assert "rolling shutter" in document["warnings"][-1]
+    assert any("rolling shutter" in text for text in document["warnings"])
 
 
 def test_nothing_can_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

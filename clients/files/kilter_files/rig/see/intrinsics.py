@@ -1,0 +1,93 @@
+"""What the views say of the camera: its intrinsics, whether they were enough for them, or whether known ones fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from kilter_files.rig.see.camera import Camera
+from kilter_files.rig.see.coverage import gates_of
+from kilter_files.rig.see.intrinsics_fit import LEAST_CORNERS, Seen, fit_intrinsics, left_by
+from kilter_files.rig.see.target import Target
+from kilter_files.rig.see.views import View
+
+MOST_KEPT = 150  # views; more teach a lens nothing
+WORSE, ENOUGH_VIEWS = 1.5, 5  # times what the views' own intrinsics leave: they are another camera's
+BAD_VIEW = 3.0  # times what the usual view leaves
+MUCH_MORE, LEAST_SHOWN_PX = 4.0, 0.1  # left, by what the pictures' noise makes
+
+
+@dataclass
+class Kept:
+    """Views kept for intrinsics: every one at first, then every second, so that there are never many."""
+
+    views: list[Seen] = field(default_factory=list)
+    _every: int = 1
+    _offered: int = 0
+
+    def offer(self, view: View, target: Target) -> None:
+        """Keep a view, or not."""
+        if self._offered % self._every == 0:
+            sigma = float(np.sqrt((view.sigmas**2).mean()))
+            self.views.append(Seen(view.picture, target.corners_mm[view.places], view.pixels, sigma))
+            if len(self.views) > 2 * MOST_KEPT:
+                self.views, self._every = self.views[::2], 2 * self._every
+        self._offered += 1
+
+
+def fitted(kept: Kept, size: tuple[int, int], model: str, name: str) -> tuple[Camera, dict[str, Any], list[str]]:
+    """Return the camera, the report of its fit, and warnings.
+
+    Raises:
+        FileError: too few views, or none that a camera explains.
+
+    """
+    views = kept.views[:: 1 + len(kept.views) // MOST_KEPT]
+    fit = fit_intrinsics(views, size, model, name)
+    gates = gates_of(views, fit)
+    missing = [gate for gate in gates if not gate.met]
+    warnings = [
+        f"intrinsics are not to be trusted, whatever they leave: {gate.name} is {gate.value:.3g}, needed {gate.needed:g}. "
+        + gate.remedy.rstrip(".")
+        for gate in missing
+    ]
+    rms = fit.view_rms_px
+    usual = float(sorted(rms)[len(rms) // 2])
+    bad = [name for name, own in zip(fit.pictures, rms, strict=True) if own > BAD_VIEW * usual]
+    if bad:
+        warnings.append(f"{len(bad)} views leave more than {BAD_VIEW:g} times the usual: {', '.join(bad[:3])}")
+    sigma = float(np.median([view.sigma_px for view in views]))
+    if fit.rms_px > max(MUCH_MORE * sigma, LEAST_SHOWN_PX):
+        warnings.append(
+            f"{fit.rms_px:.2f} px are left, and the pictures' noise makes {sigma:.2f}: "
+            "the board is not flat, its squares are not as stated, or the lens needs another model"
+        )
+    report = {
+        "model": model,
+        "views": len(rms),
+        "rms_px": round(fit.rms_px, 4),
+        "largest_view_rms_px": round(float(rms.max()), 4),
+        "sigma_px": round(sigma, 4),
+        "corners_left_out": fit.left_out,
+        "gates": [gate.to_document() for gate in gates],
+        "trusted": not missing,
+    }
+    return replace(fit.camera, known="free" if missing else "prior"), report, warnings
+
+
+def check_known(kept: Kept, camera: Camera) -> list[str]:
+    """Warn where known intrinsics do not fit the views."""
+    views = kept.views[:: 1 + len(kept.views) // MOST_KEPT]
+    left = left_by(views, camera)
+    if left is None or left < LEAST_SHOWN_PX or sum(len(view.pixels) >= LEAST_CORNERS for view in views) < ENOUGH_VIEWS:
+        return []
+    lens = "brown" if camera.distortion_model == "none" else camera.distortion_model
+    own = float(np.median(fit_intrinsics(views, camera.size, lens, camera.name).view_rms_px))
+    if left < WORSE * own + LEAST_SHOWN_PX:
+        return []
+    what = f"the intrinsics leave {left:.2f} px in the usual view, and those of the views themselves {own:.2f}"
+    return [
+        f"{what}: they are of another camera or zoom, unless the board is (kilter see --intrinsics brown finds them anew)"
+    ]
