@@ -65,7 +65,7 @@ def test_all_jobs_are_listed(server: httpx.Client, job: str) -> None:
     assert "queued" in text
     assert "&lt;script&gt;" in text
     assert "<script>alert" not in text
-    assert "is not a cursor" in server.get("/jobs", params={"after": "nonsense"}).text
+    assert f"/jobs/{job}" in server.get("/jobs", params={"page": "nonsense"}).text
 
 
 def test_both_stand_in_nobodys_way(chromium: Browser, server: httpx.Client, job: str) -> None:

@@ -9,6 +9,7 @@ from fastapi.responses import HTMLResponse
 
 from kilter_service.page.audit import service
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import render
 from kilter_service.state import DatabaseOfApp
 
@@ -19,5 +20,6 @@ Name = Annotated[str, Query(max_length=200)]
 @router.get("/audit")
 def shown(request: Request, database: DatabaseOfApp, robot: Name = "", actor: Name = "") -> HTMLResponse:
     """Show the newest entries, and whether the record is whole."""
-    found = service.found(database, robot.strip(), actor.strip())
+    asked = Asked.of(request, ("robot", "actor"))
+    found = service.found(database, robot.strip(), actor.strip(), asked)
     return render(request, "audit/list.html", found=found, robot=robot, actor_wanted=actor)

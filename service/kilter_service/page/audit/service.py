@@ -11,41 +11,46 @@ from kilter_service.contract.audit import AuditEntry
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
+from kilter_service.page.audit.said import DONE, Said, said
+from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.paging import Page
 from kilter_service.versions import service as versions
 
 AT_ONCE = 1000
-SHOWN = 200
 
 
 @dataclass(frozen=True)
 class Found:
-    """The newest entries that were asked for, how many there are in all, and whether the record is whole."""
+    """The entries that were asked for, newest first, how many there are in all, and whether the record is whole."""
 
-    entries: list[AuditEntry]
-    matching: int
+    part: Part[AuditEntry]
+    entries: list[Said]
     total: int
     head: str
     broken: str
 
 
-def found(database: Database, robot: str, actor: str) -> Found:
-    """Return the newest entries about a robot, by somebody; empty texts ask for all."""
+def found(database: Database, robot: str, actor: str, asked: Asked) -> Found:
+    """Return entries about a robot, by somebody; empty texts ask for all."""
     ids = _ids(database, robot) if robot else frozenset()
     kept: list[AuditEntry] = []
-    matching = total = 0
+    total = 0
     after: tuple[str, ...] | None = None
     while True:
         page = audit.listed(database, Page(AT_ONCE, after))
         total += len(page.entries)
-        wanted = [one for one in page.entries if _is_wanted(one, robot, ids, actor)]
-        matching += len(wanted)
-        kept = [*kept, *wanted][-SHOWN:]
+        kept += [one for one in page.entries if _is_wanted(one, robot, ids, actor)]
         if page.next is None:
             break
         after = (str(page.entries[-1].number),)
     head, broken = _state(database)
-    return Found(kept[::-1], matching, total, head, broken)
+    shown = part(kept[::-1], asked, _words, {})
+    return Found(shown, said(database, shown.shown), total, head, broken)
+
+
+def _words(entry: AuditEntry) -> str:
+    """What a search looks in: what was done, and all that the entry holds."""
+    return f"{DONE.get(entry.route, '')} {entry.content}"
 
 
 def _state(database: Database) -> tuple[str, str]:

@@ -15,6 +15,7 @@ from kilter_service.page.campaign import chosen, service
 from kilter_service.page.campaign.without import without
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
+from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import is_part, redirect, render, root_of
 from kilter_service.robots import service as robots
 from kilter_service.slots import compute
@@ -30,9 +31,9 @@ Rows = Annotated[int, Query(ge=0, le=10**12)]
 @router.get("/robots/{robot}/campaigns")
 def listed(robot: str, request: Request, database: DatabaseOfApp, retired: bool = False) -> HTMLResponse:
     """List the campaigns of a robot."""
-    found = service.listed(database, robot, retired)
+    found = service.listed(database, robot, retired, Asked.of(request, ("role", "retired")))
     name = robots.get(database, robot).name
-    return render(request, "campaign/list.html", robot=name, campaigns=found, retired=retired)
+    return render(request, "campaign/list.html", robot=name, part=found, retired=retired)
 
 
 @router.get("/campaigns/{campaign}")

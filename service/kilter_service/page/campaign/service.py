@@ -16,6 +16,7 @@ from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Version
 from kilter_service.db import Database
 from kilter_service.page.campaign.series import KEPT, LEAST, MOST, thinned
+from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.measured import Seen, seen
 from kilter_service.paging import Page
 from kilter_service.suspicious import service as suspicious
@@ -41,9 +42,21 @@ class Shown:
     columns: list[tuple[str, str]]
 
 
-def listed(database: Database, robot: str, with_retired: bool) -> list[Campaign]:
-    """Return the campaigns of a robot, newest first."""
-    return campaigns.listed(database, robot, Page(), False, with_retired).campaigns[::-1]
+def listed(database: Database, robot: str, with_retired: bool, asked: Asked) -> Part[Campaign]:
+    """Return the campaigns of a robot that the address asks for, newest first."""
+    return part(
+        campaigns.listed(database, robot, Page(), False, with_retired).campaigns[::-1],
+        asked,
+        lambda one: f"{one.name} {one.device} {one.instrument or ''} {one.notes} {one.id}",
+        {
+            "name": lambda one: one.name,
+            "device": lambda one: one.device or None,
+            "rows": lambda one: one.rows,
+            "stored": lambda one: one.created_at,
+        },
+        {"role": lambda one: one.role},
+        "-stored",
+    )
 
 
 def shown(database: Database, campaign_id: str) -> Shown:

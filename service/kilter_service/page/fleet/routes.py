@@ -7,6 +7,7 @@ from fastapi.responses import HTMLResponse
 
 from kilter_service.page.fleet import service
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import render
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 
@@ -16,4 +17,5 @@ router = APIRouter(include_in_schema=False, route_class=PageRoute)
 @router.get("/")
 def fleet(request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show a card for each robot."""
-    return render(request, "fleet.html", cards=service.cards(database, settings))
+    part = service.found(service.cards(database, settings), Asked.of(request, ("state",)))
+    return render(request, "fleet.html", part=part)

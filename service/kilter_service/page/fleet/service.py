@@ -15,6 +15,7 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import LOOKS, standing
 from kilter_service.page.shared.correcting import Correcting, corrector
+from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
@@ -35,6 +36,13 @@ class Card:
     correcting: Correcting
     open_jobs: int
     drift: DriftSummary | None
+
+    @property
+    def state(self) -> str:
+        """Good as far as is known, changed since its fit, or not corrected."""
+        if self.version is None:
+            return "uncorrected"
+        return "changed" if self.today is not None and self.today.changed else "corrected"
 
     @property
     def rank(self) -> tuple[int, bool, float]:
@@ -73,3 +81,18 @@ def cards(database: Database, settings: Settings) -> list[Card]:
         jobs_open, drifted = open_jobs.get(robot.name, 0), checked.get(robot.name)
         made.append(Card(robot, version, now, accuracy, correcting, jobs_open, drifted))
     return sorted(made, key=lambda card: card.rank)
+
+
+def found(made: list[Card], asked: Asked) -> Part[Card]:
+    """Return the cards that the address asks for; without a column they stay worst first."""
+    return part(
+        made,
+        asked,
+        lambda card: f"{card.robot.name} {card.version.name if card.version else ''}",
+        {
+            "name": lambda card: card.robot.name,
+            "error": lambda card: card.accuracy.mean if card.accuracy else None,
+            "jobs": lambda card: card.open_jobs,
+        },
+        {"state": lambda card: card.state},
+    )

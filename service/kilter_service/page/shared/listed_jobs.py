@@ -9,6 +9,7 @@ from kilter_service.contract.jobs.job import JobSummary
 from kilter_service.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.jobs.records import Place
+from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.paging import Page
 
 KINDS: Mapping[str, str] = {
@@ -34,6 +35,28 @@ class Listed:
     def kinds(self) -> Mapping[str, str]:
         """What the kinds of jobs are called."""
         return KINDS
+
+
+STATES = ("queued", "running", "succeeded", "failed", "cancelled")
+
+
+def asked(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
+    """Return the jobs that the address asks for, of one robot or of all that may be seen."""
+    found = part(
+        jobs.listed(database, robot, Page()).jobs,
+        wanted,
+        lambda job: f"{job.name} {job.robot} {KINDS.get(job.kind, job.kind)} {job.asked_by} {job.id}",
+        {
+            "name": lambda job: job.name or job.id,
+            "robot": lambda job: job.robot,
+            "kind": lambda job: KINDS.get(job.kind, job.kind),
+            "state": lambda job: STATES.index(job.state),
+            "asked": lambda job: job.created_at,
+        },
+        {"kind": lambda job: job.kind, "state": lambda job: job.state},
+        "-asked",
+    )
+    return Listed(found.shown, jobs.places(database), None), found
 
 
 def listed(database: Database, robot: str | None, page: Page) -> Listed:

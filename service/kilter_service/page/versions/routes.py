@@ -12,6 +12,7 @@ from kilter_service.contract.versions import ActivationWish
 from kilter_service.errors import ServiceError
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import contributions
+from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.page.versions import by_factor, comparison, looking_ahead, service, workspace
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
@@ -26,7 +27,8 @@ Tag = Annotated[str, Form(max_length=LONGEST_TAG)]
 @router.get("/robots/{robot}/versions")
 def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show the versions of a robot and who activated them."""
-    return render(request, "versions/history.html", shown=service.history(database, robot))
+    asked, log = Asked.of(request, ("state",)), Asked.of(request, page=service.LOG)
+    return render(request, "versions/history.html", shown=service.history(database, robot, asked, log))
 
 
 @router.get("/versions/{version}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from kilter_service.contract.fits import Parameter
@@ -14,6 +14,7 @@ from kilter_service.db import Database
 from kilter_service.page.figures.plot import GREY, Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
@@ -22,8 +23,9 @@ from kilter_service.today import service as today
 from kilter_service.versions import service
 from kilter_service.versions.expected import tag_of_robot
 
-MOST_SHOWN = 200  # versions and activations of a list
+MOST_SHOWN = 200  # versions to compare one with
 MOST_BARS = 24
+LOG = "log"  # the page of the activations, in the address
 
 
 @dataclass(frozen=True)
@@ -36,18 +38,19 @@ class Listed:
 
 @dataclass(frozen=True)
 class History:
-    """The versions of a robot, newest first, who activated what, and the state that a roll-back starts from."""
+    """The versions of a robot, newest first, who activated what, and the state that a roll-back starts from.
+
+    ``active`` is the version that the robot is corrected with, ``last`` the newest activation, ``names`` those of versions.
+    """
 
     robot: RobotReport
-    versions: Sequence[Listed]
-    activations: Sequence[Activation]
+    versions: Part[Listed]
+    activations: Part[Activation]
     etag: str
     figure: Plot | None
-
-    @property
-    def active(self) -> VersionSummary | None:
-        """The version that the robot is corrected with."""
-        return next((one.version for one in self.versions if one.version.active), None)
+    active: VersionSummary | None
+    last: Activation | None
+    names: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -64,15 +67,37 @@ class Shown:
     today: Today | None
 
 
-def history(database: Database, robot: str) -> History:
-    """Return the versions of a robot, those that are retired too: the lineage has them."""
-    page = Page(limit=MOST_SHOWN)
+def history(database: Database, robot: str, asked: Asked, log: Asked) -> History:
+    """Return the versions of a robot that the address asks for, those that are retired too: the lineage has them."""
     found = [
         Listed(one, accuracy_of(one.metrics))
-        for one in service.listed(database, robot, page, with_retired=True).versions
+        for one in service.listed(database, robot, Page(), with_retired=True).versions
     ]
-    log = service.activations(database, robot, page).activations
-    return History(robots.get(database, robot), found, log, tag_of_robot(database, robot), errors_by_version(found))
+    entries = service.activations(database, robot, Page()).activations
+    return History(
+        robots.get(database, robot), _part(found, asked), part(entries, log, lambda _: "", {}, named=LOG),
+        tag_of_robot(database, robot), errors_by_version(found),
+        next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
+        {one.version.id: one.version.name or one.version.id for one in found},
+    )  # fmt: skip
+
+
+def _part(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
+    def state(one: Listed) -> str:
+        return "active" if one.version.active else "retired" if one.version.retired_at else "other"
+
+    return part(
+        found,
+        asked,
+        lambda one: f"{one.version.name} {one.version.id} {one.version.notes} {' '.join(one.version.effects)}",
+        {
+            "name": lambda one: one.version.name or one.version.id,
+            "made": lambda one: one.version.created_at,
+            "error": lambda one: one.accuracy.mean if one.accuracy else None,
+        },
+        {"state": state},
+        "-made",
+    )
 
 
 def version(database: Database, version_id: str) -> Shown:

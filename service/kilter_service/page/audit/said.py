@@ -1,0 +1,157 @@
+"""What an entry of the audit did, in words: who reads it need not know the routes, nor what an id stands for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_core.errors import CoreError
+from kilter_service.campaigns import service as campaigns
+from kilter_service.contract.audit import AuditEntry
+from kilter_service.db import Database
+from kilter_service.jobs import service as jobs
+from kilter_service.versions import service as versions
+
+# What the method and path of a route did; names in braces are those of what was changed.
+DONE: Mapping[str, str] = {
+    "DELETE /v1/campaigns/{campaign}": "discarded the unfinished campaign {campaign}",
+    "DELETE /v1/robots/{robot}": "deleted robot {robot}",
+    "DELETE /v1/robots/{robot}/meshes/{link}": "removed the shape of link {link} of {robot}",
+    "DELETE /v1/tokens/{token}": "withdrew the token {token}",
+    "PATCH /v1/campaigns/{campaign}": "changed the name or notes of campaign {campaign}",
+    "PATCH /v1/robots/{robot}": "changed what is said of robot {robot}",
+    "PATCH /v1/versions/{version}": "changed the name or notes of version {version}",
+    "POST /campaigns/{campaign}/change": "changed the name or notes of campaign {campaign}",
+    "POST /campaigns/{campaign}/restore": "brought campaign {campaign} back into use",
+    "POST /campaigns/{campaign}/retire": "took campaign {campaign} out of use",
+    "POST /campaigns/{campaign}/rows/aside": "set rows aside: stored campaign {campaign} without them",
+    "POST /jobs/{job}/cancel": "cancelled job {job}",
+    "POST /jobs/{job}/gap/again": "asked for job {job}, a search once more",
+    "POST /jobs/{job}/gap/plan": "asked for job {job}, a plan of poses",
+    "POST /login": "logged in",
+    "POST /logout": "logged out",
+    "POST /robots/{robot}/campaigns/new/{draft}/store": "stored campaign {campaign} of {robot}",
+    "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
+    "POST /robots/{robot}/jobs": "asked for job {job} of {robot}",
+    "POST /robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
+    "POST /robots/{robot}/meshes/{link}/remove": "removed the shape of link {link} of {robot}",
+    "POST /robots/{robot}/rollback": "went back to version {version} of {robot}",
+    "POST /v1/campaigns/{campaign}/commit": "completed campaign {campaign}",
+    "POST /v1/campaigns/{campaign}/observations": "sent rows to campaign {campaign}",
+    "POST /v1/campaigns/{campaign}/purge": "purged campaign {campaign}",
+    "POST /v1/campaigns/{campaign}/restore": "brought campaign {campaign} back into use",
+    "POST /v1/campaigns/{campaign}/retire": "took campaign {campaign} out of use",
+    "POST /v1/fleet-jobs": "asked for a job of several robots",
+    "POST /v1/fleet-jobs/{fleet_job}/cancel": "cancelled a job of several robots",
+    "POST /v1/instruments": "stored an instrument",
+    "POST /v1/jobs": "asked for job {job}",
+    "POST /v1/jobs/{job}/cancel": "cancelled job {job}",
+    "POST /v1/robots": "added robot {robot}",
+    "POST /v1/robots/{robot}/campaigns": "added campaign {campaign} to {robot}",
+    "POST /v1/robots/{robot}/purge": "purged robot {robot}",
+    "POST /v1/robots/{robot}/restore": "brought robot {robot} back into use",
+    "POST /v1/robots/{robot}/retire": "took robot {robot} out of use",
+    "POST /v1/robots/{robot}/rollback": "went back to version {version} of {robot}",
+    "POST /v1/robots/{robot}/stream/sessions": "opened a session of the stream of {robot}",
+    "POST /v1/tokens": "made a token",
+    "POST /v1/versions/{version}/activate": "activated version {version} of {robot}",
+    "POST /v1/versions/{version}/purge": "purged version {version}",
+    "POST /v1/versions/{version}/restore": "brought version {version} back into use",
+    "POST /v1/versions/{version}/retire": "took version {version} out of use",
+    "POST /versions/{version}/activate": "activated version {version} of {robot}",
+    "PUT /v1/robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
+    "kilterd worker": "finished job {job}",
+}
+KINDS = {
+    "campaigns": "campaign",
+    "versions": "version",
+    "jobs": "job",
+}  # tables of the database, as paths call their entries
+GET: Mapping[str, Callable[[Database, str], Any]] = {
+    "campaign": campaigns.get,
+    "version": versions.get,
+    "job": jobs.get,
+}
+UNKNOWN = "one that is gone"
+
+
+@dataclass(frozen=True)
+class Said:
+    """An entry with what it did, and the reason that was given; empty: none was."""
+
+    entry: AuditEntry
+    what: str
+    reason: str
+
+
+def said(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
+    """Put entries in words, with names instead of ids."""
+    known = _Names(database)
+    return [Said(one, _what(one, known), _reason(one)) for one in entries]
+
+
+def _what(entry: AuditEntry, known: _Names) -> str:
+    template = DONE.get(entry.route)
+    if template is None:
+        return f"changed something by {entry.route}"
+    return template.format_map(known.of(entry))
+
+
+def _reason(entry: AuditEntry) -> str:
+    """Why it was done, where somebody said so."""
+    for _, after in _changed(entry):
+        if isinstance(after, dict) and isinstance(after.get("reason"), str) and after["reason"]:
+            return str(after["reason"])
+    return ""
+
+
+def _changed(entry: AuditEntry) -> Iterator[tuple[str, object]]:
+    """Each thing that was changed with what it is since, or with what it was where it is gone."""
+    for one in entry.changes:
+        try:
+            yield one.thing, json.loads(one.after or one.before or "null")
+        except ValueError:
+            continue
+
+
+class _Names:
+    """What the ids of entries stand for; each is looked up once."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._found: dict[str, tuple[str, str]] = {}
+
+    def of(self, entry: AuditEntry) -> dict[str, str]:
+        """Return a name for whatever a template may say."""
+        place = json.loads(entry.place)
+        ids = {name: str(value) for name, value in place.items()} if isinstance(place, dict) else {}
+        told = dict.fromkeys(("robot", "campaign", "version", "job", "link", "token"), UNKNOWN) | ids
+        for thing, after in _changed(entry):
+            table, _, key = thing.partition("/")
+            if table in KINDS and (KINDS[table] not in ids or entry.route.endswith("/aside")):
+                told[KINDS[table]] = key
+            elif table == "robots" and isinstance(after, dict) and "name" in after:
+                told["robot"] = str(after["name"])
+            elif thing == "active_version" and isinstance(after, str):
+                told["version"] = after
+        return self._named(told)
+
+    def _named(self, told: dict[str, str]) -> dict[str, str]:
+        for kind in KINDS.values():
+            if told[kind] != UNKNOWN:
+                name, robot = self._look_up(kind, told[kind])
+                told[kind] = name
+                if told["robot"] == UNKNOWN and robot:
+                    told["robot"] = robot
+        return told
+
+    def _look_up(self, kind: str, key: str) -> tuple[str, str]:
+        if key not in self._found:
+            try:
+                one = GET[kind](self._database, key)
+                self._found[key] = one.name or key, one.robot
+            except CoreError:
+                self._found[key] = key, ""
+        return self._found[key]
