@@ -31,11 +31,16 @@ class LogHints:
     """What the person says of a log: the topic of a bag, and its joints from the base to the tool.
 
     ``order`` are joint names; a prismatic joint is ``name:m``. ``likely`` is used when the log has all of them.
+    Of a LeRobot data set the ``calibration`` and its ``norm_mode`` say what its numbers mean; ``zero`` "old" says that they
+    are degrees from where the arm is stretched out.
     """
 
     topic: str | None = None
     order: Sequence[str] = ()
     likely: Sequence[str] = ()
+    calibration: Path | None = None
+    norm_mode: str | None = None
+    zero: str = "new"
 
 
 @dataclass(frozen=True)

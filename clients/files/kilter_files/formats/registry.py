@@ -14,6 +14,8 @@ from kilter_files.ground.faults import fault
 # modules of `kilter_files.formats.readers`: what first bytes show before what only columns show
 READERS = (
     "bag",
+    "lerobot",
+    "lerobot_calibration",
     "tdms",
     "parquet",
     "mat",

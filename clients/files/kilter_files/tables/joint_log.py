@@ -19,13 +19,17 @@ MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turn
 
 @dataclass(frozen=True)
 class JointLog:
-    """``columns`` by contract name, each (n); ``joints`` are the names q1_..., in order."""
+    """``columns`` by contract name, each (n); ``joints`` are the names q1_..., in order.
+
+    ``calibration_sha256`` is that of the servos' zeros, where the log has any: rows of another are those of another arm.
+    """
 
     path: Path
     joints: tuple[str, ...]
     columns: dict[str, Floats]
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    calibration_sha256: str | None = None
 
     def __len__(self) -> int:
         return len(self.columns[self.joints[0]])

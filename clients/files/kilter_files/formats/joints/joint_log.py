@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.joint_order import ordered
+from kilter_files.formats.lerobot.log import log_of_dataset
 from kilter_files.formats.opening import open_source
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, LogHints
@@ -21,7 +22,7 @@ from kilter_files.tables.text_source import TextSource
 
 
 def read_joint_log(path: Path, hints: LogHints = NO_LOG_HINTS) -> JointLog:
-    """Read a joint log: contract columns (CSV, Parquet), a bag, or a program's targets.
+    """Read a joint log: contract columns (CSV, Parquet), a bag, a LeRobot data set, or a program's targets.
 
     Raises:
         FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
@@ -29,6 +30,8 @@ def read_joint_log(path: Path, hints: LogHints = NO_LOG_HINTS) -> JointLog:
     """
     if recognised(path, "bag"):
         return log_of_bag(path, hints)
+    if recognised(path, "lerobot"):
+        return log_of_dataset(path, hints)
     if path.suffix.lower() != ".parquet" and recognised(path, "program"):
         return log_of_targets(path)
     source = open_source(path, "csv" if path.suffix.lower() == ".log" else None, Layout())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -31,6 +31,21 @@ JointOrder = Annotated[
         help="Bag: the arm's joints from the base to the tool; a prismatic one is NAME:m.",
     ),
 ]
+Calibration = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration", metavar="JSON", help="LeRobot: the calibration of the arm that recorded the data set.",
+        exists=True, dir_okay=False,
+    ),
+]  # fmt: skip
+NormMode = Annotated[
+    Literal["RANGE_M100_100", "DEGREES"] | None,
+    typer.Option("--norm-mode", help="LeRobot: what its numbers are, parts of the range or degrees."),
+]
+Zero = Annotated[
+    Literal["new", "old"],
+    typer.Option("--zero", help="LeRobot: old where the arm was stretched out at zero (recorded before LeRobot 0.2)."),
+]
 FileOrBag = Annotated[
     Path, typer.Argument(help="The file, or a bag's folder.", metavar="FILE", show_default=False, exists=True)
 ]
@@ -54,6 +69,9 @@ def inspect(
     unit: Unit = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
+    calibration: Calibration = None,
+    norm_mode: NormMode = None,
+    zero: Zero = "new",
     draft: Annotated[
         Path | None,
         typer.Option(
@@ -78,7 +96,8 @@ def inspect(
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     if rate is not None and not rate > 0:
         raise UsageError(f"--rate {rate}: give frames per second, above 0.")
-    log = LogHints(topic, arguments.split_names([joint_order or ""]))
+    order = arguments.split_names([joint_order or ""])
+    log = LogHints(topic, order, calibration=calibration, norm_mode=norm_mode, zero=zero)
     document = look(file, Hints(rate, allow_cut, preset, euler, unit, log))
     emit(document, as_json, _show)
     if document["problems"]:

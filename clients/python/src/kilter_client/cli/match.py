@@ -10,8 +10,9 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
+from kilter_client.cli.calibrated_rows import calibrated
 from kilter_client.cli.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
-from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, Unit, check_numpy
+from kilter_client.cli.inspect import AllowCut, Calibration, JointOrder, NormMode, Rate, Topic, Unit, Zero, check_numpy
 from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
@@ -62,6 +63,9 @@ def match(
     tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, where --tcp asks for one.")] = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
+    calibration: Calibration = None,
+    norm_mode: NormMode = None,
+    zero: Zero = "new",
     rate: Rate = None,
     allow_cut: AllowCut = False,
     unit: Unit = None,
@@ -86,17 +90,12 @@ def match(
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
     from kilter_files.formats.opening import open_recording
-    from kilter_files.formats.reader import LogHints
-    from kilter_files.formats.registry import recognised
     from kilter_files.match.dwells import RestOptions
     from kilter_files.match.rigid_body import tool_as_markers
 
-    likely = joints_of(robot or model) if recognised(joints, "bag") else ()
-    hints = LogHints(topic, arguments.split_names([joint_order or ""]), likely)
     found = cut_by(open_recording(recording, rate, allow_cut, unit), without)
-    log = read_joints(joints, joints_map, hints)
-    for text in log.notes:
-        note(f"  {text}", as_json)
+    order, servos = arguments.split_names([joint_order or ""]), (calibration, norm_mode, zero)
+    log = _log(joints, joints_map, topic, order, servos, robot or model, as_json)
     checks = checks_of(model or robot, piecewise, unchecked, since, until)
     if tcp is not None and (tool is not None or found.kind.startswith("tool-")):
         found = tool_as_markers(found, tool)
@@ -105,13 +104,29 @@ def match(
     body = None if tcp is None else _body(in_time(found, checks), tcp)
     if body is not None:
         note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
-    wanted = {"name": name or recording.name, "device": device, "role": role, "numbered": name is None}
+    own = {"name": name or recording.name, "device": device, "role": role, "numbered": name is None}
+    wanted = own | calibrated(robot, log)
     if by == "frames":
         document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:
         options = RestOptions(rest_speed, shortest, settle)
         document = _dwells(found, log, body, by, (options, checks), out, robot, wanted, as_json)
     emit(document, as_json, _show)
+
+
+def _log(
+    joints: Path, joints_map: Path | None, topic: str | None, order: list[str],
+    servos: tuple[Path | None, str | None, str], robot: str | None, as_json: bool,
+) -> JointLog:  # fmt: skip
+    """Read the joint log, and say what was understood of it; ``servos`` are a data set's calibration, norm mode and zero."""
+    from kilter_files.formats.reader import LogHints
+    from kilter_files.formats.registry import recognised
+
+    likely = joints_of(robot) if recognised(joints, "bag") else ()
+    log = read_joints(joints, joints_map, LogHints(topic, order, likely, *servos))
+    for text in log.notes:
+        note(f"  {text}", as_json)
+    return log
 
 
 def _body(recording: Recording, tcp: str) -> Body:

@@ -1,0 +1,167 @@
+"""LeRobot's calibration of an arm: for each servo its zero and range in ticks, and what recorded numbers mean with it.
+
+Readings are divided by range (-100 to 100) or given in degrees from the middle of the range, with 4095 ticks to 360
+degrees as LeRobot counts. The file does not say which: whoever recorded does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kilter_files.ground.arrays import Floats
+from kilter_files.ground.faults import fault
+from kilter_files.ground.names import did_you_mean
+
+FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+OLD_FIELDS = {"homing_offset", "drive_mode", "calib_mode"}  # lists, one entry for each motor
+TICKS, TURN_TICKS, MOST_OFFSET = 4096, 4095, 2047
+BY_RANGE, DEGREES = NORM_MODES = ("RANGE_M100_100", "DEGREES")
+TELEOPERATORS = "teleoperators"  # the folder in which LeRobot keeps the calibrations of leaders
+LEAST_RANGE, OUTSIDE_DEG = 10, 1.0  # ticks; beyond the range of its own calibration
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A servo as LeRobot calibrated it, in ticks."""
+
+    id: int
+    drive_mode: int
+    homing_offset: int
+    range_min: int
+    range_max: int
+
+    @property
+    def half_range_deg(self) -> float:
+        """From the middle of its range to an end."""
+        return 0.5 * (self.range_max - self.range_min) * 360.0 / TURN_TICKS
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The servos of an arm by name, and the hash of the file: rows of another calibration are those of another arm."""
+
+    path: Path
+    servos: Mapping[str, Servo]
+    sha256: str
+
+    @property
+    def of_a_leader(self) -> bool:
+        """Whether LeRobot keeps it among its leaders."""
+        return TELEOPERATORS in self.path.resolve().parts or "leader" in self.path.resolve().parent.name
+
+    def degrees(self, name: str, recorded: Floats, mode: str) -> Floats:
+        """Angle (n,) of a servo from the middle of its range, degrees, of what was recorded."""
+        if mode == DEGREES:
+            return recorded
+        servo = self.servos[name]
+        return recorded / 100.0 * (-servo.half_range_deg if servo.drive_mode else servo.half_range_deg)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration.
+
+    Raises:
+        FileError: it is not a calibration, that of the old zero, or one whose servos wrap or cannot be.
+
+    """
+    content = path.read_bytes()
+    try:
+        found = json.loads(content)
+    except ValueError as error:
+        raise fault(path, f"is not JSON ({error})", "Take the file that lerobot-calibrate wrote.") from error
+    if not isinstance(found, dict) or not found:
+        raise fault(path, "holds no servos", "Take the file that lerobot-calibrate wrote.")
+    if found.keys() >= OLD_FIELDS:
+        raise fault(
+            path, "is a calibration of the old zero (lists, from before LeRobot 0.2)",
+            "Calibrate again with lerobot-calibrate; data recorded with it are read with --zero old.",
+        )  # fmt: skip
+    servos = {str(name): _servo(path, str(name), entry) for name, entry in found.items()}
+    _refuse_twins(path, servos)
+    return Calibration(path, servos, hashlib.sha256(content).hexdigest())
+
+
+def looks_like_one(start: bytes) -> bool:
+    """Tell by the first bytes of a file whether it is a calibration."""
+    return start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{") and b'"homing_offset"' in start
+
+
+def servo_of(calibration: Calibration, joint: str) -> str:
+    """Name in the calibration of a joint of a data set: of one arm of two, the file has it without ``left_``.
+
+    Raises:
+        FileError: the calibration has no such servo.
+
+    """
+    for name in (joint, joint.removeprefix("left_"), joint.removeprefix("right_")):
+        if name in calibration.servos:
+            return name
+    has = ", ".join(calibration.servos)
+    what = f"has no servo {joint!r}{did_you_mean(joint, list(calibration.servos))}: it is of another arm"
+    raise fault(calibration.path, what, f"It has {has}. Give the calibration with which the data were recorded.")
+
+
+def refuse_outside(
+    calibration: Calibration, path: Path, column: str, servo: str, angles: Floats, first_row: int
+) -> None:
+    """Refuse angles that the servo does not reach: they were recorded with another calibration.
+
+    Raises:
+        FileError: an angle beyond the range.
+
+    """
+    reach = calibration.servos[servo].half_range_deg + OUTSIDE_DEG
+    far = np.flatnonzero(~(np.abs(angles) <= reach))
+    if len(far):
+        what = f"{angles[far[0]]:.6g} deg is outside the range of {calibration.path.name} (+-{reach - OUTSIDE_DEG:.4g} deg)"
+        remedy = "The rows are of another calibration, or of another norm mode: give those they were recorded with."
+        raise fault(path, what, remedy, row=first_row + int(far[0]) + 1, column=column)
+
+
+def _servo(path: Path, name: str, entry: Any) -> Servo:
+    if not isinstance(entry, dict) or any(not _whole(entry.get(key)) for key in FIELDS):
+        raise fault(
+            path, f"servo {name!r} does not have whole numbers {', '.join(FIELDS)}", "Calibrate it again."
+        )  # fmt: skip
+    servo = Servo(*(int(entry[key]) for key in FIELDS))
+    wrong = _impossible(servo)
+    if wrong:
+        raise fault(path, f"servo {name!r}: {wrong[0]}", wrong[1])
+    return servo
+
+
+def _impossible(servo: Servo) -> Sequence[str]:
+    if servo.drive_mode not in (0, 1):
+        return f"drive_mode is {servo.drive_mode}", "It is 0, or 1 for a reversed servo."
+    if abs(servo.homing_offset) > MOST_OFFSET:
+        return (
+            f"homing_offset is {servo.homing_offset}, a servo holds {MOST_OFFSET} ticks either way",
+            "Put the arm into the middle of its range and calibrate again; else move the horn by a tooth.",
+        )
+    low, high = servo.range_min, servo.range_max
+    if low < 0 or high >= TICKS or high - low < LEAST_RANGE:
+        return (
+            f"its range is {low} to {high} of 0 to {TICKS - 1} ticks: it wraps within the range, or was not moved",
+            "Put the arm into the middle of its range before the zero is taken, and move each joint from end to end.",
+        )
+    return ()
+
+
+def _refuse_twins(path: Path, servos: Mapping[str, Servo]) -> None:
+    numbers = [servo.id for servo in servos.values()]
+    twice = next((number for number in numbers if numbers.count(number) > 1), None)
+    if twice is not None:
+        raise fault(
+            path, f"two servos have id {twice}: calibrations of two arms in one file", "Give the file of one arm."
+        )
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
