@@ -13,9 +13,9 @@ from kilter_service import problems
 from kilter_service.acceptance.routes import router as acceptance
 from kilter_service.audit.refusals import Refusals
 from kilter_service.audit.routes import router as audit
-from kilter_service.auth.described import described
+from kilter_service.auth.openapi_security import described
 from kilter_service.auth.rates import Rates
-from kilter_service.auth.slow import Unhurried
+from kilter_service.auth.slow_bodies import Unhurried
 from kilter_service.auth.token import admin_token
 from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.correction.routes import router as correction

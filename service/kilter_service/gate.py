@@ -12,7 +12,7 @@ from fastapi import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from kilter_service.auth.access import PLAIN_READS
-from kilter_service.auth.direct import OTHER_SITES, address, host_of, is_loopback_name
+from kilter_service.auth.forwarded import OTHER_SITES, address, host_of, is_loopback_name
 from kilter_service.errors import ServiceError
 from kilter_service.problems import problem
 from kilter_service.settings import Settings, names_in

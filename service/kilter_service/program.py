@@ -52,7 +52,7 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
     if arguments.fd is not None:
         serving.serve(settings, socket.socket(fileno=arguments.fd))
         return
-    from kilter_service.auth.binding import check_binding
+    from kilter_service.auth.listen_rules import check_binding
     from kilter_service.auth.token import admin_token
     from kilter_service.server_file import ServerFile
 

@@ -121,7 +121,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         log_config=None,
         access_log=False,
         http=TimedConnection,
-        # It would believe what any program on this machine says about where a request comes from (auth/direct.py).
+        # It would believe what any program on this machine says about where a request comes from (auth/forwarded.py).
         proxy_headers=False,
         ssl_certfile=settings.tls_certificate,
         ssl_keyfile=settings.tls_key,

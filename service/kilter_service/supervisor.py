@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from kilter_service.auth.binding import check_binding
+from kilter_service.auth.listen_rules import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.corrector.orphan import goes_on_alone

@@ -21,8 +21,8 @@ import zenoh
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector import nursery, wire
-from kilter_service.corrector.nursery import Child
+from kilter_service.corrector import fork_server, wire
+from kilter_service.corrector.fork_server import Child
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.queries import encode_trajectory
 from kilter_service.corrector.session import config
@@ -279,7 +279,7 @@ def test_the_stream_comes_back_after_kill_9(corrector: Corrector) -> None:
 
 
 def test_the_stream_outlives_the_process_that_forked_it(corrector: Corrector) -> None:
-    origin = corrector._nursery
+    origin = corrector._fork_server
     with open_stream(corrector, "orphan") as stream:
         before = {name: child.pid for name, child in corrector._children.items()}
         assert len({*before.values(), origin.pid, os.getpid()}) == 4
@@ -293,11 +293,11 @@ def test_the_stream_outlives_the_process_that_forked_it(corrector: Corrector) ->
 
 
 @pytest.mark.parametrize("ends", [False, True], ids=["stays frozen", "is killed then"])
-def test_a_frozen_nursery_does_not_hold_up_a_stream_that_was_killed(
+def test_a_frozen_fork_server_does_not_hold_up_a_stream_that_was_killed(
     corrector: Corrector, monkeypatch: pytest.MonkeyPatch, ends: bool
 ) -> None:
-    monkeypatch.setattr(nursery, "FORK_S", 20.0 if ends else 0.5)
-    frozen = corrector._nursery.pid or 0
+    monkeypatch.setattr(fork_server, "FORK_S", 20.0 if ends else 0.5)
+    frozen = corrector._fork_server.pid or 0
     stream = corrector._children["stream"]
     with open_stream(corrector, "nursery", deadline_s=0.5) as line:
         os.kill(frozen, signal.SIGSTOP)
@@ -309,24 +309,24 @@ def test_a_frozen_nursery_does_not_hold_up_a_stream_that_was_killed(
             killer.start()
         corrector.poll()
         killer.cancel()
-        assert corrector._nursery.pid != frozen
+        assert corrector._fork_server.pid != frozen
         until(lambda: line.correct(Q).source == "corrected")
 
 
-def test_a_nursery_that_is_frozen_is_replaced_before_it_is_needed(
+def test_a_fork_server_that_is_frozen_is_replaced_before_it_is_needed(
     corrector: Corrector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(nursery, "FORK_S", 0.2)
-    frozen, before = corrector._nursery.pid or 0, {name: child.pid for name, child in corrector._children.items()}
+    monkeypatch.setattr(fork_server, "FORK_S", 0.2)
+    frozen, before = corrector._fork_server.pid or 0, {name: child.pid for name, child in corrector._children.items()}
     os.kill(frozen, signal.SIGSTOP)
-    until(lambda: corrector.poll() or corrector._nursery.pid != frozen)  # type: ignore[func-returns-value]
-    assert corrector._nursery.alive
+    until(lambda: corrector.poll() or corrector._fork_server.pid != frozen)  # type: ignore[func-returns-value]
+    assert corrector._fork_server.alive
     assert {name: child.pid for name, child in corrector._children.items()} == before
 
 
 def test_one_that_may_not_begin_is_told_apart_from_one_that_runs(corrector: Corrector) -> None:
     spec = QuerySpec("test", "", Masters(()), unsigned=True)
-    child = Child("broken", "kilter_service.corrector.specs:nothing", spec, corrector._nursery)
+    child = Child("broken", "kilter_service.corrector.specs:nothing", spec, corrector._fork_server)
     assert not child.alive
     child.launch()
     with pytest.raises(RuntimeError, match="The broken process of the corrector did not start"):

@@ -7,7 +7,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from kilter_service.auth.binding import check_binding
+from kilter_service.auth.listen_rules import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings

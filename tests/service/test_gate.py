@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from kilter_client import Kilter, ServerUnreachableError, UsageError
 from kilter_service.app import create_app
-from kilter_service.auth.binding import check_binding
+from kilter_service.auth.listen_rules import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kilter_client.cli.results import show_job
-from kilter_core.identify.worse import PoseErrors
+from kilter_core.identify.model_comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Database
 from kilter_service.versions.objections import objections_of

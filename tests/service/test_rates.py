@@ -16,7 +16,7 @@ from kilter_client import Kilter
 from kilter_client.steps import post
 from kilter_service import connections
 from kilter_service.app import create_app
-from kilter_service.auth import slow
+from kilter_service.auth import slow_bodies
 from kilter_service.auth.rates import MOST_SENDERS, Rates
 from kilter_service.auth.token import admin_token
 from kilter_service.connections import TimedConnection
@@ -105,7 +105,7 @@ def quick(
     settings: Settings, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[httpx.Client, dict[str, str]]]:
     """A server that waits for a moment only, on its own connections."""
-    monkeypatch.setattr(slow, "GRACE_S", 0.5)
+    monkeypatch.setattr(slow_bodies, "GRACE_S", 0.5)
     monkeypatch.setattr(connections, "HEAD_S", 0.5)
     with served(create_app(settings), http=TimedConnection) as client:
         yield client, {"Authorization": f"Bearer {admin_token(settings)}"}

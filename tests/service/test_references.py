@@ -12,7 +12,7 @@ from kilter_service.db import Database
 from kilter_service.db.tables import CampaignRow, JobRow, VersionRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from kilter_service.versions.unseen import Archive
+from kilter_service.versions.unfitted_rows import Archive
 
 ROBOT = {"name": "katana", "convention": "preset", "preset": "katana450-chapter5"}
 OTHER = {**ROBOT, "name": "other"}

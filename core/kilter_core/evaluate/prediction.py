@@ -10,8 +10,8 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_core.identify.estimate import refitted
+from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.worse import Difference, PoseErrors
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, mm
 from kilter_core.model import Calibration

@@ -64,11 +64,11 @@ from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.wanted import wanted
 from kilter_core.identify.load_model import far_from_stated
+from kilter_core.identify.model_comparison import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
-from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration

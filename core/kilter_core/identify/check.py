@@ -19,7 +19,7 @@ from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
-from kilter_core.identify.measuring import measurement_for
+from kilter_core.identify.measurement_of_rows import measurement_for
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.report import still_joints

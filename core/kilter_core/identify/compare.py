@@ -14,8 +14,8 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import CoreError, NotConvergedError
 from kilter_core.identify.estimate import registration_only
+from kilter_core.identify.model_comparison import Difference
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
-from kilter_core.identify.worse import Difference
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import LEAST_ROWS, contacts_of
 from kilter_core.model import Calibration

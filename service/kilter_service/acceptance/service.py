@@ -23,7 +23,7 @@ from kilter_service.wire import to_metres, to_mm
 if TYPE_CHECKING:
     from kilter_service.acceptance.rows import Judged
     from kilter_service.contract.instruments import Instrument
-    from kilter_service.versions.unseen import Unseen
+    from kilter_service.versions.unfitted_rows import Unseen
 
 
 class Wish(NamedTuple):
@@ -109,7 +109,7 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
 def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iterable[Part]:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_service.acceptance.rows import judged
-    from kilter_service.versions.unseen import Archive
+    from kilter_service.versions.unfitted_rows import Archive
 
     calibration = versions.calibration(session, version_id)
     known = Predictive.from_document(versions.covariance(session, version_id), versions.get(session, version_id).report)

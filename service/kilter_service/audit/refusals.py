@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from fastapi import Request
 
-from kilter_service.auth.direct import address_of
+from kilter_service.auth.forwarded import address_of
 from kilter_service.caller import ANYBODY, CALLER, Caller
 from kilter_service.db import Database, audited
 from kilter_service.failure_log import Failing

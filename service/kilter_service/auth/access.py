@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 
-from kilter_service.auth.direct import address_of, is_direct
+from kilter_service.auth.forwarded import address_of, is_direct
 from kilter_service.auth.policy import Rule, rule_of
 from kilter_service.auth.scope import check_path
 from kilter_service.caller import ADMIN, ANYBODY, CALLER, RANK, Caller

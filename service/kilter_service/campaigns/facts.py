@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.campaigns.belonging import Judged, judged_whole
-from kilter_service.campaigns.doubtful import Doubtful, doubtful
 from kilter_service.campaigns.looking import Rows
 from kilter_service.campaigns.repeats import Repeats, repeats
+from kilter_service.campaigns.suspect_rows import Doubtful, doubtful
 from kilter_service.tables.assemble import observations
 from kilter_service.wire import to_deg, to_mm
 

@@ -24,7 +24,7 @@ from typing import Any
 from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import PrivateSocket, check_listening, is_local
-from kilter_service.corrector.nursery import POLL_S, Child, Nursery, StoppedError
+from kilter_service.corrector.fork_server import POLL_S, Child, ForkServer, StoppedError
 from kilter_service.corrector.orphan import take_over
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
 from kilter_service.errors import ServiceError
@@ -58,7 +58,7 @@ class Corrector:
         self._looking = Failing(log, "the active versions cannot be read; the versions in use stay")
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
-        self._nursery = Nursery()
+        self._fork_server = ForkServer()
         self._children: dict[str, Child] = {}
         self._private: PrivateSocket | None = None
         self._announced = False
@@ -86,7 +86,7 @@ class Corrector:
 
         """
         check_listening(self._settings)
-        self._nursery.start()  # it imports meanwhile
+        self._fork_server.start()  # it imports meanwhile
         site, config = self._settings.site, self._settings.zenoh_config
         keys = self._settings.stream_keys_file
         masters = self._masters = masters_in(keys)
@@ -101,8 +101,8 @@ class Corrector:
         stream = replace(found.spec, again=found.endpoint) if found else wanted(self._private.endpoint)
         queries = QuerySpec(site, self._private.endpoint, masters, self._unsigned, config)
         self._children = {
-            "stream": Child("stream", STREAM, stream, self._nursery, found),
-            "query": Child("query", QUERY, queries, self._nursery),
+            "stream": Child("stream", STREAM, stream, self._fork_server, found),
+            "query": Child("query", QUERY, queries, self._fork_server),
         }
         if found:
             self.instance, self._active = found.spec.instance, dict(found.active)
@@ -156,7 +156,7 @@ class Corrector:
     @property
     def _processes(self) -> dict[str, int | None]:
         """Their process ids, for whoever looks at them from outside."""
-        above = {"nursery": self._nursery.pid, "spare": self._nursery.spare_pid}
+        above = {"nursery": self._fork_server.pid, "spare": self._fork_server.spare_pid}
         return above | {name: child.pid for name, child in self._children.items()}
 
     @property
@@ -166,8 +166,8 @@ class Corrector:
 
     def poll(self) -> None:
         """Look once: restart what died, take over what was activated."""
-        self._nursery.start()
-        self._nursery.keep_spare()
+        self._fork_server.start()
+        self._fork_server.keep_spare()
         for name, child in self._children.items():
             if not child.alive:
                 log.error("the %s process ended: it is restarted", name)
@@ -245,7 +245,7 @@ class Corrector:
 
     def leave(self) -> None:
         """End, and leave the stream as it is: another corrector takes it over."""
-        self._nursery.close()
+        self._fork_server.close()
         if self._private is not None:
             self._private.leave()
         self._source.close()
@@ -254,7 +254,7 @@ class Corrector:
         """Stop both processes and remove the corrector file."""
         for child in self._children.values():
             child.stop()
-        self._nursery.close()
+        self._fork_server.close()
         if self._private is not None:
             self._private.close()
         if self._announced:  # a corrector that could not start leaves the file of the one that runs alone

@@ -19,12 +19,12 @@ from kilter_service.errors import ServiceError
 from kilter_service.health import store as health
 from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.sole import sole
+from kilter_service.jobs.lease.single_worker_lock import single_worker_lock
 from kilter_service.jobs.lease.watch import Watch
+from kilter_service.jobs.queue_consumer import QueueConsumer
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
 from kilter_service.jobs.runner import Runner
-from kilter_service.jobs.taker import Taker
 from kilter_service.settings import Settings
 
 log = logging.getLogger("kilter.worker")
@@ -58,7 +58,7 @@ def run(settings: Settings) -> None:
 def alone(settings: Settings, wait_s: float = LOCK_WAIT_S) -> AbstractContextManager[None]:
     """Hold what makes this the only worker, where there may be one only: on SQLite."""
     path = settings.sqlite_file
-    return nullcontext() if path is None else sole(Path(path), wait_s)
+    return nullcontext() if path is None else single_worker_lock(Path(path), wait_s)
 
 
 def _execute(settings: Settings, database: Database, stop: threading.Event) -> int:
@@ -68,7 +68,7 @@ def _execute(settings: Settings, database: Database, stop: threading.Event) -> i
     for queue in settings.worker_queues:
         kinds = [kind.name for kind in KINDS.values() if kind.queue == queue]
         runner = Runner(database, stop, each)
-        Taker(database, runner, member.id, kinds, stop).start(queue)
+        QueueConsumer(database, runner, member.id, kinds, stop).start(queue)
     log.info("worker %s takes jobs: %s", member.id, ", ".join(settings.worker_queues))
     retention = Retention(database, settings.keep_jobs_days)
     try:

@@ -12,8 +12,8 @@ from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 from kilter_service.versions.ability import CODE as CANNOT
 from kilter_service.versions.ability import Ability, ability
-from kilter_service.versions.expected import ANY_STATE, Expected
 from kilter_service.versions.guard import Verdict, judge
+from kilter_service.versions.if_match import ANY_STATE, Expected
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5

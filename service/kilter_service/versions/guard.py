@@ -23,7 +23,7 @@ from kilter_service.robots import store as robots
 from kilter_service.versions import own_errors, store, wire
 from kilter_service.versions.objections import objections_of, of_calibration
 from kilter_service.versions.store import Training
-from kilter_service.versions.unseen import Archive, Unseen
+from kilter_service.versions.unfitted_rows import Archive, Unseen
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:

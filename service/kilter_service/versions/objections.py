@@ -23,7 +23,7 @@ HELD_OUT_CODES = CODES[:2]
 ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
     2.0,
     0.01,
-)  # as in kilter_core.identify.worse: standard errors, and of the simpler model's error
+)  # as in kilter_core.identify.model_comparison: standard errors, and of the simpler model's error
 SIMPLER = {
     "registration_only": "base and tool alone",
     "geometry_only": "the geometry alone",

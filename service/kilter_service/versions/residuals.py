@@ -15,7 +15,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.tables.writing import write_table
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
-from kilter_service.versions.unseen import Archive
+from kilter_service.versions.unfitted_rows import Archive
 
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
@@ -94,7 +94,7 @@ def _columns(part: Part, calibration: Calibration, known: Predictive | None, rep
 def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
     """Errors of the rows, and half the interval that expects them."""
     from kilter_core.evaluate import rows_of
-    from kilter_core.identify.redescending import sizes_of
+    from kilter_core.identify.tukey import sizes_of
     from kilter_core.measurement import Measurement
 
     count, shape = len(part.rows), calibration.marker_points

@@ -25,7 +25,7 @@ from kilter_service.page_query import PageOfList
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.tables.reading import CSV, JSON, PARQUET
 from kilter_service.versions import activation, differences, keeping, service
-from kilter_service.versions.expected import ExpectedState, tag_of_robot
+from kilter_service.versions.if_match import ExpectedState, tag_of_robot
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}

@@ -12,7 +12,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import LinearizedProblem, go_on
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.source import Source
-from kilter_core.identify.kinds import shown_in
+from kilter_core.identify.errors_by_kind import shown_in
 from kilter_core.identify.noise import pooled_columns
 from kilter_core.types import Bools, Floats
 

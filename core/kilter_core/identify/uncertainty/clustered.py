@@ -18,8 +18,8 @@ import scipy.stats
 
 from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit
 from kilter_core.identify.problem import HOLD
-from kilter_core.identify.redescending import dimension_of, row_sizes
 from kilter_core.identify.robust import Loss, tukey_limit
+from kilter_core.identify.tukey import dimension_of, row_sizes
 from kilter_core.identify.uncertainty.settling import levers, scatter_of_poses
 from kilter_core.types import Floats, Ints
 

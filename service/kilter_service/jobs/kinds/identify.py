@@ -81,7 +81,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
     from kilter_core.identify import Folds
     from kilter_core.identify.check import check_identification
     from kilter_core.identify.holdout import fold_splits, split
-    from kilter_core.identify.measuring import between_rows, measurement_for
+    from kilter_core.identify.measurement_of_rows import between_rows, measurement_for
     from kilter_core.observations import Observations
 
     options = _core(job.options)

@@ -15,7 +15,7 @@ from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import sentence
 from kilter_service.versions import activation, service
-from kilter_service.versions.expected import tag_of_robot
+from kilter_service.versions.if_match import tag_of_robot
 
 log = logging.getLogger("kilter.page")
 

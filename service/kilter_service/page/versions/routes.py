@@ -17,7 +17,7 @@ from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.page.versions import by_factor, comparison, looking_ahead, service, workspace
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation
-from kilter_service.versions.expected import Expected
+from kilter_service.versions.if_match import Expected
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 LONGEST_TAG, LONGEST_REASON = 100, 500

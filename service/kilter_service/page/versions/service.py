@@ -21,7 +21,7 @@ from kilter_service.robots import service as robots
 from kilter_service.suspicious import service as suspicious
 from kilter_service.today import service as today
 from kilter_service.versions import service
-from kilter_service.versions.expected import tag_of_robot
+from kilter_service.versions.if_match import tag_of_robot
 
 MOST_SHOWN = 200  # versions to compare one with
 MOST_BARS = 24

@@ -18,7 +18,7 @@ POLL_S = 0.2
 PAUSE_S = 2.0  # after something that should not happen
 
 
-class Taker:
+class QueueConsumer:
     """Claims jobs of some kinds and runs them, until ``stop``."""
 
     def __init__(

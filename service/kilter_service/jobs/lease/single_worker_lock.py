@@ -14,7 +14,7 @@ LOOK_S = 0.1
 
 
 @contextmanager
-def sole(database_file: Path, wait_s: float) -> Iterator[None]:
+def single_worker_lock(database_file: Path, wait_s: float) -> Iterator[None]:
     """Hold the lock beside the database file.
 
     Raises:

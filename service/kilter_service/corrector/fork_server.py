@@ -34,7 +34,7 @@ log = logging.getLogger("kilter.corrector")
 POLL_S = 0.25
 START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
 FORK_S = 5.0  # a fork takes milliseconds; one that imported and does not fork for so long is frozen
-MOST_ORDERS = 3  # of one process; a nursery that ended so often ends the same the next time
+MOST_ORDERS = 3  # of one process; a fork server that ended so often ends the same the next time
 STOP_S = 5.0
 LOOK_S = 0.005
 
@@ -50,7 +50,7 @@ class Forked(NamedTuple):
     pid: int | None = None
 
 
-class Nursery:
+class ForkServer:
     """The process that forks the others, from its first order to :meth:`stop`.
 
     One is forked ahead and waits to be told what to be: so nothing is lost when the stream's process is killed just after this
@@ -85,7 +85,7 @@ class Nursery:
             self.stop()
         context = multiprocessing.get_context("spawn")  # whoever makes the corrector may have threads
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=nursery_main, args=(theirs,), name="kilter-nursery")
+        self._process = context.Process(target=fork_server_main, args=(theirs,), name="kilter-nursery")
         self._process.start()
         self._seen_at, self._ready_at = time.monotonic(), None
         theirs.close()
@@ -140,7 +140,7 @@ class Nursery:
     def _fork(self) -> Connection:
         assert self._pipe is not None
         ours, theirs = multiprocessing.Pipe()
-        with theirs, suppress(OSError):  # a nursery that has just ended: nobody holds the other end
+        with theirs, suppress(OSError):  # a fork server that has just ended: nobody holds the other end
             send_handle(self._pipe, theirs.fileno(), self.pid)
         return ours
 
@@ -163,8 +163,8 @@ class Nursery:
         self._process = self._pipe = None
 
 
-def nursery_main(orders: Connection) -> None:
-    """Entry of the nursery: fork what is ordered until nobody can order any more."""
+def fork_server_main(orders: Connection) -> None:
+    """Entry of the fork server: fork what is ordered until nobody can order any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system buries them
     from kilter_core.correct.program import warm_up
@@ -180,11 +180,11 @@ def nursery_main(orders: Connection) -> None:
             pipe = Connection(recv_handle(orders))
             if os.fork() == 0:
                 orders.close()
-                _live(pipe)
+                _run_child(pipe)
             pipe.close()
 
 
-def _live(pipe: Connection) -> NoReturn:
+def _run_child(pipe: Connection) -> NoReturn:
     """Be the process that was ordered; its pipe is open for as long as it lives."""
     code = 1
     try:
@@ -206,13 +206,13 @@ class Child:
     """A process of the corrector at the other end of a pipe."""
 
     def __init__(
-        self, name: str, entry: str, spec: StreamSpec | QuerySpec, nursery: Nursery, found: Found | None = None
+        self, name: str, entry: str, spec: StreamSpec | QuerySpec, server: ForkServer, found: Found | None = None
     ) -> None:
         self.name = name
         self.pid: int | None = None
         self._entry = entry
         self._spec = spec
-        self._nursery = nursery
+        self._fork_server = server
         self._pipe: Connection | None = None
         self._listens = False
         self._asked_at = 0.0
@@ -222,7 +222,7 @@ class Child:
     def launch(self) -> None:
         """Order the process."""
         self._listens = False
-        self._pipe, self.pid = self._nursery.order(self._entry, self._spec)
+        self._pipe, self.pid = self._fork_server.order(self._entry, self._spec)
         self._asked_at = time.monotonic()
 
     def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
@@ -235,7 +235,7 @@ class Child:
 
         """
         try:
-            self.pid = self.pid or self._born(stopped)
+            self.pid = self.pid or self._await_pid(stopped)
             if self.pid is not None and self._comes(stopped):
                 verdict, endpoint, real_time = self._receive()
                 if verdict == "refused":
@@ -250,17 +250,17 @@ class Child:
         self.stop()
         raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
 
-    def _born(self, stopped: Callable[[], bool]) -> int | None:
-        """Wait until the process was forked; it is ordered again when the nursery is gone or frozen."""
+    def _await_pid(self, stopped: Callable[[], bool]) -> int | None:
+        """Wait until the process was forked; it is ordered again when the fork server is gone or frozen."""
         for left in reversed(range(MOST_ORDERS)):
             try:
-                if self._comes(stopped, lambda: self._nursery.stop_if_frozen(self._asked_at)):
+                if self._comes(stopped, lambda: self._fork_server.stop_if_frozen(self._asked_at)):
                     return int(self._receive())
             except (EOFError, OSError):
                 if not left:
                     raise
                 self.stop()
-                self._nursery.stop()  # nobody holds the other end, so it ends: it may not be known to have ended
+                self._fork_server.stop()  # nobody holds the other end, so it ends: it may not be known to have ended
                 self.launch()
         return None
 
