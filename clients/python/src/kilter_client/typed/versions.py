@@ -14,7 +14,6 @@ from kilter_client.typed.identifications import (
     CameraFound,
     CorrelatedGroup,
     Influence,
-    JointMotions,
     KindOfMeasurement,
     Learned,
     MassesTaken,
@@ -25,6 +24,7 @@ from kilter_client.typed.identifications import (
     Scale,
     SetAside,
 )
+from kilter_client.typed.joint_parameters import JointMotions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
