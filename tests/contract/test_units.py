@@ -58,7 +58,7 @@ STILL = {
     "core/kilter_core/identify/plausibility/orientation_mix_ups.py": 1,
     "core/kilter_core/evaluate/iso9283.py": 2,
     "core/kilter_core/identify/load_model.py": 3,
-    "core/kilter_core/measurement/metrics.py": 3,
+    "core/kilter_core/measurement/metrics.py": 2,
     "core/kilter_core/twin.py": 4,
 }
 SHARES = (

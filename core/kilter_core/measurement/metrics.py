@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -17,6 +18,11 @@ T = TypeVar("T", float, Floats)
 def mm(metres: T) -> T:
     """Return a length in the unit that reports have."""
     return metres * 1e3
+
+
+def degrees(radians: T) -> T:
+    """Return an angle in degrees."""
+    return radians * (180.0 / math.pi)
 
 
 def metres(of_mm: float) -> float:
@@ -63,7 +69,7 @@ class Errors:
             axes = mm(np.asarray(np.sqrt(np.mean(self.points**2, axis=0))))
             out |= dict(zip(("x_mm", "y_mm", "z_mm"), axes, strict=True))
         if self.turns is not None:
-            out["orientation_deg"] = np.degrees(self.turns).mean()
+            out["orientation_deg"] = degrees(self.turns.mean())
         return {key: float(value) for key, value in out.items()}
 
 
