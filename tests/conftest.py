@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,24 @@ LONG = (
     "clients/files/rig/sheet/test_points_order.py",
     "mix_ups/test_mix_ups.py",
 )
+
+
+COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Look for garbage neither while all modules are imported nor, later, among what lives as long as this process.
+
+    It took a quarter of the time of collecting the tests, and a twelfth of that of running them.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.set_threshold(*COLLECTIONS)
+        gc.enable()
 
 
 @pytest.hookimpl(trylast=True)

@@ -77,7 +77,8 @@ def worker(settings: Settings, arguments: argparse.Namespace) -> None:
 
     if not arguments.supervised:  # nobody migrates the database meanwhile
         serving.check_database(settings)
-    from kilter_service.jobs.worker import run
+    with serving.lasting():
+        from kilter_service.jobs.worker import run
 
     run(settings)
 

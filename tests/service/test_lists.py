@@ -98,8 +98,9 @@ def test_jobs_are_listed_newest_first_without_those_added_meanwhile(client: http
     "address", ["/v1/robots", "/v1/jobs", "/v1/robots/m/versions", "/v1/robots/m/activations", "/v1/tombstones"]
 )
 @pytest.mark.parametrize("after", ["nonsense", "WyJhIiwgImIiXQ", "WzFd", "e30", "WyJ4IiwgInkiLCAieiJd"])
-def test_what_is_no_cursor_is_refused(client: httpx.Client, robot: str, address: str, after: str) -> None:
-    answer = client.get(address, params={"after": after})
+def test_what_is_no_cursor_is_refused(shared_client: httpx.Client, address: str, after: str) -> None:
+    shared_client.post("/v1/robots", json={"name": "m", **PRESET}).raise_for_status()
+    answer = shared_client.get(address, params={"after": after})
     assert (answer.status_code, answer.json()["code"]) == (422, "payload_invalid"), answer.text
     assert "`next`" in answer.json()["detail"]
 

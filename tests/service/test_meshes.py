@@ -143,10 +143,12 @@ def test_a_mesh_goes_with_its_robot(client: httpx.Client, arm: str) -> None:
     ],
 )
 def test_what_does_not_fit_is_refused_and_nothing_is_stored(
-    client: httpx.Client, arm: str, link: str, headers: dict[str, str], content: bytes, code: str
+    shared_client: httpx.Client, katana: Katana, link: str, headers: dict[str, str], content: bytes, code: str
 ) -> None:
-    assert client.put(f"{arm}/{link}", content=content, headers=headers).json()["code"] == code
-    assert client.get(arm).json()["meshes"] == []
+    shared_client.post("/v1/robots", json={**katana.document, "name": "bare"}).raise_for_status()
+    arm = "/v1/robots/bare/meshes"
+    assert shared_client.put(f"{arm}/{link}", content=content, headers=headers).json()["code"] == code
+    assert shared_client.get(arm).json()["meshes"] == []
 
 
 @pytest.mark.both_databases

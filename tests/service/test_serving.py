@@ -1,9 +1,10 @@
-"""What the API process makes at its start lasts as long as itself, and is not looked through for garbage."""
+"""What a process makes at its start lasts as long as itself, and is not looked through for garbage."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 PROGRAM = """
 import gc
@@ -20,6 +21,27 @@ except OSError:
 assert gc.isenabled(), "the collector stays off"
 assert gc.get_freeze_count() > 100_000, gc.get_freeze_count()
 assert not collected, len(collected)
+"""
+
+WORKER = """
+import gc, sys
+from argparse import Namespace
+from pathlib import Path
+from kilter_service.program import worker
+from kilter_service.settings import Settings
+settings = Settings(data=Path(sys.argv[1]), database_url=None)
+import kilter_service.serving
+collected = []
+gc.collect()
+gc.callbacks.append(lambda phase, info: collected.append(info["generation"]))
+try:
+    worker(settings, Namespace(supervised=True))
+except Exception as error:
+    assert "worker.lock" in str(error), error
+assert "kilter_service.jobs.runner" in sys.modules
+assert gc.isenabled(), "the collector stays off"
+assert gc.get_freeze_count() > 50_000, gc.get_freeze_count()
+assert len(collected) < 20, len(collected)  # of what comes after the import
 """
 
 SHORT = """
@@ -46,6 +68,14 @@ assert gone() is None, "garbage that came later stays"
 
 def test_nothing_is_collected_while_the_application_is_imported() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_nothing_is_collected_while_the_worker_is_imported(tmp_path: Path) -> None:
+    (tmp_path / "kilter.sqlite.worker.lock").mkdir()  # so it ends as soon as it has imported what it needs
+    done = subprocess.run(
+        [sys.executable, "-c", WORKER, str(tmp_path)], capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 0, done.stderr
 
 

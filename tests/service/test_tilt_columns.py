@@ -83,10 +83,10 @@ def test_a_campaign_of_readings_gives_what_the_readings_give(
         ("tilt0z_deg", "tilt0z_deg", "about the vertical of this robot"),
     ],
 )
-def test_a_wrong_name_is_refused(client: httpx.Client, katana: Any, name: str, column: str, said: str) -> None:
-    client.post("/v1/robots", json=katana.document).raise_for_status()
+def test_a_wrong_name_is_refused(shared_client: httpx.Client, katana: Any, name: str, column: str, said: str) -> None:
+    shared_client.post("/v1/robots", json=katana.document).raise_for_status()
     rows: Columns = {f"q{j}_deg": [0.0, 1.0] for j in range(1, 6)}
-    answer = upload(client, {**rows, name: [0.1, 0.2]})
+    answer = upload(shared_client, {**rows, name: [0.1, 0.2]})
     assert answer.status_code == 400
     assert answer.json()["context"]["column"] == column
     assert said in answer.json()["detail"]
