@@ -18,7 +18,7 @@ from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
 from kilter_core.gap.evidence.by_kind import by_kind
 from kilter_core.gap.evidence.control import Control, controls, false_names
 from kilter_core.gap.evidence.guarded import Guard
-from kilter_core.gap.evidence.halves import halves
+from kilter_core.gap.evidence.halves import Sides, halves
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.holding_out import held_out, parted
 from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
@@ -76,6 +76,7 @@ from kilter_core.observations import Observations
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
+AGAIN = "a second search under the noise of the first"
 LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
@@ -162,20 +163,21 @@ class _Run:
         for _ in range(SEARCHES):
             candidates = with_testable(prepared.library, to_search(judged, prepared.library))
             found = self._searched(prepared.problem, candidates)
+            found.problem.resting()
             prepared = prepared.judged_by(found.problem)
             # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
             again = testability(prepared.problem, prepared.library)
             more, judged = bool(np.any(again.able & ~judged.able)), again
-            if (
-                not more
-                or not found.chosen
-                or self.budget.over(SEARCHING, "a second search under the noise of the first")
-            ):
+            if not more or not found.chosen or self.budget.over(SEARCHING, AGAIN):
                 break
+        for rests in (problem, prepared.problem):
+            rests.resting()
         found, unseen = seen_only(narrowed(found))
         judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
         prepared = prepared.judged_by(found.problem)
-        found = settled(widened(or_geometry_alone(found, prepared.problem)), self.validation)
+        found = or_geometry_alone(found, prepared.problem)
+        prepared.problem.resting()
+        found = settled(widened(found), self.validation)
         report = replace(self, prepared=prepared)._reported(found, places, judged, candidates)
         return report.with_unseen(unseen) if found.chosen else report
 
@@ -266,14 +268,14 @@ class _Run:
             found, lambda f: part(f, "profile intervals"), lambda: self.budget.over(MEASURING, "profile intervals")
         )
         moved, again = moves_mm(found), self._replications(found, kept)
-        out = []
+        out, sides = [], Sides(found, self.options.max_effects)
         for n, k in enumerate(found.chosen):
             self.progress(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
             evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
             # Only where something else is left is an effect asked to rise by itself.
             alone = not whole(moved[k]) and not fit.too_large
             late = alone and self.budget.over(MEASURING, "the halves of the campaign")
-            own = halves(found, k, classes[k], self.options.max_effects) if alone and not late else None
+            own = halves(sides, k, classes[k]) if alone and not late else None
             evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
             out.append(judge(found, evidence, fit, self.prepared.library, whole(moved[k])))
         out.sort(key=lambda j: -j.evidence.gain_mm)

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
+import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.search import derivatives
+from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.recent import Recent
+from kilter_core.gap.search.soft import Soft
+from kilter_core.model import Calibration
+from tests.core.gap.simulated import campaign, katana
 
 HUNT = """
 import resource
@@ -49,6 +59,43 @@ def test_a_result_larger_than_the_limit_is_used_but_not_accounted_twice() -> Non
     for k in range(3):
         assert len(recent.get(k, lambda: np.zeros(1000))) == 1000
     assert recent.bytes < 2 * 8300
+
+
+@pytest.fixture(scope="module")
+def problem() -> LinearizedProblem:
+    options = GapOptions(effects=("axial_compliance", "backlash"))
+    return prepare_data(Calibration.nominal(katana()), campaign(katana(), seed=2), options).problem
+
+
+def test_a_fit_at_rest_has_the_same_derivatives_when_asked_again(
+    problem: LinearizedProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derivatives, "MOST_BYTES", 0)
+    G, W = problem.G.copy(), problem.W_raw.copy()
+    problem.resting()
+    assert problem.derivatives.kept is None
+    assert np.array_equal(problem.G, G)
+    assert np.array_equal(problem.W_raw, W)
+    assert problem.derivatives.kept is not None
+
+
+def test_a_few_poses_never_rest(problem: LinearizedProblem) -> None:
+    kept = problem.W_raw
+    problem.resting()
+    assert problem.W_raw is kept
+
+
+def test_a_fit_is_gone_with_its_last_reference(problem: LinearizedProblem) -> None:
+    """Its inner products, made and asked with loads held, do not refer back to it: no circle keeps 100 MB alive."""
+    made = replace(problem, soft=Soft.of(problem.G[:, :1]))  # as if masses were known with errors
+    assert made.gram.firm is not made.gram
+    gone = weakref.ref(made)
+    gc.disable()
+    try:
+        del made
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -58,24 +59,52 @@ class Halves:
         }  # fmt: skip
 
 
-def halves(search: SearchResult, place: int, rivals: Sequence[int], most: int) -> Halves | None:
+@dataclass(frozen=True)
+class Sides:
+    """The halves of the poses, one after the other, and what either names: asked once for all effects."""
+
+    search: SearchResult
+    most: int
+
+    @cached_property
+    def visits(self) -> tuple[Bools, Bools]:
+        """Visits (V,) of each."""
+        first = _first_half(self.search)
+        return first, ~first
+
+    @cached_property
+    def able(self) -> bool:
+        """Whether both have poses enough to hold the geometry."""
+        settings = self.search.problem.settings
+        return min(len(np.unique(settings.group[side & settings.used])) for side in self.visits) >= FEWEST
+
+    @cached_property
+    def named(self) -> tuple[list[Candidate], list[Candidate]]:
+        """What the selection on each half alone names."""
+        first, second = (self._named(side) for side in self.visits)
+        return first, second
+
+    def _named(self, side: Bools) -> list[Candidate]:
+        problem, selector = self.search.problem, self.search.selector
+        gram = reweighted(problem, side[problem.row_visit].astype(np.float64))
+        return [selector.scorer.candidates[k] for k in selector.searched(gram, self.search.critical, self.most)]
+
+
+def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
     """Ask both halves of the poses; ``rivals`` are the places that count as the same name. None with too few poses."""
-    problem = search.problem
-    first = _first_half(search)
-    sides = [first, ~first]
-    group, used = problem.settings.group, problem.settings.used
-    if min(len(np.unique(group[side & used])) for side in sides) < FEWEST:
+    if not sides.able:
         return None
-    fits = [_fitted(search, place, side) for side in sides]
+    search, candidates = sides.search, sides.search.selector.scorer.candidates
+    fits = [_fitted(search, place, side) for side in sides.visits]
     (a, A), (b, B) = (fit.amounts for fit in fits)
     away = float((a - b) @ np.linalg.pinv(A + B, hermitian=True) @ (a - b))
     apart = float(norm.isf(max(float(chi2.sf(away, len(a))), 1e-300) / 2.0))
-    errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides), strict=True)]
+    errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides.visits), strict=True)]
     with_it, without = (np.concatenate([e[k] for e in errors]) for k in (0, 1))
-    named = tuple(_named(search, place, rivals, side, most) for side in sides)
+    own = [candidates[k] for k in (place, *rivals)]
+    first, second = (any(_same(c, one) for c in named for one in own) for named in sides.named)
     told = Guarded.of(with_it, without)
-    beside = _beside(search, place)
-    return Halves((named[0], named[1]), apart, told, beside, problem.settings.source.observes_tool)
+    return Halves((first, second), apart, told, _beside(search, place), search.problem.settings.source.observes_tool)
 
 
 def _first_half(search: SearchResult) -> Bools:
@@ -128,15 +157,6 @@ def _fitted(search: SearchResult, place: int, side: Bools) -> _Fit:
     plain = X[:, :-d]
     without = np.linalg.pinv(plain.T @ plain, rcond=RANK, hermitian=True) @ (plain.T @ y)
     return _Fit(beta, without, columns, (beta[-d:], grown * inverse[-d:, -d:]))
-
-
-def _named(search: SearchResult, place: int, rivals: Sequence[int], side: Bools, most: int) -> bool:
-    """Whether the selection on this half alone names the effect, or one that cannot be told from it."""
-    problem, selector = search.problem, search.selector
-    gram = reweighted(problem, side[problem.row_visit].astype(np.float64))
-    again = selector.searched(gram, search.critical, most)
-    own = [selector.scorer.candidates[k] for k in (place, *rivals)]
-    return any(_same(selector.scorer.candidates[k], one) for k in again for one in own)
 
 
 def _same(one: Candidate, other: Candidate) -> bool:

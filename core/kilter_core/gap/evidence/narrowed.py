@@ -39,5 +39,6 @@ def _once(found: SearchResult) -> SearchResult:
     if after.batch.blur is None or np.all(np.abs(after.batch.blur - before) <= CHANGED * before):
         return found
     settings = replace(problem.settings, source=after)
+    problem.resting()
     again = refit(settings, problem.values, found.columns)
     return replace(found, problem=again, steps=found.stepped(again, found.chosen))

@@ -36,5 +36,6 @@ def _once(found: SearchResult) -> SearchResult:
     sigma = source.library_sigma.copy()
     sigma[np.array(columns)[far]] = size[far]
     wider = replace(source, library_sigma=sigma)  # type: ignore[type-var]
+    problem.resting()
     again = refit(replace(problem.settings, source=wider), problem.values, columns)
     return replace(found, problem=again, steps=found.stepped(again, found.chosen))

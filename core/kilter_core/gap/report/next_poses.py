@@ -7,7 +7,7 @@ gain. Repeating old poses under another load or direction is compared first, sin
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -122,19 +122,19 @@ class _Question:
     others: tuple[int, ...]
     amplitudes: Floats
 
-    def columns(self, G: Floats, W: Floats) -> Floats:
-        """Signature of the target first, then geometry, rivals, others, each scaled to order one."""
+    def columns(self, G: Floats, W: Callable[[list[int]], Floats]) -> Floats:
+        """Signature of the target first, then geometry, rivals, others, each scaled to order one; ``W`` gives columns."""
         source = self.problem.settings.source
-        signature = W[..., list(self.target.columns)] @ self.amplitudes
+        signature = W(list(self.target.columns)) @ self.amplitudes
         free = [k for k in dict.fromkeys((*self.rivals, *self.others)) if k not in self.target.columns]
         return np.concatenate(
-            [signature[..., None], G * source.prior_sigma, W[..., free] * source.library_sigma[free]], axis=-1
+            [signature[..., None], G * source.prior_sigma, W(free) * source.library_sigma[free]], axis=-1
         )
 
     def information(self) -> Floats:
         """Information matrix of what was measured, priors on everything but the target."""
         problem = self.problem
-        X = self.columns(problem.G, problem.W_raw * problem.size)
+        X = self.columns(problem.G, lambda k: problem.W_raw[:, k] * problem.size[k])
         H = X.T @ X
         H[np.diag_indices_from(H)] += np.r_[1e-9 * max(H[0, 0], 1e-9), np.ones(len(H) - 1)]
         return H
@@ -145,7 +145,7 @@ class _Question:
         linear = source.imagined(observations, self.problem.values).linear(self.problem.values)
         noise = np.mean(self.problem.settings.noise.visit[self.problem.settings.used], axis=0)
         L = np.linalg.inv(np.linalg.cholesky(noise + 1e-18 * np.eye(len(noise))))
-        return self.columns(L @ linear.G, L @ linear.W)
+        return self.columns(L @ linear.G, lambda k: L @ linear.W[..., k])
 
 
 def _greedy(question: _Question, pool: Observations, count: int, kind: str, change: str) -> Proposal:

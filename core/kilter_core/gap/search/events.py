@@ -189,6 +189,7 @@ def placed(
     source = moved(problem.settings.source, at)
     if source.model.effects == problem.settings.source.model.effects:
         return problem, tuple(made)
+    problem.resting()
     return linearize_at(replace(problem.settings, source=source), problem.values), tuple(made)
 
 

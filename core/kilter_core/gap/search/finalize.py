@@ -28,6 +28,7 @@ def finalize(found: SearchResult, alpha: float) -> SearchResult:
         if after == found.chosen:
             return found
         seen.add(frozenset(after))
+        found.problem.resting()
         problem = refit(found.problem.settings, found.problem.values, found.selector.columns(after))
         found = replace(found, problem=problem, chosen=after, steps=found.stepped(problem, after))
     return found

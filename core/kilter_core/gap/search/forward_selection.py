@@ -121,16 +121,19 @@ def _forward_selection(
             "re-fitting with " + ", ".join(scorer.candidates[m].label for m in after),
         )
         tick = partial(budget.ending(progress, SEARCHING, MORE), *now)
+        problem.resting()
         try:
             other = refit(problem.settings, problem.values, selector.columns(after), tick)
         except OutOfTimeError:
             break
         if worse(selector, (other, after), (problem, chosen)):
             continue  # the set does not do what the linearised problem promised
-        before, (problem, chosen) = problem, (_renewed_in_time(other, selector.columns(after), tick), after)
+        still = problem.size == 0.0
+        problem, chosen = _renewed_in_time(other, selector.columns(after), tick), after
         # A column that was zero may move something by now: an error of the payload does beside a compliance.
-        if problem is not other or np.any((problem.size > 0.0) & (before.size == 0.0)):
+        if problem is not other or np.any((problem.size > 0.0) & still):
             selector = selector_at(problem, selector, limits)
+        del other  # of thousands of poses it would fill the memory beside the next
         steps.append(_in_units_of(begin.settings.noise.coordinate, problem, step_of(problem, selector, chosen)))
     assert first is not None
     noise = begin.settings.noise.coordinate

@@ -87,7 +87,7 @@ class Gram:
         index = list(columns)
         if self.taken:
             return Gram(self.A, self.c, self.yy, self.nu).given(index)
-        K = self.kept("given", index, lambda: self.whole[:, index] @ self.inverse(index)[0])
+        K = self.whole[:, index] @ self.inverse(index)[0]  # not kept: it is large, and soon made
         return replace(
             self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
             taken=tuple(index), K=K,

@@ -15,6 +15,8 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.gap.search.bases import lengths, orthonormal, seen
+from kilter_core.gap.search.derivatives import Derivatives
+from kilter_core.gap.search.firm import Firm
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.ranges import ends, exactly_within
@@ -55,9 +57,22 @@ class LinearizedProblem:
     A: Floats
     c: Floats
     raw: Floats  # whitened residual at ``values`` (R,)
-    G: Floats  # whitened geometric columns (R, P)
-    W_raw: Floats  # whitened unit columns before projection (R, Q)
+    derivatives: Derivatives
     soft: Soft
+
+    @property
+    def G(self) -> Floats:
+        """Whitened geometric columns (R, P)."""
+        return self.derivatives.G
+
+    @property
+    def W_raw(self) -> Floats:
+        """Whitened unit columns before projection (R, Q)."""
+        return self.derivatives.W
+
+    def resting(self) -> None:
+        """Let go of what fills the memory: nothing is asked of this fit for a while, or never again."""
+        self.derivatives.let_go()
 
     @property
     def W(self) -> Floats:
@@ -102,16 +117,8 @@ class LinearizedProblem:
         if not len(self.soft.shrink):
             return Gram(self.A, self.c, yy, self.nu)
         there = frozenset(np.flatnonzero(self.settings.source.library(self.values)).tolist())
-        return Gram(self.A, self.c, yy, self.nu, held=lambda: self._firm, there=there)
-
-    @cached_property
-    def _firm(self) -> Gram:
-        source = self.settings.source
-        U = seen((self.G * source.prior_sigma)[:, self.settings.hard])
-        y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
-        y -= U @ (U.T @ y)
-        products = Projection.of(Soft.of(U[:, :0]), U, self.W_raw).products(y)
-        return Gram(*products, float(y @ y), self.nu + self.U.shape[1] - U.shape[1])
+        firm = Firm(self.settings, self.values, self.derivatives, self.raw, self.size, self.nu, self.U.shape[1])
+        return Gram(self.A, self.c, yy, self.nu, held=firm.gram, there=there)
 
     @property
     def rows(self) -> int:
@@ -138,10 +145,8 @@ def linearize_at(
 
     ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
     """
-    r, G, W = settings.linearised(values, batch, only)
-    norm = lengths(W)
-    unit = np.where(norm > 0.0, norm, 1.0)
-    W /= unit
+    made, r, norm = Derivatives.at(settings, values, batch, only)
+    G, W, unit = made.G, made.W, np.where(norm > 0.0, norm, 1.0)
     source, hard = settings.source, settings.hard
     B = G[:, ~hard] * source.prior_sigma[~hard]
     soft = Soft.of(B)
@@ -154,7 +159,7 @@ def linearize_at(
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(settings.numbers / settings.inflation - U.shape[1])
     scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
-    return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
+    return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, made, soft)
 
 
 def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:

@@ -39,6 +39,7 @@ def renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick = go_
         noise = _with_noise(problem.settings, problem, columns, problem.settings.used).noise
         if _alike(problem.settings.noise, noise):
             break
+        problem.resting()
         problem = refit(replace(problem.settings, noise=noise), problem.values, columns, tick)
     return problem
 
@@ -67,16 +68,21 @@ def _renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick) -> 
     if len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values):
         used = settings.used
     else:
+        problem.resting()
         used = ~outliers(linearize_at(every, problem.values), columns, tick)
     after = _with_noise(replace(every, used=used), problem, columns, used)
     if np.array_equal(used, settings.used) and _alike(settings.noise, after.noise):
         return problem
+    problem.resting()
     return refit(after, problem.values, columns, tick)
 
 
 def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int] = ()) -> LinearizedProblem:
     """A problem re-fitted under the noise and outliers of another, so that the two can be compared."""
-    return problem if settings is problem.settings else refit(settings, problem.values, columns)
+    if settings is problem.settings:
+        return problem
+    problem.resting()
+    return refit(settings, problem.values, columns)
 
 
 def _alike(before: Noise, after: Noise) -> bool:
