@@ -118,6 +118,7 @@ contract: $(KERNELS) ## write the effects of the contract, the tables of options
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.gap --quick
+	$(BIN)/python -m benchmarks.camera
 
 bench-gap: $(KERNELS) ## time gap hunts: 118 and 10 000 poses, and a motion at 4600 Hz
 	$(BIN)/python -m benchmarks.gap

@@ -17,8 +17,8 @@ from packaging.requirements import Requirement
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "licences.md"
 OURS = ("kilter-core", "kilter-files", "kilter-client", "kilter")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "kilter-files": ("formats", "meshes", "sheet"),
-    "kilter-client": ("files", "meshes", "notebook", "plots", "sheet", "stream"),
+    "kilter-files": ("camera", "formats", "meshes", "sheet", "tags"),
+    "kilter-client": ("camera", "files", "meshes", "notebook", "plots", "sheet", "stream", "tags"),
     "kilter": ("cluster", "files", "pdf", "postgresql", "tracing"),
 }
 # Packages that name no licence in a form that a program reads: read in their own licence files.

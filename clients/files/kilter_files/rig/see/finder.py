@@ -13,6 +13,8 @@ from kilter_files.rig.board.opencv import dictionary
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.target import Target
 
+Wanted = tuple[str, tuple[int, ...] | None]  # a dictionary, and which of its markers
+
 LARGE = 1_000_000  # pixels from which markers are looked for in a picture of half the size first
 LEAST_SIDE_PX = 20.0  # of markers there, below which the whole picture is looked through again
 
@@ -38,29 +40,37 @@ class Markers:
 class Finder:
     """Looks for markers and for a board's chessboard corners; what OpenCV needs is built once."""
 
-    _detectors: dict[str, Any] = field(default_factory=dict)
+    _detectors: dict[Wanted, Any] = field(default_factory=dict)
     _boards: dict[tuple[Any, ...], Any] = field(default_factory=dict)
 
-    def markers(self, grey: Grey, name: str, thorough: bool = False) -> Markers:
-        """Find the markers of a dictionary; ``thorough`` is the whole picture at once."""
+    def markers(self, grey: Grey, name: str, numbers: tuple[int, ...] | None = None, thorough: bool = False) -> Markers:
+        """Find the markers of a dictionary, all or those of ``numbers``; ``thorough`` is the whole picture at once.
+
+        A thousand markers take ten times as long as the thirty of a board.
+        """
         cv2, _ = dictionary(name)
         if grey.size > LARGE and not thorough:
             height, width = (side // 2 for side in grey.shape)
             half = cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-            found = self._detect(half, name)
+            found = self._detect(half, (name, numbers))
             sides = np.linalg.norm(np.diff(found.quads, axis=1), axis=2)
             if found.numbers and np.median(sides) >= LEAST_SIDE_PX:
                 return Markers(found.numbers, found.quads * 2 + 0.5)  # centres of pixels are whole numbers
-        return self._detect(grey, name)
+        return self._detect(grey, (name, numbers))
 
-    def _detect(self, grey: Grey, name: str) -> Markers:
-        cv2, known = dictionary(name)
-        if name not in self._detectors:
-            self._detectors[name] = cv2.aruco.ArucoDetector(known, cv2.aruco.DetectorParameters())
-        quads, numbers, _ = self._detectors[name].detectMarkers(grey)
-        if numbers is None or not len(quads):
+    def _detect(self, grey: Grey, wanted: Wanted) -> Markers:
+        name, chosen = wanted
+        if wanted not in self._detectors:
+            cv2, known = dictionary(name)
+            if chosen is not None:
+                rows = known.bytesList[list(chosen)]
+                known = cv2.aruco.Dictionary(rows, known.markerSize, known.maxCorrectionBits)
+            self._detectors[wanted] = cv2.aruco.ArucoDetector(known, cv2.aruco.DetectorParameters())
+        quads, found, _ = self._detectors[wanted].detectMarkers(grey)
+        if found is None or not len(quads):
             return Markers([], np.zeros((0, 4, 2)))
-        return Markers([int(n) for n in numbers.ravel()], np.array(quads, dtype=np.float64).reshape(-1, 4, 2))
+        numbers = [int(n) if chosen is None else chosen[int(n)] for n in found.ravel()]
+        return Markers(numbers, np.array(quads, dtype=np.float64).reshape(-1, 4, 2))
 
     def chessboard(self, grey: Grey, markers: Markers, target: Target) -> dict[int, Floats]:
         """Corners of a ChArUco board by number, to about a tenth of a pixel."""

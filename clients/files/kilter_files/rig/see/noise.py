@@ -12,6 +12,7 @@ from kilter_files.rig.see.pictures import Grey
 
 ROUNDING = 12.0**-0.5  # standard deviation that whole grey levels have
 KERNEL = np.array([1.0, -2.0, 1.0])  # its square blanks planes and bows, and leaves noise times 6
+MOST_PIXELS = 120_000
 LEAST_FLAT = 200  # pixels, below which all of the board are taken
 STEEP = 4.0  # times the picture's usual slope: an edge
 
@@ -34,16 +35,21 @@ class Noise:
 
 def noise_of(grey: Grey, corners: Floats) -> Noise:
     """Noise around corners (n, 2) px: what is left of flat places when planes and bows are taken off."""
-    low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 8, 0)
-    high = np.ceil(corners.max(axis=0)).astype(int) + 9
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    part_of = min(
+        1.0, (MOST_PIXELS / max(1.0, float(np.prod(high - low)))) ** 0.5
+    )  # the middle of a large board is enough
+    middle, half = (low + high) / 2, (high - low) / 2 * part_of
+    low = np.maximum(np.floor(middle - half).astype(int) - 8, 0)
+    high = np.ceil(middle + half).astype(int) + 9
     part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float64)
     if min(part.shape) < 8:
         return Noise(1.0, 1.0, 0.0, 255.0)
     left = _bent(_bent(part, 0), 1) / 6.0
     level, slope = _around(part)
     low_level, high_level = (float(v) for v in np.percentile(level, [10, 90]))
-    middle = (low_level + high_level) / 2
-    sides = [_spread(left, slope, side) for side in (level < middle, level >= middle)]
+    between = (low_level + high_level) / 2
+    sides = [_spread(left, slope, side) for side in (level < between, level >= between)]
     return Noise(sides[0], sides[1], low_level, high_level)
 
 

@@ -119,25 +119,34 @@ class Looker:
 
     def boards(self, grey: Grey, name: str) -> list[View | Refusal]:
         """Return the view of every board, or why there is none; a board of several may be out of sight."""
-        by_dictionary = {name: self.finder.markers(grey, name) for name in {t.board.dictionary for t in self.targets}}
+        by_dictionary = {key: self.finder.markers(grey, key, numbers) for key, numbers in self._wanted().items()}
         found = [self._board(grey, by_dictionary, target, name) for target in self.targets]
         some = any(isinstance(one, View) for one in found)
         both = zip(found, self.targets, strict=True)
-        return [one or self._why(grey, by_dictionary, target, name) for one, target in both if one or not some]
+        return [one or self._why(grey, target, name) for one, target in both if one or not some]
 
     def _board(self, grey: Grey, markers: dict[str, Markers], target: Target, name: str) -> View | Refusal | None:
         key = target.board.dictionary
         found = view_of(self.finder, grey, markers[key], target, name)
         if found is None and grey.size > LARGE:
-            markers[key] = self.finder.markers(grey, key, thorough=True)
+            markers[key] = self.finder.markers(grey, key, self._wanted()[key], thorough=True)
             found = view_of(self.finder, grey, markers[key], target, name)
         return found
 
-    def _why(self, grey: Grey, markers: dict[str, Markers], target: Target, name: str) -> Refusal:
+    def _wanted(self) -> dict[str, tuple[int, ...]]:
+        """Numbers of all boards' markers, by dictionary."""
+        names = {target.board.dictionary for target in self.targets}
+        return {
+            name: tuple(sorted({n for t in self.targets if t.board.dictionary == name for n in t.marker_numbers}))
+            for name in names
+        }
+
+    def _why(self, grey: Grey, target: Target, name: str) -> Refusal:
         self.searches += 1
         if self.searches > MOST_SEARCHES:
             return Refusal(name, "board_not_found", f"{target.name} is not found", board=target.name)
-        return why_not(self.finder, grey, markers[target.board.dictionary], target, name)
+        markers = self.finder.markers(grey, target.board.dictionary, thorough=True)
+        return why_not(self.finder, grey, markers, target, name)
 
     def _warnings(self, seen: Seen, source: Source) -> list[str]:
         warnings = []
