@@ -116,6 +116,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "database_outdated": (503, "The database is not of this version of Kilter"),
     "seal_key_other": (503, "The rows are sealed with another key"),
     "seal_key_unusable": (503, "The file of the seal's key cannot be used"),
+    "webhook_secret_unusable": (503, "The file of the webhook's secret cannot be used"),
     "database_newer": (503, "The database is of a newer Kilter"),
     "database_away": (503, "The database cannot be reached"),
     "database_refused": (503, "The database refuses the account"),

@@ -33,6 +33,7 @@ USAGE_CODES = frozenset(
         "jobs_taken",
         "seal_key_other",
         "seal_key_unusable",
+        "webhook_secret_unusable",
     }
 )
 Command = Callable[[Settings, argparse.Namespace], None]

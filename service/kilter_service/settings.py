@@ -6,8 +6,9 @@ import ipaddress
 import json
 from pathlib import Path
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from kilter_service.ros2_topics import RobotTopics
@@ -89,6 +90,11 @@ class Settings(BaseSettings):
     tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
     tls_key: Path | None = Field(default=None, description="PEM file of the certificate's private key")
     backups: Path | None = Field(default=None, description="folder of `kilterd backup`, whose age is watched")
+    webhook_url: str | None = Field(default=None, description="address that verdicts of checks are posted to")
+    webhook_secret: Path | None = Field(default=None, description="file of the secret that signs them")
+    webhook_timeout_s: Annotated[float, Field(gt=0, le=60, description="seconds an attempt may wait for its peer")] = (
+        5.0
+    )
     keep_jobs_days: Annotated[int, Field(ge=0, description="days that ended jobs are kept; 0: for good")] = 0
     worker_name: str | None = Field(default=None, description="name of this worker; default is the host name")
     worker_processes: Annotated[
@@ -108,6 +114,20 @@ class Settings(BaseSettings):
         if token is not None:
             check_strong(token.get_secret_value())
         return token
+
+    @model_validator(mode="after")
+    def _signed(self) -> Settings:
+        if self.webhook_url is None:
+            return self
+        url = urlsplit(self.webhook_url)
+        if url.scheme not in ("http", "https") or not url.hostname or url.username or url.password or url.fragment:
+            raise ValueError(
+                "KILTER_WEBHOOK_URL needs http:// or https:// with a host, and no name or password: "
+                "https://alarms.example.org/kilter"
+            )
+        if self.webhook_secret is None:
+            raise ValueError("KILTER_WEBHOOK_URL needs KILTER_WEBHOOK_SECRET: nothing is posted unsigned")
+        return self
 
     @field_validator("proxy")
     @classmethod
@@ -200,6 +220,9 @@ class Settings(BaseSettings):
             "TLS_CERTIFICATE": str(self.tls_certificate) if self.tls_certificate else None,
             "TLS_KEY": str(self.tls_key) if self.tls_key else None,
             "BACKUPS": str(self.backups) if self.backups else None,
+            "WEBHOOK_URL": self.webhook_url,
+            "WEBHOOK_SECRET": str(self.webhook_secret) if self.webhook_secret else None,
+            "WEBHOOK_TIMEOUT_S": str(self.webhook_timeout_s),
             "KEEP_JOBS_DAYS": str(self.keep_jobs_days),
             "WORKER_NAME": self.worker_name,
             "WORKER_PROCESSES": str(self.worker_processes),

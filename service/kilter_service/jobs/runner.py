@@ -30,8 +30,10 @@ from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.limits_of_version import with_limits
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.verdicts import verdict_message
 from kilter_service.observability import logs, tracing
 from kilter_service.versions.objections import objections_of
+from kilter_service.webhook import Webhook
 
 log = logging.getLogger("kilter.worker")
 
@@ -58,8 +60,14 @@ class Outcome:
 class Runner:
     """Runs claimed jobs."""
 
-    def __init__(self, database: Database, stop: threading.Event | None = None, each: FanOut | None = None) -> None:
-        self._database = database
+    def __init__(
+        self,
+        database: Database,
+        stop: threading.Event | None = None,
+        each: FanOut | None = None,
+        webhook: Webhook | None = None,
+    ) -> None:
+        self._database, self._webhook = database, webhook
         self._each = each or fan_out(1)
         self._stop = stop or threading.Event()
 
@@ -74,6 +82,7 @@ class Runner:
                 began = time.monotonic()
                 outcome = self._compute(claim)
                 self._patiently(lambda: self._finish(claim, outcome))
+                self._tell(job, outcome)
                 state = "failed" if outcome.error else "succeeded"
                 log.info("%s %s after %.1f s", job.kind, state, time.monotonic() - began)
         except CancelledError:
@@ -101,6 +110,13 @@ class Runner:
             message = f"Kilter failed. The worker's log has the cause under job {claim.job_id}."
             return Outcome(error=("internal_error", message))
         return Outcome(output, used, judged=judged)
+
+    def _tell(self, job: JobRecord, outcome: Outcome) -> None:
+        """Post a verdict that is not well to the operator's address, where there is one."""
+        if self._webhook is not None and job.kind == "drift" and outcome.output is not None:
+            message = verdict_message(job.id, job.robot, outcome.used, outcome.output.result)
+            if message is not None:
+                self._webhook.tell(job.id, message)
 
     def _record(self, claim: Claim) -> JobRecord:
         with self._database.reading() as session:

@@ -11,6 +11,7 @@ import time
 import uuid
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.db import Database, DatabaseAwayError, revision
@@ -26,6 +27,7 @@ from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
 from kilter_service.jobs.runner import Runner
 from kilter_service.settings import Settings
+from kilter_service.webhook import Webhook
 
 log = logging.getLogger("kilter.worker")
 
@@ -33,6 +35,7 @@ BEAT_S = 1.0
 SILENT_S = 15.0  # a worker whose heartbeat has not changed for this long is gone; beats come late on a busy machine
 CHECK_S = 10.0  # how often the revision of the database is looked at
 MIGRATION_WAIT_S = 30.0
+SETTLE_S = 2.0  # for verdicts that are being posted when a worker ends
 LOCK_WAIT_S = 10.0  # the worker of a server that was killed needs a moment to notice
 
 
@@ -62,12 +65,13 @@ def alone(settings: Settings, wait_s: float = LOCK_WAIT_S) -> AbstractContextMan
 
 
 def _execute(settings: Settings, database: Database, stop: threading.Event) -> int:
-    member = Member(database, settings.worker_name or socket.gethostname())
+    webhook = Webhook.of(settings)
+    member = Member(database, settings.worker_name or socket.gethostname(), webhook)
     member.join(alone=settings.sqlite_file is not None)
     each = fan_out(settings.worker_processes, settings.dask)
     for queue in settings.worker_queues:
         kinds = [kind.name for kind in KINDS.values() if kind.queue == queue]
-        runner = Runner(database, stop, each)
+        runner = Runner(database, stop, each, webhook)
         QueueConsumer(database, runner, member.id, kinds, stop).start(queue)
     log.info("worker %s takes jobs: %s", member.id, ", ".join(settings.worker_queues))
     retention = Retention(database, settings.keep_jobs_days)
@@ -80,6 +84,8 @@ def _execute(settings: Settings, database: Database, stop: threading.Event) -> i
         return 1
     finally:
         stop.set()
+        if webhook is not None:
+            webhook.settle(SETTLE_S)
         member.leave()
     return 0
 
@@ -87,10 +93,10 @@ def _execute(settings: Settings, database: Database, stop: threading.Event) -> i
 class Member:
     """This process among the workers: it says that it lives, and notices those that do not."""
 
-    def __init__(self, database: Database, name: str) -> None:
+    def __init__(self, database: Database, name: str, webhook: Webhook | None = None) -> None:
         # Unique: of two workers with one name each must be missed, and a restarted one does not hold what it held.
         self.id = f"{name[:180]}-{uuid.uuid4().hex[:8]}"
-        self._database = database
+        self._database, self._webhook = database, webhook
         self._watch = Watch(SILENT_S)
         self._away = False
         self._check_at = 0.0
@@ -100,7 +106,7 @@ class Member:
         with self._database.transaction() as session:
             if alone:
                 lease.bury(session, lease.beats(session))
-            health.beat(session, lease.WORKER, self.id, os.getpid())
+            health.beat(session, lease.WORKER, self.id, os.getpid(), self._details())
             if back := lease.orphans(session):
                 log.warning("queued again, their worker had ended: %s", ", ".join(back))
 
@@ -113,7 +119,7 @@ class Member:
         """
         try:
             with self._database.transaction() as session:
-                health.beat(session, lease.WORKER, self.id, os.getpid())
+                health.beat(session, lease.WORKER, self.id, os.getpid(), self._details())
             if time.monotonic() > self._check_at:
                 revision.check(self._database)
                 self._check_at = time.monotonic() + CHECK_S
@@ -132,6 +138,9 @@ class Member:
         if self._away:
             log.warning("the database answers and is written to again")
         self._away = False
+
+    def _details(self) -> dict[str, Any]:
+        return {} if self._webhook is None else {"webhook": dict(self._webhook.counts)}
 
     def _wait(self, error: CoreError) -> None:
         if not self._away:

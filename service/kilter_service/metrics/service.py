@@ -78,6 +78,7 @@ def _of(session: Session) -> Iterable[Metric]:
     text = "Time since a process last said that it is alive."
     yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
     yield from _of_checks(last_checks(session))
+    yield from _of_webhooks(store.webhooks(session))
     yield from _of_streams(store.streams(session))
 
 
@@ -93,6 +94,17 @@ def _of_checks(checks: Mapping[str, CheckOfRobot]) -> Iterable[Metric]:
     measured = [((robot,), one.at.timestamp()) for robot, one in checks.items()]
     text = "When the rows of the last check were measured, s since 1970."
     yield _gauge("kilter_drift_last_check_seconds", text, ("robot",), measured)
+
+
+def _of_webhooks(counts: Mapping[str, Mapping[str, int]]) -> Iterable[Metric]:
+    """What workers have posted of verdicts; a restarted worker has another name and begins at zero."""
+    if counts:
+        text = "Verdicts of checks that were posted to the webhook (sent), or given up (failed)."
+        posts = CounterMetricFamily("kilter_webhook_posts", text, labels=("worker", "outcome"))
+        for worker, found in counts.items():
+            for outcome, number in found.items():
+                posts.add_metric((worker, outcome), number)
+        yield posts
 
 
 def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:

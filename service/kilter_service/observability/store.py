@@ -54,6 +54,12 @@ def beats(session: Session) -> list[tuple[str, str, float]]:
     return [(row.process, row.name, (moment - row.at).total_seconds()) for row in rows]
 
 
+def webhooks(session: Session) -> dict[str, dict[str, int]]:
+    """Return how many verdicts each worker that has a webhook has posted and given up, by its name."""
+    query = select(HeartbeatRow.name, HeartbeatRow.details).where(HeartbeatRow.process == "worker")
+    return {name: details["webhook"] for name, details in session.execute(query) if "webhook" in (details or {})}
+
+
 def streams(session: Session) -> list[dict[str, Any]]:
     """Return what every stream of every corrector that runs has last said of itself."""
     query = select(HeartbeatRow.details).where(HeartbeatRow.process == "corrector")

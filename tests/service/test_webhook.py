@@ -1,0 +1,180 @@
+"""Verdicts posted to the operator's address, taken by a real HTTP server: signed, bounded, and never in a job's way."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.settings import Settings
+from kilter_service.webhook import Webhook
+from tests.core.watch.drifting import some_arm
+from tests.service.conftest import WorkerProcess, wait_for
+from tests.service.watched_robot import Until, Watched
+
+SECRET = b"a secret of more than 24 characters"
+
+
+@dataclass
+class Peer:
+    """Who takes the posts: answers with these statuses, one after the other and then the last again."""
+
+    statuses: list[int]
+    location: str = ""
+    hold: threading.Event | None = None
+    posts: list[tuple[str, dict[str, str], bytes]] = field(default_factory=list)
+    url: str = ""
+
+
+@contextmanager
+def serving(peer: Peer) -> Iterator[Peer]:
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            status = peer.statuses[min(len(peer.posts), len(peer.statuses) - 1)]
+            peer.posts.append((self.path, dict(self.headers), body))
+            if peer.hold is not None:
+                peer.hold.wait(20)
+            self.send_response(status)
+            if peer.location:
+                self.send_header("Location", peer.location)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    peer.url = f"http://127.0.0.1:{server.server_port}/alarms?line=3"
+    try:
+        yield peer
+    finally:
+        if peer.hold is not None:
+            peer.hold.set()
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def told(webhook: Webhook, *deliveries: str) -> dict[str, int]:
+    for delivery in deliveries:
+        webhook.tell(delivery, {"verdict": "moved"})
+    wait_for(lambda: sum(webhook.counts.values()) == len(deliveries), 30)
+    return webhook.counts
+
+
+def genuine(headers: dict[str, str], body: bytes) -> bool:
+    at, v1 = (part.partition("=")[2] for part in headers["Kilter-Signature"].split(","))
+    return hmac.compare_digest(hmac.new(SECRET, at.encode() + b"." + body, hashlib.sha256).hexdigest(), v1)
+
+
+def test_what_is_refused_is_tried_three_times_and_no_more() -> None:
+    with serving(Peer([500, 503, 204])) as peer:
+        assert told(Webhook(peer.url, SECRET, 5.0, (0.0, 0.0)), "job_1") == {"sent": 1, "failed": 0}
+        assert [(path, headers["Kilter-Delivery"]) for path, headers, _ in peer.posts] == 3 * [
+            ("/alarms?line=3", "job_1")
+        ]
+        assert all(genuine(headers, body) for _, headers, body in peer.posts)
+        assert not genuine(peer.posts[0][1], b"{}")
+    with serving(Peer([500])) as peer:
+        assert told(Webhook(peer.url, SECRET, 5.0, (0.0, 0.0)), "job_1", "job_2") == {"sent": 0, "failed": 2}
+        assert len(peer.posts) == 6
+
+
+def test_a_redirection_is_not_followed() -> None:
+    with serving(Peer([200])) as other, serving(Peer([307], location=other.url)) as peer:
+        assert told(Webhook(peer.url, SECRET, 5.0, (0.0,)), "job_1") == {"sent": 0, "failed": 1}
+        assert (len(peer.posts), len(other.posts)) == (2, 0)
+
+
+def test_whoever_does_not_answer_holds_nobody_up() -> None:
+    with serving(Peer([200], hold=threading.Event())) as peer:
+        webhook = Webhook(peer.url, SECRET, 0.2, ())
+        webhook.settle(0.0)
+        assert told(webhook, "job_1") == {"sent": 0, "failed": 1}
+    gone = Webhook(peer.url, SECRET, 0.2, ())  # nobody listens there now
+    for number in range(150):  # more than wait at once: told at once, never in the way
+        gone.tell(f"job_{number}", {"verdict": "moved"})
+    wait_for(lambda: gone.counts["failed"] == 150, 60)
+
+
+@pytest.mark.parametrize(
+    "url", ["ftp://host/x", "file:///etc/passwd", "https://", "https://name:word@host/", "host/x", "http://host/#part"]
+)
+def test_other_addresses_are_refused(url: str, tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match="KILTER_WEBHOOK_URL needs http"):
+        Settings(data=tmp_path, webhook_url=url, webhook_secret=tmp_path / "secret")
+
+
+def test_nothing_is_posted_without_a_good_secret(tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match="nothing is posted unsigned"):
+        Settings(data=tmp_path, webhook_url="https://host/x")
+    file = tmp_path / "secret"
+    settings = Settings(data=tmp_path, webhook_url="https://host/x", webhook_secret=file)
+    assert settings.environment()["KILTER_WEBHOOK_SECRET"] == str(file)
+    for content, mode, said in (
+        (None, 0o600, "cannot be read"),
+        (SECRET, 0o644, "by others"),
+        (b"short", 0o600, "too short"),
+    ):
+        if content is not None:
+            file.write_bytes(content)
+            file.chmod(mode)
+        with pytest.raises(ServiceError, match=said) as refused:
+            Webhook.of(settings)
+        assert refused.value.code == "webhook_secret_unusable"
+    assert Webhook.of(Settings(data=tmp_path)) is None
+
+
+def posts_counted(client: httpx.Client) -> dict[str, float]:
+    lines = [
+        line for line in client.get("/metrics").text.splitlines() if line.startswith("kilter_webhook_posts_total{")
+    ]
+    return {line.split('outcome="')[1].split('"')[0]: float(line.rsplit(" ", 1)[1]) for line in lines}
+
+
+def test_a_worker_posts_what_has_moved_and_a_failure_fails_no_job(
+    client: httpx.Client, worker: WorkerProcess, until: Until, database: Database, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    secret = tmp_path / "webhook-secret"
+    secret.write_bytes(SECRET + b"\n")
+    secret.chmod(0o600)
+    arm = some_arm(np.random.default_rng(3))
+    with serving(Peer([200])) as peer:
+        monkeypatch.setenv("KILTER_WEBHOOK_URL", peer.url)
+        monkeypatch.setenv("KILTER_WEBHOOK_SECRET", str(secret))
+        worker.start()
+        watched = Watched(client, until, arm, "arm")
+        version = watched.calibrated(database)
+        assert watched.checked(arm, 1, 0)["verdict"] == "ok"
+        said = watched.checked(arm.after("zero_3", 4e-3), 2, 1)
+        assert said["verdict"] == "moved"
+        until(lambda: posts_counted(client) == {"sent": 1.0, "failed": 0.0})
+        ((_, headers, body),) = peer.posts
+        message = json.loads(body)
+        assert genuine(headers, body)
+        assert (message["event"], message["robot"], message["verdict"]) == ("check", "arm", "moved")
+        assert (message["version_id"], message["sentence"]) == (version, said["sentence"])
+        assert message["causes"] == [{"name": "zero_3", "words": "zero of joint 3"}]
+        assert message["job_id"] == headers["Kilter-Delivery"] == watched.history()["last"]["job_id"]
+        assert message["campaigns"] == [watched.history()["last"]["campaign_id"]]
+    assert watched.checked(arm.after("zero_3", 4e-3), 3, 2)["verdict"] == "moved"  # nobody takes it now
+    until(lambda: posts_counted(client) == {"sent": 1.0, "failed": 1.0})
