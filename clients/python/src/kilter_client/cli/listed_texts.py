@@ -47,6 +47,13 @@ PRESETS: list[dict[str, str]] = [
         "source": "thesis table 5.1 and eq. 5.6; links of table 4.2; attachment of 130 mm as the tool",
     },
     {
+        "id": "koch",
+        "joints": "5",
+        "convention": "chain",
+        "masses": "with masses",
+        "source": "google-deepmind/mujoco_menagerie (Apache-2.0), low_cost_robot_arm/low_cost_robot_arm.xml, commit 464b5ae8: the follower of Koch v1.1, joints named as LeRobot names them; approximate limits of the source; tool at the frame of the static finger, the moving one held at zero",
+    },
+    {
         "id": "kr6-r900",
         "joints": "6",
         "convention": "chain",
@@ -59,6 +66,27 @@ PRESETS: list[dict[str, str]] = [
         "convention": "mdh",
         "masses": "with masses",
         "source": "Franka Emika, robot and interface specifications: nominal DH (Craig) to the flange, limits of the data sheet; masses and centres of mass identified by C. Gaz et al., IEEE RA-L 4(4), 2019, as in franka_description",
+    },
+    {
+        "id": "so100",
+        "joints": "5",
+        "convention": "chain",
+        "masses": "with masses",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO100/so100.urdf, commit 0c8e2892: the zero of that file, which is not the middle of the ranges; tool at the frame of the fixed jaw, the moving jaw held at zero; right angles, which the source rounds, are exact",
+    },
+    {
+        "id": "so101",
+        "joints": "5",
+        "convention": "chain",
+        "masses": "with masses",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_new_calib.urdf of the follower, commit 0aee1d0f: zero in the middle of each range (the new zero); tool at gripperframe, the jaw held at zero; right angles, which the source rounds, are exact",
+    },
+    {
+        "id": "so101-leader",
+        "joints": "5",
+        "convention": "chain",
+        "masses": "with masses",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_leader_new_calib.urdf, commit 02aab7d8: zero in the middle of each range (the new zero); tool at handle_frame_link, the trigger held at zero; inertias of its printed parts are estimates of the source; right angles, which it rounds, are exact",
     },
     {
         "id": "ur10",
