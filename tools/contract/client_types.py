@@ -16,6 +16,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "budgets": ("Budget",),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
+    "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),

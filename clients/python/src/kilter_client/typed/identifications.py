@@ -7,85 +7,8 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownFit
+from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.fits import Figure, LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BoardFound(Record):
-    """A board as a fit found it."""
-
-    frame: str
-    """Frame of the numbers: the robot's `base`, or its `flange`."""
-    mount: str
-    """`fixed` in the room, or on the `flange`."""
-    name: str
-    """Its name."""
-    rx_deg: float
-    """Roll, degrees (URDF)."""
-    ry_deg: float
-    """Pitch, degrees."""
-    rz_deg: float
-    """Yaw, degrees."""
-    scale_percent: float
-    """By how much it is larger than described, percent."""
-    scale_sigma_percent: float | None
-    """Standard deviation of that, percent; None: held."""
-    sigma_deg: tuple[float, ...]
-    """Standard deviations of rotations about its own axes, degrees; None: not known."""
-    sigma_mm: tuple[float, ...]
-    """Standard deviations of the place along its own axes, mm; None: not known."""
-    x_mm: float
-    """Place along x, mm."""
-    y_mm: float
-    """Place along y, mm."""
-    z_mm: float
-    """Place along z, mm."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class CameraFound(Record):
-    """A camera as a fit found it; z of its frame looks ahead, x to the right and y down."""
-
-    cx_px: float
-    """Principal point along u, px."""
-    cy_px: float
-    """Principal point along v, px."""
-    distortion: tuple[float, ...]
-    """Numbers of the lens, in OpenCV's order."""
-    distortion_model: str
-    """Model of the lens."""
-    frame: str
-    """Frame of the numbers: the robot's `base`, or its `flange`."""
-    fx_px: float
-    """Focal length along u, px."""
-    fy_px: float
-    """Focal length along v, px."""
-    height_px: int
-    """Height of its pictures, px."""
-    intrinsics_sigmas: tuple[float, ...]
-    """Standard deviations of fx, fy, cx, cy (px) and of the lens, 0 where held; None: not known."""
-    mount: str
-    """`fixed` in the room, or on the `flange`."""
-    name: str
-    """Its name."""
-    rx_deg: float
-    """Roll, degrees (URDF)."""
-    ry_deg: float
-    """Pitch, degrees."""
-    rz_deg: float
-    """Yaw, degrees."""
-    sigma_deg: tuple[float, ...]
-    """Standard deviations of rotations about its own axes, degrees; None: not known."""
-    sigma_mm: tuple[float, ...]
-    """Standard deviations of the place along its own axes, mm; None: not known."""
-    width_px: int
-    """Width of its pictures, px."""
-    x_mm: float
-    """Place along x, mm."""
-    y_mm: float
-    """Place along y, mm."""
-    z_mm: float
-    """Place along z, mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -270,34 +193,6 @@ class OwnBase(Record):
     """How far it is rotated, degrees."""
     use: str | None
     """What the rows were used for."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ToolScatter(Record):
-    """How far off the tool is in views, the noise of the views taken off."""
-
-    high_mm: float
-    """Upper end, mm."""
-    low_mm: float
-    """Lower end of its 95 % interval, mm."""
-    orientation_deg: float
-    """Root mean square angle, degrees."""
-    rms_mm: float
-    """Root mean square distance, mm."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PixelsFound(Record):
-    """What pixels alone say of their own noise and of the tool."""
-
-    between_views: float
-    """Variance between views over what their corners explain: 1 where the model lacks nothing."""
-    noise_px: float
-    """Standard deviation of a corner, px, from within views: no model enters."""
-    train: ToolScatter
-    """The tool in the views that were fitted."""
-    validation: ToolScatter | None
-    """The tool in views held out; None: none, or folds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

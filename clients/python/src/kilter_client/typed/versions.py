@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
+from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 from kilter_client.typed.identifications import (
-    BoardFound,
-    CameraFound,
     CorrelatedGroup,
     Influence,
     JointMotions,
@@ -21,7 +20,6 @@ from kilter_client.typed.identifications import (
     Noise,
     Observability,
     OwnBase,
-    PixelsFound,
     Scale,
     SetAside,
 )
