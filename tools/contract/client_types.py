@@ -17,9 +17,8 @@ MODULES: Mapping[str, Sequence[str]] = {
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
     "acceptance": ("Acceptance",),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
-    "cameras": ("PixelsFound",),
-    "identifications": ("IdentifyResult",),
-    "joint_parameters": ("JointParametersResult",),
+    "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
+    "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),
     "search_numbers": (

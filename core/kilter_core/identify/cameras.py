@@ -65,7 +65,7 @@ def with_cameras(begin: Calibration, train: Observations, measurement: Measureme
     views = Measurement.of(seen, held=True).pixels
     assert views is not None
     known = None if measurement.observes_places else begin.rig
-    rig = views.placed(replace(here, rig=known).predict(seen)).settled()
+    rig = views.started(replace(here, rig=known).predict(seen)).settled()
     effects = (*(e for e in begin.model.effects if not isinstance(e, Cameras)), Cameras(rig=rig))
     found = begin.with_effects(effects)
     start = found.values.copy()

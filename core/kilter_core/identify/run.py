@@ -13,6 +13,7 @@ from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said, with_masses
 from kilter_core.identify.errors_by_kind import KindErrors, Shares, errors_of
 from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
+from kilter_core.identify.gauges import gauges
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.identifiability import NullDirection, null_directions
 from kilter_core.identify.influence import influence_of
@@ -32,6 +33,7 @@ from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.tukey import set_aside
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses
@@ -180,7 +182,7 @@ def identify(
     found = in_fitted_frames(begin, of_tool, options, prior)
     wanted = wanted_frames(begin, found, of_tool, options, continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
-    fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
+    fit = _fitted(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
     calibration = fit.calibration(*wanted)
     stages = _stages(found if measurement.tool.places_itself else nominal, found, calibration)
     own = [] if frames is None else frames.fitted(calibration)
@@ -211,6 +213,12 @@ def _seen(begin: Calibration, train: Observations, options: IdentifyOptions) -> 
 
 def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -> dict[str, Calibration]:
     return {"nominal": nominal, "registration_only": found, "identified": identified}
+
+
+def _fitted(
+    begin: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress, prior: Prior | None
+) -> Fit:
+    return with_likeliest_scale(fit_by_method(begin, measurement, options, progress, prior))
 
 
 def _views(result: Identification, validation: Validation, measurement: Measurement) -> dict[str, Any]:
@@ -306,6 +314,7 @@ def _reported(
             *warnings_of(fit, train, repeats),
             *(() if learned is None else (learned.warning(),)),
             *another_arm(calibration),
+            *gauges(fit_of_all),
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,

@@ -154,6 +154,17 @@ class Pixels(Kind):
         views = self.views(prediction)
         return fit_rig(placed_by(self.rig, views, self.pixels), views, self.pixels, self.observations.pixel_sigma).rig
 
+    def started(self, prediction: Prediction) -> PlacedRig:
+        """Where a fit begins: places as known or as they fit, intrinsics and scales as stated, for an arm not yet fitted
+        would be made up for by them.
+        """
+        known = prediction.instrument
+        if known is not None and known.rig.has(self.rig):
+            return known.rig.of(self.rig)
+        views = self.views(prediction)
+        held = placed_by(self.rig, views, self.pixels).described_by(self.rig.held())
+        return fit_rig(held, views, self.pixels, self.observations.pixel_sigma).rig.described_by(self.rig)
+
     def placed(self, prediction: Prediction) -> PlacedRig:
         """The rig as it is known; where a prediction knows nothing of these cameras, as it fits these rows best."""
         known = prediction.instrument

@@ -133,6 +133,10 @@ class PlacedRig:
         cameras, boards = (tuple(_moved(p, np.eye(4)) for p in parts) for parts in (self.cameras, self.boards))
         return replace(self, cameras=cameras, boards=boards)
 
+    def described_by(self, rig: Rig) -> PlacedRig:
+        """The same places of cameras and boards that are described otherwise."""
+        return replace(self, rig=rig)
+
     def has(self, rig: Rig) -> bool:
         """Whether it knows where all parts of ``rig`` stand."""
         cameras, boards = {c.name for c in self.rig.cameras}, {b.name for b in self.rig.boards}

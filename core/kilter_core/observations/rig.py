@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
 
 from kilter_core.errors import ObservationError
@@ -110,6 +110,11 @@ class Rig:
     def most_corners(self) -> int:
         """Corners of the largest board."""
         return max(len(board.corners) for board in self.boards)
+
+    def held(self) -> Rig:
+        """The same with intrinsics and scales that count as exact."""
+        cameras = tuple(replace(c, intrinsics="fixed", sigmas=None) for c in self.cameras)
+        return Rig(cameras, tuple(replace(b, scale_sigma=0.0) for b in self.boards))
 
     @staticmethod
     def merged(rigs: Iterable[Rig]) -> Rig:

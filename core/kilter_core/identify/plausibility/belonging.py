@@ -10,6 +10,7 @@ from kilter_core.identify.plausibility.lagging import lag_warnings
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
+from kilter_core.identify.plausibility.views import refuse_unrelated_views
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -32,6 +33,8 @@ def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, A
             of_tool = Measurement.of(part, begin.marker_points, held=True).of_tool()
             refuse_feigned_turns(begin, of_tool)
             warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
+    if rows.pixels is not None:
+        warnings += refuse_unrelated_views(begin, rows)
     refuse_foreign_links(begin.robot, rows)
     return (*warnings, *lag_warnings(begin.robot, rows))
 

@@ -38,8 +38,7 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     taken = float(np.mean(problem.weights.points)) / views.metres_per_px
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
     scaled = fit.J * problem.prior_sigma
-    held = np.zeros((0, len(fit.names))) if problem.held is None else problem.held
-    H = scaled.T @ scaled / max(factor, 1e-12) + np.eye(len(fit.names)) + 1e8 * held.T @ held
+    H = scaled.T @ scaled / max(factor, 1e-12) + np.eye(len(fit.names))
     scale = problem.prior_sigma * float(scipy.stats.t.ppf(0.975, found.freedom)) / NORMAL
     inverse_ = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return replace(fit, covariance=inverse_ * np.outer(scale, scale), freedom=found.freedom)

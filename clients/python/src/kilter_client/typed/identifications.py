@@ -7,86 +7,8 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownFit
-from kilter_client.typed.cameras import PixelsFound
+from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.fits import Figure, LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BoardFound(Record):
-    """A board as a fit found it."""
-
-    frame: str
-    """Frame of the numbers: the robot's `base`, or its `flange`."""
-    mount: str
-    """`fixed` in the room, or on the `flange`."""
-    name: str
-    """Its name."""
-    rx_deg: float
-    """Roll, degrees (URDF)."""
-    ry_deg: float
-    """Pitch, degrees."""
-    rz_deg: float
-    """Yaw, degrees."""
-    scale_percent: float
-    """By how much it is larger than described, percent."""
-    scale_sigma_percent: float | None
-    """Standard deviation of that, percent; None: held."""
-    sigma_deg: tuple[float, ...]
-    """Standard deviations of rotations about its own axes, degrees; None: not known."""
-    sigma_mm: tuple[float, ...]
-    """Standard deviations of the place along its own axes, mm; None: not known."""
-    x_mm: float
-    """Place along x, mm."""
-    y_mm: float
-    """Place along y, mm."""
-    z_mm: float
-    """Place along z, mm."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class CameraFound(Record):
-    """A camera as a fit found it; z of its frame looks ahead, x to the right and y down."""
-
-    cx_px: float
-    """Principal point along u, px."""
-    cy_px: float
-    """Principal point along v, px."""
-    distortion: tuple[float, ...]
-    """Numbers of the lens, in OpenCV's order."""
-    distortion_model: str
-    """Model of the lens."""
-    frame: str
-    """Frame of the numbers: the robot's `base`, or its `flange`."""
-    fx_px: float
-    """Focal length along u, px."""
-    fy_px: float
-    """Focal length along v, px."""
-    height_px: int
-    """Height of its pictures, px."""
-    intrinsics_sigmas: tuple[float, ...]
-    """Standard deviations of fx, fy, cx, cy (px) and of the lens, 0 where held; None: not known."""
-    mount: str
-    """`fixed` in the room, or on the `flange`."""
-    name: str
-    """Its name."""
-    rx_deg: float
-    """Roll, degrees (URDF)."""
-    ry_deg: float
-    """Pitch, degrees."""
-    rz_deg: float
-    """Yaw, degrees."""
-    sigma_deg: tuple[float, ...]
-    """Standard deviations of rotations about its own axes, degrees; None: not known."""
-    sigma_mm: tuple[float, ...]
-    """Standard deviations of the place along its own axes, mm; None: not known."""
-    width_px: int
-    """Width of its pictures, px."""
-    x_mm: float
-    """Place along x, mm."""
-    y_mm: float
-    """Place along y, mm."""
-    z_mm: float
-    """Place along z, mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -359,6 +281,72 @@ class IdentifyResult(ShownFit, Record):
     """Rows that a robust loss or a search set aside."""
     tool_refitted: Records[OwnBase]
     """Tools that were fitted to rows of their own."""
+    version_id: str | None
+    """Id of the version it made; None: none."""
+    warnings: Records[Remark]
+    """What to know before trusting the result."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Configuration(Record):
+    """A configuration to read the inclinometer in."""
+
+    axis: str | None
+    """Axis of the joint's frame to read about."""
+    joint: str | None
+    """Name of the joint."""
+    payload_com_mm: tuple[float, ...]
+    """Its centre in the tool frame, mm; None: the tool point."""
+    payload_kg: float | None
+    """Load to carry, kg."""
+    q_deg: tuple[float, ...]
+    """All joints, degrees; mm for prismatic ones."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Motion(Record):
+    """A motion of a joint, before and after what was found of it is taken off."""
+
+    campaign: str | None
+    """Id of the campaign."""
+    left_deg: float | None
+    """What is left of it, degrees."""
+    raw_deg: float | None
+    """Standard deviation of link minus motor angle, degrees."""
+    use: str | None
+    """`fitted` or `predicted`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointMotions(Record):
+    """A joint with an encoder on its link side."""
+
+    dead: str | None
+    """Why its channel says nothing; None: it does."""
+    joint: str
+    """Name of the joint."""
+    motions: Records[Motion]
+    """Its motions, fitted and predicted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointParametersResult(ShownFit, Record):
+    """What was measured of the joints, or where to read."""
+
+    configurations: Records[Configuration]
+    """Configurations to read."""
+    csv: str | None
+    """The configurations as a CSV file to fill in."""
+    joint: str | None
+    """The joint that configurations are proposed for."""
+    joints: Records[JointMotions]
+    """What link-side encoders say of each joint."""
+    measured_by: str | None
+    """`inclinometer` or `link-side encoder`."""
+    objections: Records[Objection]
+    """What it found against activating the version."""
+    parameters: Records[Parameter]
+    """Clearance, backlash and stiffness of the joints."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]

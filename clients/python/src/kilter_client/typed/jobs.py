@@ -9,8 +9,7 @@ from typing import Any
 from kilter_client.results.record import Record
 from kilter_client.typed.drifts import DriftResult, RezeroResult
 from kilter_client.typed.evaluations import EvaluateResult
-from kilter_client.typed.identifications import IdentifyResult
-from kilter_client.typed.joint_parameters import JointParametersResult
+from kilter_client.typed.identifications import IdentifyResult, JointParametersResult
 from kilter_client.typed.plans import PlanResult
 from kilter_client.typed.searches import GapResult
 from kilter_client.typed.server import JobError, Progress

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
-from kilter_client.typed.cameras import PixelsFound
+from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 from kilter_client.typed.identifications import (
-    BoardFound,
-    CameraFound,
     CorrelatedGroup,
     Influence,
+    JointMotions,
     KindOfMeasurement,
     Learned,
     MassesTaken,
@@ -24,7 +23,6 @@ from kilter_client.typed.identifications import (
     Scale,
     SetAside,
 )
-from kilter_client.typed.joint_parameters import JointMotions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -16,8 +16,7 @@ from kilter_client.verbs.things import Thing, reference, references
 
 if TYPE_CHECKING:
     from kilter_client.typed.evaluations import EvaluateResult
-    from kilter_client.typed.identifications import IdentifyResult
-    from kilter_client.typed.joint_parameters import JointParametersResult
+    from kilter_client.typed.identifications import IdentifyResult, JointParametersResult
     from kilter_client.typed.options import (
         EvaluateOptions,
         GapOptions,
