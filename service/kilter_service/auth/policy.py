@@ -134,6 +134,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /robots/{robot}/meshes/{link}": ADMINISTER,
     "POST /robots/{robot}/meshes/{link}/remove": ADMINISTER,
     "GET /robots/{robot}/versions": READ,
+    "GET /robots/{robot}/versions/compare": READ_COMPUTED.timed(LATER),
     "GET /versions/{version}": READ,
     "GET /versions/{version}/exports": READ_COMPUTED.timed(LATER),
     "GET /versions/{version}/contributions": READ_COMPUTED.timed(LATER),
