@@ -175,6 +175,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /jobs/{job}/gap/plan": OPERATE,
     "POST /jobs/{job}/gap/again": OPERATE,
     "GET /robots/{robot}/jobs": READ,
+    "GET /robots/{robot}/jobs/campaigns": READ,
     "POST /robots/{robot}/jobs/check": OPERATE.timed(LATER),
     "POST /robots/{robot}/jobs": OPERATE,
     "GET /jobs/{job}": READ,
