@@ -15,8 +15,11 @@ from playwright.sync_api import Browser
 from sqlalchemy import insert, select
 
 from kilter_service.auth.policy import PAGE_RULES, RULES
+from kilter_service.contract.campaigns import Campaign
 from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
 from kilter_service.page.audit.said import DONE
+from kilter_service.page.jobs.form import by_role
+from kilter_service.page.jobs.options import given
 from kilter_service.page.shared.lists import Asked, part
 from tests.service.conftest import Katana
 
@@ -159,6 +162,61 @@ def test_every_route_that_changes_something_has_words() -> None:
     changing = {route for route in (*RULES, *PAGE_RULES) if not route.startswith("GET ") and not UNKEPT.search(route)}
     assert changing - set(DONE) == set()
     assert set(DONE) - changing == {"kilterd worker"}
+
+
+def test_the_form_of_a_job_does_not_grow_with_campaigns(there: Made) -> None:
+    place = f"/robots/{there.robot}/jobs"
+    text = there.client.get(place).raise_for_status().text
+    uses = re.findall(r'name="use\.(cmp_\w+)"', text)
+    assert (uses[0], len(uses)) == (there.campaign, 9)  # what is preset, and the newest of the others
+    assert "492 more, older or measured in another set-up" in words(text)
+    found = there.client.get(f"{place}/campaigns", params={"sought": "camera day"}, headers={"HX-Request": "true"}).text
+    assert len(re.findall(r'name="use\.', found)) == 20
+    assert "The newest 20 of 100: type more." in found
+    alone = there.client.get(f"{place}/campaigns", params={"sought": "day 123"}).text
+    assert "<html" in alone
+    assert "day 123" in alone
+    assert f'<option value="{there.good}">version 2' in text
+    assert 'name="effect.backlash"' in text
+
+
+def a_campaign(name: str, day: int, rows: int = 50, role: str = "train") -> Campaign:
+    at = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(days=day)
+    return Campaign.model_validate(
+        {"id": name, "robot": "arm", "name": name, "role": role, "rows": rows, "created_at": at, "uploads": [],
+         "warnings": [], "retired_at": None}
+    )  # fmt: skip
+
+
+def test_the_newest_set_up_is_preset() -> None:
+    ones = [a_campaign("old", 0), a_campaign("week", 30), a_campaign("small", 36, rows=5), a_campaign("new", 36)]
+    assert by_role("identify", ones) == {"new": "train", "week": "train"}
+    assert by_role("identify", [a_campaign("five", 0, rows=5)]) == {"five": "train"}  # there is nothing larger
+    judges = [a_campaign("judge", 1, role="validation"), a_campaign("new", 90)]
+    assert by_role("identify", judges) == {"judge": "validation", "new": "train"}  # each role by itself
+    many = [a_campaign(f"c{k}", k) for k in range(100)]
+    assert set(by_role("identify", many)) == {f"c{k}" for k in range(88, 100)}
+
+
+def test_effects_that_are_ticked_join_those_that_are_typed() -> None:
+    assert given("identify", {"effect.backlash": "1"})["effects"] == ["backlash"]
+    both = {"option.effects": "backlash, friction_windup", "effect.backlash": "1", "effect.drift": "1"}
+    assert given("identify", both)["effects"] == ["backlash", "friction_windup", "drift"]
+    assert "effects" not in given("evaluate", {"option.version": "ver_1", "effect.backlash": "1"})
+
+
+@pytest.mark.short_path
+def test_a_campaign_that_is_found_joins_the_form(there: Made, chromium: Browser) -> None:
+    with opened(chromium, there.client) as page:
+        page.goto(f"/robots/{there.robot}/jobs")
+        page.get_by_label("Find a campaign").fill("day 123")
+        page.get_by_label("Use of day 123").select_option("validation")
+        assert page.locator("[data-uses]").get_by_text("day 123").count() == 1
+        page.get_by_label("Find a campaign").fill("day 12")
+        page.get_by_text("in the table above").wait_for()
+        assert page.get_by_label("Use of day 123").input_value() == "validation"
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
 
 
 def test_thousands_are_listed_within_a_second_on_average(there: Made) -> None:

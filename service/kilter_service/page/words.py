@@ -71,6 +71,20 @@ def mm(value: float | None) -> str:
     return f"{number(value)} mm"
 
 
+def like(value: float | None, largest: float | None) -> str:
+    """Write a length in mm in the unit of another one: numbers that are compared share it."""
+    if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
+        return NONE
+    unit, scale = ("µm", 1e3) if abs(largest) < 0.1 else ("mm", 1.0)
+    digits = max(DIGITS - 1 - math.floor(math.log10(scale * abs(largest))), 0) if largest else 0
+    return f"{round(scale * value, digits) + 0.0:.{digits}f} {unit}"
+
+
+def chance(value: float) -> str:
+    """Write a probability: as a number where people read it so, as a power of ten where it is tiny."""
+    return f"{value:.0e}".replace("e-0", "e-") if value < 1e-3 else number(value, 2)
+
+
 def within(value: float, low: float | None, high: float | None) -> str:
     """Write a length in mm with its interval, all three in the unit of the length and to the second digit of the width."""
     if low is None or high is None or not high > low:
@@ -136,7 +150,8 @@ def of_joints(numbers: Sequence[int]) -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "within": within, "age": age, "moment": moment, "percent": percent, "count": count,
+    "number": number, "mm": mm, "within": within, "like": like, "chance": chance,
+    "age": age, "moment": moment, "percent": percent, "count": count,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
     "left_out": left_out,
 }  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
 from typing import Any
 from urllib.parse import urlencode
 
@@ -19,6 +20,9 @@ from kilter_service.page.jobs import options
 
 NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
 USE = "use."
+FEWEST_ROWS = 10  # of a campaign that is preset, where there are larger ones
+APART = timedelta(days=7)  # between the set-ups of an instrument
+MOST_PRESET = 12  # campaigns of a role
 USES = {"train": "campaigns", "validation": "validation", "confirmation": "confirmation"}
 BY_ROLE: Mapping[str, Mapping[str, str]] = {
     "identify": {"train": "train", "validation": "validation"},
@@ -85,10 +89,27 @@ def uses(chosen: Mapping[str, Sequence[str]]) -> dict[str, str]:
 
 
 def by_role(kind: str, campaigns: Sequence[Campaign]) -> dict[str, str]:
-    """Return what each campaign is preset for by what it is meant for, where the address names none."""
-    wanted = BY_ROLE.get(kind, {})
-    whole = [one for one in campaigns if one.rows and not one.staged]
-    return {one.id: wanted[one.role] for one in whole if one.role in wanted}
+    """Return what each campaign is preset for by what it is meant for, where the address names none.
+
+    Of each role those of the newest set-up: back from the newest until nothing was measured for a week.
+    """
+    out: dict[str, str] = {}
+    for role, use in BY_ROLE.get(kind, {}).items():
+        whole = [one for one in campaigns if one.role == role and one.rows and not one.staged]
+        enough = [one for one in whole if one.rows >= FEWEST_ROWS] or whole
+        out |= {one.id: use for one in _newest(enough)}
+    return out
+
+
+def _newest(campaigns: Sequence[Campaign]) -> list[Campaign]:
+    """Campaigns that were measured together with the newest, at most so many as are preset."""
+    ordered = sorted(campaigns, key=_measured, reverse=True)
+    apart = (k for k in range(1, len(ordered)) if _measured(ordered[k - 1]) - _measured(ordered[k]) > APART)
+    return ordered[: min(next(apart, len(ordered)), MOST_PRESET)]
+
+
+def _measured(campaign: Campaign) -> datetime:
+    return campaign.measured_at or campaign.created_at
 
 
 def address_of(job: Job) -> str:

@@ -20,6 +20,7 @@ from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.errors import ServiceError
 
 PREFIX = "option."
+EFFECT = "effect."  # an effect that was ticked in the list
 MODELS: Mapping[str, type[BaseModel]] = {
     "identify": IdentifyOptions, "gap": GapOptions, "evaluate": EvaluateOptions, "plan": PlanOptions,
     "joint_parameters": JointParametersOptions, "drift": DriftOptions, "rezero": RezeroOptions,
@@ -66,7 +67,11 @@ def given(kind: str, typed: Mapping[str, str]) -> dict[str, Any]:
     """
     usual, others = fields(kind)
     texts = {field.name: typed.get(PREFIX + field.name, "").strip() for field in [*usual, *others]}
-    return {field.name: _read(field, texts[field.name]) for field in [*usual, *others] if texts[field.name]}
+    found = {field.name: _read(field, texts[field.name]) for field in [*usual, *others] if texts[field.name]}
+    ticked = [name.removeprefix(EFFECT) for name in typed if name.startswith(EFFECT)]
+    if ticked and "effects" in texts:
+        found["effects"] = [*found.get("effects", []), *(one for one in ticked if one not in found.get("effects", []))]
+    return found
 
 
 def _field(name: str, part: Mapping[str, Any], schema: Mapping[str, Any]) -> Field:

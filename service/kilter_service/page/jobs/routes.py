@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import HTMLResponse, PlainTextResponse
 
 from kilter_service.auth.access import Admin
@@ -12,7 +12,7 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page.jobs import form, planned, service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.listed_jobs import KINDS
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shell import is_part, redirect, render, root_of
 from kilter_service.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
@@ -32,6 +32,17 @@ def new(robot: str, request: Request, database: DatabaseOfApp, kind: str = "iden
     """Show the form of a new job, and the robot's jobs."""
     chosen = {name: request.query_params.getlist(name) for name in request.query_params}
     return render(request, "jobs/new.html", **service.new(database, robot, kind, chosen))
+
+
+@router.get("/robots/{robot}/jobs/campaigns")
+def campaigns(
+    robot: str, request: Request, database: DatabaseOfApp, kind: Annotated[str, Query(max_length=40)] = "identify",
+    sought: Annotated[str, Query(max_length=200)] = "",
+) -> HTMLResponse:  # fmt: skip
+    """Find campaigns for the form of a new job."""
+    found = service.sought(database, robot, kind, sought)
+    template = "jobs/campaigns_part.html" if is_part(request) else "jobs/campaigns.html"
+    return render(request, template, robot=robot, kind=kind, **found)
 
 
 @router.post("/robots/{robot}/jobs/check")

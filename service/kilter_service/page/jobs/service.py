@@ -14,11 +14,15 @@ from kilter_service.jobs import service as jobs
 from kilter_service.jobs.registry import kind_of
 from kilter_service.page.jobs import form, options, seal
 from kilter_service.page.jobs.results import result_of
+from kilter_service.page.shared import lists
 from kilter_service.page.shared.listed_jobs import KINDS, listed
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
+from kilter_service.versions import service as versions
 
 MOST_JOBS = 50
+MOST_OFFERED, MOST_SOUGHT = 8, 20  # campaigns beside those that are preset, and of a search
+MOST_VERSIONS = 200  # that a field offers by name
 CAMPAIGNS_USED = ("campaigns", "validation", "confirmation")
 
 
@@ -33,7 +37,9 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
     robots.get(database, robot)
     kind_of(kind)
     usual, others = options.fields(kind)
-    found = campaigns.listed(database, robot, Page()).campaigns
+    found = campaigns.listed(database, robot, Page()).campaigns[::-1]
+    uses = form.uses(chosen) or form.by_role(kind, found)
+    rest = [one for one in found if one.id not in uses]
     return {
         "robot": robot,
         "kind": kind,
@@ -41,11 +47,30 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
         "usual": usual,
         "others": others,
         "preset": {name: values[0] for name, values in chosen.items() if values and name not in CAMPAIGNS_USED},
-        "campaigns": found,
-        "uses": form.uses(chosen) or form.by_role(kind, found),
+        "campaigns": [*(one for one in found if one.id in uses), *rest[:MOST_OFFERED]],
+        "more": len(rest[MOST_OFFERED:]),
+        "uses": uses,
+        "versions": versions.listed(database, robot, Page(limit=MOST_VERSIONS)).versions,
+        "effects": effects_in_words() if any(one.name == "effects" for one in (*usual, *others)) else {},
         "confirms": kind_of(kind).takes_confirmation,
         "found": listed(database, robot, Page(limit=MOST_JOBS)),
     }
+
+
+def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, Any]:
+    """Return the campaigns of a robot in whose name, device or notes all words of a text are, newest first."""
+    kind_of(kind)
+    found = campaigns.listed(database, robot, Page()).campaigns[::-1]
+    part = lists.part(found, lists.Asked(search=text), lambda one: f"{one.name} {one.device} {one.notes} {one.id}", {})
+    shown = part.shown[:MOST_SOUGHT]
+    return {"campaigns": shown, "found": part.found, "uses": {}, "confirms": kind_of(kind).takes_confirmation}
+
+
+def effects_in_words() -> dict[str, str]:
+    """Return the effects that a model may have, by id, with what each is."""
+    from kilter_core.effects.registry import EFFECTS  # imports numpy: not at the start of the API process
+
+    return {name: effect.summary for name, effect in sorted(EFFECTS.items())}
 
 
 def checked(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:

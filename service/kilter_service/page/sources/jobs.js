@@ -30,3 +30,14 @@ function watch(form) {
 }
 
 document.querySelectorAll("form[data-checked]").forEach(watch);
+
+// A campaign that was found by a search and given a use joins the table of the form: the next search keeps it.
+const there = (select) => select.form.querySelector(`[data-uses] select[name="${CSS.escape(select.name)}"]`);
+document.addEventListener("change", (event) => {
+  const select = event.target.closest?.("[data-sought] select");
+  if (select?.value) select.form.querySelector("[data-uses]").append(select.closest("tr"));
+});
+document.addEventListener("htmx:afterSwap", (event) => {
+  if (!event.detail.target.matches("[data-sought]")) return;
+  for (const select of event.detail.target.querySelectorAll("select")) if (there(select)) select.replaceWith("in the table above");
+});

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
@@ -13,11 +15,13 @@ from kilter_service.errors import ServiceError
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.left import residuals, size_of
+from kilter_service.page.versions.paired import Paired, paired
 from kilter_service.paging import Page
 from kilter_service.versions import differences, service
 
-MOST_CAMPAIGNS = 20
+MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
 NOMINAL = "nominal"
+SURE = 1.96  # standard deviations: 95 %
 SAME = 1e-9  # smaller differences are rounding
 STEPS = 200  # of a cumulative curve
 BARS = ("mean_mm", "p95_mm", "max_mm")
@@ -58,6 +62,17 @@ class Compared:
     bars: Plot | None
     curve: Plot | None
     refusal: str = ""
+    paired: Paired | None = None
+
+    @property
+    def moved(self) -> list[ParameterChange]:
+        """Parameters that differ by more than their uncertainty, or are in one version only."""
+        return [one for one in self.changed if beyond(one)]
+
+    @property
+    def within(self) -> list[ParameterChange]:
+        """The others that differ."""
+        return [one for one in self.changed if not beyond(one)]
 
     @property
     def same(self) -> int:
@@ -72,10 +87,40 @@ def of(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Comp
     known = next(side for side in sides if side is not None)
     there = [one for one in campaigns.listed(database, known.robot, Page()).campaigns if one.rows]
     chosen = list(wanted) if wanted else _default(known, there)
-    left, refusal = _left(database, sides, chosen)
+    left, tables, refusal = _left(database, sides, chosen)
     bars, curve = (None, None) if not left else (_bars(left), _curve(left))
     changed = [one for one in diff.parameters if one.change is None or abs(one.change) > SAME]
-    return Compared(known.robot, sides[0], sides[1], diff, changed, there, chosen, left, bars, curve, refusal)
+    pairs = None
+    if len(left) == 2:
+        pairs = paired(database, tables, [one.name for one in left], b)
+    return Compared(known.robot, sides[0], sides[1], diff, changed, there, chosen, left, bars, curve, refusal, pairs)
+
+
+def beyond(one: ParameterChange) -> bool:
+    """Whether a parameter moved by more than chance explains: two standard deviations of both, taken as independent."""
+    if one.change is None:
+        return True
+    return abs(one.change) > SURE * math.hypot(one.sigma_a or 0.0, one.sigma_b or 0.0)
+
+
+def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple[Version, Compared | None]]:
+    """Compare versions each with the first, on the campaigns that are usual for that one.
+
+    Raises:
+        ServiceError: fewer than two, or no such version of the robot.
+
+    """
+    if len(wanted) < 2:
+        raise ServiceError("Tick at least two versions to compare them.", code="option_invalid", option="version")
+    found = [service.get(database, one) for one in wanted]
+    for one in found:
+        if one.robot != robot:
+            raise ServiceError(
+                f"Version {one.id} is of robot {one.robot}: choose those of {robot}.", code="option_invalid"
+            )
+    first = found[0].id
+    chosen = of(database, first, found[1].id, None).chosen
+    return [(found[0], None), *((one, of(database, first, one.id, chosen)) for one in found[1:])]
 
 
 def title(version: Version) -> str:
@@ -92,25 +137,28 @@ def _default(version: Version, there: Sequence[Campaign]) -> list[str]:
     return [one.id for one in there[-1:]]
 
 
-def _left(database: Database, sides: Sequence[Version | None], chosen: Sequence[str]) -> tuple[list[Left], str]:
+def _left(
+    database: Database, sides: Sequence[Version | None], chosen: Sequence[str]
+) -> tuple[list[Left], list[dict[str, Any]], str]:
     """What versions leave of the rows, or why that cannot be said. The nominal robot has no base to be compared in."""
     if not chosen:
-        return [], "This robot has no measurements to compare on."
-    found = []
+        return [], [], "This robot has no measurements to compare on."
+    found, tables = [], []
     for side in sides:
         if side is None:
             continue
         try:
             table = residuals(database, side.id, chosen)
         except ServiceError as error:
-            return [], error.message
+            return [], [], error.message
+        tables.append(table)
         sizes = size_of(table)
         seen = sizes == sizes
         found.append(Left(title(side), int(seen.sum()), int((table["held_out"] & seen).sum()), sizes[seen].tolist()))
     return (
-        ([], "Nothing was measured at the tool in these campaigns.")
+        ([], [], "Nothing was measured at the tool in these campaigns.")
         if any(not one.rows for one in found)
-        else (found, "")
+        else (found, tables, "")
     )
 
 

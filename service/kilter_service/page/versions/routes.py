@@ -31,6 +31,18 @@ def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLRespon
     return render(request, "versions/history.html", shown=service.history(database, robot, asked, log))
 
 
+@router.get("/robots/{robot}/versions/compare")
+def chosen(
+    robot: str, request: Request, database: DatabaseOfApp,
+    version: Annotated[list[str] | None, Query(max_length=comparison.MOST_VERSIONS)] = None,
+) -> Response:  # fmt: skip
+    """Compare versions that were ticked in the list: two of them in full, of more each with the first."""
+    wanted = list(dict.fromkeys(version or []))
+    if len(wanted) == 2:
+        return redirect(request, f"{root_of(request)}/versions/{wanted[0]}/compare/{wanted[1]}")
+    return render(request, "versions/several.html", robot=robot, several=comparison.several(database, robot, wanted))
+
+
 @router.get("/versions/{version}")
 def version(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show a version."""

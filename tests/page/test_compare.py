@@ -1,0 +1,133 @@
+"""Any two versions compared pose by pose: against counts and probabilities worked out here."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser
+
+from kilter_service.contract.versions import ParameterChange
+from kilter_service.page.versions.comparison import beyond
+from kilter_service.page.versions.paired import chance
+from kilter_service.page.words import chance as written
+from kilter_service.page.words import like
+from tests.service.conftest import Katana
+
+from .conftest import opened
+from .made import Made, made
+from .test_robot import words
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
+    with made(tmp_path_factory.mktemp("compare"), migrated) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def server(there: Made) -> httpx.Client:
+    return there.client
+
+
+def sizes(there: Made, version: str, campaign: str) -> np.ndarray:
+    """Sizes (N,) mm of the errors as the interface has them."""
+    answer = there.client.get(f"/v1/versions/{version}/residuals", params={"campaign": campaign})
+    rows = csv.DictReader(io.StringIO(answer.text))
+    return np.array([math.dist((0, 0, 0), [float(row[f"d{axis}_mm"]) for axis in "xyz"]) for row in rows])
+
+
+def compared(there: Made, campaign: str) -> str:
+    address = f"/versions/{there.poor}/compare/{there.good}"
+    return there.client.get(address, params={"campaign": campaign}).raise_for_status().text
+
+
+@pytest.mark.parametrize(("better", "worse"), [(47, 3), (3, 47), (5, 5), (1, 0), (0, 0), (60, 0)])
+def test_the_sign_test_is_exact(better: int, worse: int) -> None:
+    count = better + worse
+    tail = sum(math.comb(count, k) for k in range(min(better, worse) + 1)) / 2**count
+    assert chance(better, worse) == pytest.approx(min(2 * tail, 1.0), rel=1e-9)
+
+
+def test_probabilities_and_lengths_are_written_as_people_read_them() -> None:
+    assert [written(one) for one in (0.42, 0.0123, 1.2e-9, 3e-18)] == ["0.42", "0.012", "1e-9", "3e-18"]
+    assert [like(one, 0.05) for one in (0.05, 0.0012)] == ["50.0 µm", "1.2 µm"]
+    assert [like(one, 1.25) for one in (1.25, 0.0201)] == ["1.25 mm", "0.02 mm"]
+
+
+def test_two_versions_are_paired_row_by_row(there: Made) -> None:
+    text = compared(there, there.campaign)
+    said = words(text)
+    difference = sizes(there, there.poor, there.campaign) - sizes(there, there.good, there.campaign)
+    better = int((difference > 0).sum())
+    assert better >= 55
+    assert f"version 2 is better on {better} of 60 rows" in said
+    assert f"with probability {written(chance(better, 60 - better))} (exact sign test)" in said
+    mean = float(difference.mean())
+    assert f"It leaves {mean:.3g} mm less on average" in said or f"It leaves {mean:.2f} mm less on average" in said
+    half = 2.0010 * float(difference.std(ddof=1)) / math.sqrt(60)  # Student's quantile with 59 degrees of freedom
+    found = re.search(r"how much less: ([\d.]+) mm to ([\d.]+) mm", said)
+    assert found is not None
+    assert [float(v) for v in found.groups()] == pytest.approx([mean - half, mean + half], abs=0.006)
+    rows = set(re.findall(r'data-row="([^"]+)"', text))
+    assert rows == {f"{there.campaign}/{k}" for k in range(1, 61)}
+    both = re.search(r"version 1 leaves [\d.]+ (\S+) on average and version 2 [\d.]+ (\S+)\. ", said)
+    assert both is not None, said[:900]
+    assert both.groups() == ("mm", "mm")  # one unit, that of the larger
+
+
+def test_rows_of_one_pose_count_once(there: Made) -> None:
+    rows = {
+        name: [value for value in column for _ in range(3)] for name, column in Katana().columns(12, seed=9).items()
+    }
+    new = {"name": "repeats"}
+    campaign = there.client.post(f"/v1/robots/{there.robot}/campaigns", json=new).raise_for_status().json()["id"]
+    there.client.post(f"/v1/campaigns/{campaign}/observations", json=rows).raise_for_status()
+    said = words(compared(there, campaign))
+    assert re.search(r"version 2 is better on 1[0-2] of 12 poses", said)
+    assert "Rows of one pose count once." in said
+
+
+@pytest.mark.parametrize(
+    ("change", "sigmas", "moved"),
+    [(0.1, (0.03, 0.04), True), (0.09, (0.03, 0.04), False), (0.001, (None, None), True), (None, (0.1, None), True)],
+)
+def test_parameters_moved_by_more_than_both_uncertainties(
+    change: float | None, sigmas: tuple[float | None, float | None], moved: bool
+) -> None:
+    one = ParameterChange(name="a_2", unit="mm", a=1.0, b=2.0, change=change, sigma_a=sigmas[0], sigma_b=sigmas[1])
+    assert beyond(one) is moved
+
+
+def test_versions_that_are_ticked_are_compared(there: Made) -> None:
+    place = f"/robots/{there.robot}/versions/compare"
+    ticked = there.client.get(f"/robots/{there.robot}/versions").text
+    assert set(re.findall(r'type="checkbox" name="version" value="([^"]+)"', ticked)) == {there.good, there.poor}
+    two = there.client.get(place, params={"version": [there.poor, there.good]}, follow_redirects=False)
+    assert two.headers["location"] == f"/versions/{there.poor}/compare/{there.good}"
+    one = there.client.get(place, params={"version": [there.poor]})
+    assert (one.status_code, "at least two" in words(one.text)) == (400, True)
+
+
+@pytest.mark.short_path
+def test_two_are_ticked_and_compared_in_the_browser(there: Made, chromium: Browser) -> None:
+    with opened(chromium, there.client) as page:
+        page.goto(f"/robots/{there.robot}/versions")
+        for box in page.get_by_role("checkbox", name="Compare").all():
+            box.check()
+        page.get_by_role("button", name="Compare those ticked").click()
+        page.get_by_text("is better on").wait_for()
+        page.goto(f"{page.url.partition('?')[0]}?campaign={there.campaign}")
+        page.locator("svg [data-row]").first.click()
+        page.locator(".row-tray").get_by_text("1 row chosen").wait_for()
+        assert page.locator("svg [data-chosen]").count() == 2  # from above and from the side
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
