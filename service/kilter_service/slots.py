@@ -19,7 +19,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Room:
+class ConcurrencyLimit:
     """Requests of one kind: at most ``most`` inside, of which ``working`` compute and the others wait."""
 
     def __init__(self, most: int, working: int) -> None:
@@ -31,7 +31,7 @@ class Room:
         """Take a place.
 
         Raises:
-            ServiceError: the room is full.
+            ServiceError: it is full.
 
         """
         if self.inside >= self.most:
@@ -48,14 +48,14 @@ class Room:
 
 
 class Slots:
-    """The rooms of one application. Documents have their own, so that a job can be queued while files are read."""
+    """The limits of one application. Documents have their own, so that a job can be queued while files are read."""
 
     def __init__(self, settings: Settings) -> None:
-        self.documents = Room(settings.max_requests, settings.max_computing)
-        self.checks = Room(settings.max_requests, settings.max_computing)  # documents that only compute
+        self.documents = ConcurrencyLimit(settings.max_requests, settings.max_computing)
+        self.checks = ConcurrencyLimit(settings.max_requests, settings.max_computing)  # documents that only compute
         # Reads that compute are open to everybody on loopback: they must not take the others' slots.
-        self.reads = Room(settings.max_requests, settings.max_computing)
-        self.files = Room(settings.max_requests, settings.max_computing)  # those that wait are on disk
+        self.reads = ConcurrencyLimit(settings.max_requests, settings.max_computing)
+        self.files = ConcurrencyLimit(settings.max_requests, settings.max_computing)  # those that wait are on disk
 
 
 def slots_of(request: Request) -> Slots:
@@ -69,7 +69,7 @@ async def compute(request: Request, work: Callable[P, T], *args: P.args, **kwarg
     return await in_turn(request, slots_of(request).files, partial(run_in_threadpool, work, *args, **kwargs))
 
 
-async def in_turn(request: Request, room: Room, work: Callable[[], Awaitable[T]]) -> T:
+async def in_turn(request: Request, limit: ConcurrencyLimit, work: Callable[[], Awaitable[T]]) -> T:
     """Do something once a slot is free; where the time of the route is limited, for so long.
 
     A thread cannot be stopped: work that is not waited for any more keeps its slot until it ends, so there are never more
@@ -81,11 +81,11 @@ async def in_turn(request: Request, room: Room, work: Callable[[], Awaitable[T]]
     """
     rule: Rule = request.state.rule
     if not rule.instead:
-        async with room.turn:
+        async with limit.turn:
             return await work()
     limit_s: float = request.app.state.settings.compute_limit_s
-    await _slot(room, limit_s)
-    task = asyncio.create_task(_released(room, work))
+    await _slot(limit, limit_s)
+    task = asyncio.create_task(_released(limit, work))
     done, _ = await asyncio.wait({task}, timeout=limit_s)
     if not done:
         task.add_done_callback(_forgotten)
@@ -98,21 +98,21 @@ async def in_turn(request: Request, room: Room, work: Callable[[], Awaitable[T]]
     return task.result()
 
 
-async def _slot(room: Room, limit_s: float) -> None:
+async def _slot(limit: ConcurrencyLimit, limit_s: float) -> None:
     try:
         async with asyncio.timeout(limit_s):
-            await room.turn.acquire()
+            await limit.turn.acquire()
     except TimeoutError:
         raise ServiceError(
             f"For {limit_s:g} s other requests have been computing: send it again in a while.", code="busy"
         ) from None
 
 
-async def _released(room: Room, work: Callable[[], Awaitable[T]]) -> T:
+async def _released(limit: ConcurrencyLimit, work: Callable[[], Awaitable[T]]) -> T:
     try:
         return await work()
     finally:
-        room.turn.release()
+        limit.turn.release()
 
 
 def _forgotten(task: asyncio.Task[Any]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from kilter_client import AsyncKilter, Kilter, PayloadError, ServerUnreachableError
 from kilter_client.calls import jobs as waiting
 from kilter_client.calls.jobs import AWAY
-from kilter_client.steps import LookAgain, Pause, Request, answer_of
+from kilter_client.steps import Pause, Relocate, Request, answer_of
 from kilter_client.wording import in_words
 
 JOB = "job_" + "0" * 16
@@ -113,7 +113,7 @@ def test_steps_can_be_read_without_sending() -> None:
     wait = call.send(busy)
     assert isinstance(wait, Pause)
     assert 2.0 < wait.seconds <= 2.2  # not all clients that were told so come back at once
-    assert next(call) == LookAgain()
+    assert next(call) == Relocate()
     assert next(call) == asked
 
 

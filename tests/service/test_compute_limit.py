@@ -14,7 +14,7 @@ from kilter_service.auth.policy import RULES
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
 from kilter_service.settings import Settings
-from kilter_service.slots import Room, Slots
+from kilter_service.slots import ConcurrencyLimit, Slots
 from tests.service.conftest import Katana, Serve, wait_for
 
 LIMIT_S = 0.3
@@ -31,8 +31,8 @@ class Limited:
     def limit(self, seconds: float) -> None:
         self.app.state.settings = self.settings.model_copy(update={"compute_limit_s": seconds})
 
-    def free(self, room: Room) -> bool:
-        return not room.turn.locked()
+    def free(self, limit: ConcurrencyLimit) -> bool:
+        return not limit.turn.locked()
 
     @property
     def slots(self) -> Slots:

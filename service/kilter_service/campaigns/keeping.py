@@ -72,7 +72,7 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
             by=actor,
             at=now(),
         )
-        references.bury(session, left)
+        references.add_tombstone(session, left)
         store.delete_whole(session, campaign_id)
     return tombstone(left)
 

@@ -170,7 +170,7 @@ def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[s
     return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
 
 
-def bury(session: Session, record: TombstoneRecord) -> None:
+def add_tombstone(session: Session, record: TombstoneRecord) -> None:
     """Keep what is left of something that is purged."""
     session.add(TombstoneRow(**asdict(record)))
 

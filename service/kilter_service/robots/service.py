@@ -104,5 +104,5 @@ def purge(database: Database, name: str, actor: str) -> Tombstone:
         stored = store.get(session, name)
         store.remove(session, name)
         left = TombstoneRecord(name, "robot", name, name, stored.sha256, actor, now())
-        references.bury(session, left)
+        references.add_tombstone(session, left)
     return tombstone(left)

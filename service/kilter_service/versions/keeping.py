@@ -74,7 +74,7 @@ def purge(database: Database, version_id: str, actor: str) -> Tombstone:
                 cited_by=citing,
             )
         left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, now())
-        references.bury(session, left)
+        references.add_tombstone(session, left)
         store.remove(session, version_id)
     return tombstone(left)
 

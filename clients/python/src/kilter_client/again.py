@@ -21,7 +21,7 @@ AWAY = (502, 504)  # what a proxy says while the server behind it starts
 READS = ("GET", "HEAD")
 
 
-class Waits:
+class RetryPolicy:
     """The waits of one request: each about twice the one before, and no two clients wait alike."""
 
     def __init__(self, patience_s: float | None = None) -> None:

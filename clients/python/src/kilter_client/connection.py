@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
 from kilter_client.locate import Place, locate
-from kilter_client.steps import Answer, Follow, LookAgain, Pause, Request, Step, Steps, refuse
+from kilter_client.steps import Answer, Follow, Pause, Relocate, Request, Step, Steps, refuse
 
 if TYPE_CHECKING:
     import httpx
@@ -68,7 +68,7 @@ class Connection:
         if isinstance(step, Pause):
             time.sleep(step.seconds)
             return None
-        if isinstance(step, LookAgain):
+        if isinstance(step, Relocate):
             self.url, self._place = _moved(self._client, self._place)
             return None
         with reaching(self.url, self._answered):
@@ -90,7 +90,7 @@ class Connection:
             if response.status_code >= 400:
                 refuse(response.status_code, response.read())
             for line in response.iter_lines():
-                if any(step.told(data) for data in step.events.take(line) if isinstance(data, dict)):
+                if any(step.on_event(data) for data in step.events.take(line) if isinstance(data, dict)):
                     return
 
 
@@ -137,7 +137,7 @@ class AsyncConnection:
 
             await asyncio.sleep(step.seconds)
             return None
-        if isinstance(step, LookAgain):
+        if isinstance(step, Relocate):
             self.url, self._place = _moved(self._client, self._place)
             return None
         with reaching(self.url, self._answered):
@@ -156,7 +156,7 @@ class AsyncConnection:
             if response.status_code >= 400:
                 refuse(response.status_code, await response.aread())
             async for line in response.aiter_lines():
-                if any(step.told(data) for data in step.events.take(line) if isinstance(data, dict)):
+                if any(step.on_event(data) for data in step.events.take(line) if isinstance(data, dict)):
                     return
 
 

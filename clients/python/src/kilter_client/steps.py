@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypeVar
 from urllib.parse import quote
 
-from kilter_client.again import Waits
+from kilter_client.again import RetryPolicy
 from kilter_client.errors import ApiError, KilterError, ServerUnreachableError, from_problem
 from kilter_client.messages import Answer as Answer
 from kilter_client.messages import Request as Request
@@ -34,19 +34,19 @@ class Pause:
 
 
 @dataclass(frozen=True)
-class LookAgain:
+class Relocate:
     """Go on with the server that runs on this machine now, where it was found by its file there."""
 
 
 @dataclass(frozen=True)
 class Follow:
-    """Follow a stream of events; ``told`` is given the document of each and answers whether that was enough.
+    """Follow a stream of events; ``on_event`` is given the document of each and answers whether that was enough.
 
     Done again after a break it goes on behind the last event that ``events`` has read.
     """
 
     path: str
-    told: Callable[[Document], bool]
+    on_event: Callable[[Document], bool]
     events: Events = field(default_factory=lambda: Events())
     request_id: str = field(default_factory=lambda: new_request_id())
 
@@ -56,7 +56,7 @@ class Follow:
         return {"Accept": "text/event-stream", REQUEST_ID: self.request_id} | last
 
 
-Step = Request | Pause | LookAgain | Follow
+Step = Request | Pause | Relocate | Follow
 Steps: TypeAlias = Generator[Step, Any, T]
 
 
@@ -82,7 +82,7 @@ def answer_of(request: Request) -> Steps[Answer]:
     """
     request_id = request.headers.get(REQUEST_ID) or new_request_id()
     request = replace(request, headers={**request.headers, REQUEST_ID: request_id})
-    waits = Waits(request.patience_s)
+    waits = RetryPolicy(request.patience_s)
     try:
         while True:
             try:
@@ -97,7 +97,7 @@ def answer_of(request: Request) -> Steps[Answer]:
                     refuse(answer.status, answer.content)
                     return answer
             yield Pause(wait_s)
-            yield LookAgain()
+            yield Relocate()
     except KilterError as error:
         error.request_id = error.request_id or request_id
         raise

@@ -16,7 +16,7 @@ from kilter_client.errors import (
     NotFoundError,
     ServerUnreachableError,
 )
-from kilter_client.steps import Document, Follow, LookAgain, Pause, Request, Steps, address, get, once, post, read
+from kilter_client.steps import Document, Follow, Pause, Relocate, Request, Steps, address, get, once, post, read
 
 Progress = Callable[[float, str], None]
 
@@ -174,7 +174,7 @@ def looked_at(path: str, watch: Watch, until_answered: bool = False) -> Steps[No
                 raise
             if time.monotonic() - heard > PATIENCE_S:
                 raise watch.gone(error.request_id) from error
-            yield LookAgain()
+            yield Relocate()
             watch.away()
         else:
             heard = time.monotonic()
