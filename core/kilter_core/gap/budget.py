@@ -19,9 +19,10 @@ clock: Callable[[], float] = time.monotonic
 # Share of the time after which a stage is cut short; the next has the rest.
 PREPARING = 0.25
 SEARCHING = 0.5
-RESAMPLING = 0.7
-SHUFFLING = 0.85
-MEASURING = 0.95
+MEASURING = 0.7
+RESAMPLING = 0.85
+SHUFFLING = 0.92
+PLANNING = 0.95
 
 
 class OutOfTimeError(Exception):

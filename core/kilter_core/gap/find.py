@@ -12,11 +12,11 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
 from kilter_core.errors import OptionError
-from kilter_core.gap.budget import MEASURING, RESAMPLING, SEARCHING, SHUFFLING, Budget
+from kilter_core.gap.budget import MEASURING, PLANNING, RESAMPLING, SEARCHING, SHUFFLING, Budget
 from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
 from kilter_core.gap.evidence.by_kind import by_kind
-from kilter_core.gap.evidence.control import Control, controls, false_names
+from kilter_core.gap.evidence.control import control_document, controls
 from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.halves import Sides, halves
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
@@ -56,7 +56,7 @@ from kilter_core.gap.search.complete_form import incomplete_sentence, incomplete
 from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
-from kilter_core.gap.search.in_space import fit_rms, train_rms
+from kilter_core.gap.search.in_space import fit_rms
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.renewed_search import rejudged
@@ -141,6 +141,10 @@ def beginning(robot: Robot, start: Calibration | None) -> Calibration:
 def _part(progress: Progress, low: float, high: float) -> Progress:
     """Map a stage's own fraction into its share of the whole."""
     return lambda fraction, stage: progress(low + (high - low) * min(1.0, fraction), stage)
+
+
+def _stage(progress: Progress, low: float, high: float, words: str) -> Callable[[float], None]:
+    return lambda fraction: _part(progress, low, high)(fraction, words)
 
 
 @dataclass(frozen=True)
@@ -252,40 +256,52 @@ class _Run:
         """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
         aliases = {k: aliases_of(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
-        part = _part(self.progress, 0.5, 0.7)
+        drafts = self._drafts(found, fit, kept, held, whole, aliases)
+
+        def judged(evidence: Evidence) -> Judged:
+            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm))
+
+        rising = [k for k, evidence in drafts.items() if judged(evidence).verdict != "provisional"]
         shares = inclusion(
-            found, classes, self.options.resamples, self.options.seed,
-            lambda f: part(f, "selecting again on resamples"),
+            found, classes, rising, self.options.resamples, self.options.seed,
+            _stage(self.progress, 0.65, 0.85, "selecting again on resamples"),
             lambda: self.budget.over(RESAMPLING, "resamples of poses"),
         )  # fmt: skip
-        part = _part(self.progress, 0.7, 0.8)
         shuffled = controls(
-            found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"),
+            found, self.options.permutations, self.options.seed,
+            _stage(self.progress, 0.85, 0.95, "negative control"),
             lambda: self.budget.over(SHUFFLING, "shuffles of the negative control"),
         )  # fmt: skip
-        part = _part(self.progress, 0.8, 0.9)
+        tried = [replace(drafts[c.place], inclusion=shares[c.place], control=c) for c in shuffled]
+        out = sorted((judged(evidence) for evidence in tried), key=lambda j: -j.evidence.gain_mm)
+        return tuple(out), control_document(found, shuffled, self.options.permutations, self.options.seed)
+
+    def _drafts(
+        self, found: SearchResult, fit: Adequacy, kept: Stored, held: HoldoutEvaluator, whole: Callable[[float], bool],
+        aliases: dict[int, tuple[Alias, ...]],
+    ) -> dict[int, Evidence]:  # fmt: skip
+        """All evidence but that of resamples and shuffles, which take longest and only matter where this lets a name rise."""
         sizes = amplitudes(
-            found, lambda f: part(f, "profile intervals"), lambda: self.budget.over(MEASURING, "profile intervals")
-        )
+            found, _stage(self.progress, 0.5, 0.58, "profile intervals"),
+            lambda: self.budget.over(MEASURING, "profile intervals"),
+        )  # fmt: skip
         moved, again = moves_mm(found), self._replications(found, kept)
-        out, sides = [], Sides(found, self.options.max_effects)
+        out, sides = {}, Sides(found, self.options.max_effects)
         for n, k in enumerate(found.chosen):
-            self.progress(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
-            evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
+            self.progress(0.6 + 0.05 * n / len(found.chosen), "held-out poses")
             # Only where something else is left is an effect asked to rise by itself.
             alone = not whole(moved[k]) and not fit.too_large
             late = alone and self.budget.over(MEASURING, "the halves of the campaign")
-            own = halves(sides, k, classes[k]) if alone and not late else None
-            evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
-            out.append(judge(found, evidence, fit, self.prepared.library, whole(moved[k])))
-        out.sort(key=lambda j: -j.evidence.gain_mm)
-        return tuple(out), self._control_document(found, shuffled)
+            own = halves(sides, k, [a.place for a in aliases[k]]) if alone and not late else None
+            evidence = self._evidence(found, k, aliases[k], sizes, held)
+            out[k] = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
+        return out
 
     def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:
         """What the confirmation says of every chosen candidate."""
         if self.confirmation is None or not found.chosen:
             return {}
-        part = _part(self.progress, 0.9, 0.92)
+        part = _part(self.progress, 0.58, 0.6)
         rows, robot = self.confirmation, self.robot
         seen = Confirmation.of(
             kept.calibration, kept.posterior, rows, self.options, lambda f, s: part(f, "confirmation")
@@ -296,41 +312,23 @@ class _Run:
         return {k: replace(one, guarded=guard.effect(k)) for k, one in told.items()}
 
     def _evidence(
-        self, found: SearchResult, place: int, rivals: tuple[Alias, ...], share: tuple[float, float], control: Control,
-        sizes: dict[int, Amplitude], held: HoldoutEvaluator,
+        self, found: SearchResult, place: int, rivals: tuple[Alias, ...], sizes: dict[int, Amplitude], held: HoldoutEvaluator,
     ) -> Evidence:  # fmt: skip
-        selector = found.selector
-        rest = selector.columns([k for k in found.chosen if k != place])
-        candidate = selector.scorer.candidates[place]
+        candidate = found.selector.scorer.candidates[place]
         unit = 180.0 / np.pi if found.problem.settings.source.unit == "rad" else 1e3
         joints, any_ = seen_joints(found, place)
         return Evidence(
-            place, candidate, rivals, share, held.gain_of(place), control,
+            place, candidate, rivals, (1.0, 1.0), held.gain_of(place), None,
             tuple(sizes[c] for c in candidate.columns),
             chance(found, place, self.options.alpha),
-            (train_rms(found.problem, rest) - train_rms(found.problem, found.columns)) * unit,
+            held.taken_off(place) * unit,
             local_bump_test(found, place, self.prepared.visits.observations.q),
             held.poses, joints, any_, separated=separated(found, place),
         )  # fmt: skip
 
-    def _control_document(self, found: SearchResult, shuffled: tuple[Control, ...]) -> dict[str, Any]:
-        share = false_names(found, self.options.permutations, self.options.seed)
-        rows = [
-            {
-                **found.selector.scorer.candidates[c.place].named(), "shuffled": c.label, "shuffles": c.shuffles,
-                "survived": c.survived, "passed": c.passed,
-            }
-            for c in shuffled
-        ]  # fmt: skip
-        return {
-            "passed": all(c.passed for c in shuffled), "effects": rows, "shuffles": self.options.permutations,
-            "names_in_shuffled_residuals": share,
-        }  # fmt: skip
-
     def _large(self, found: SearchResult) -> Iterator[dict[str, Any]]:
         """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
-        problem = found.problem
-        size = fit_rms(problem)
+        problem, size = found.problem, fit_rms(found.problem)
         if problem.settings.source.observes_tool:
             source = problem.settings.source
             points = source.model.predict(source.batch, source.model_values(problem.values)).position
@@ -376,7 +374,7 @@ class _Run:
 
     def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> tuple[list[dict[str, Any]], ...]:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
-        if not effects or self.budget.over(MEASURING, "poses to measure next"):
+        if not effects or self.budget.over(PLANNING, "poses to measure next"):
             return [], []
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)

@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
-from kilter_core.gap.search.in_space import train_rms
+from kilter_core.gap.search.in_space import fit_rms
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.tool_source import ToolSource
 from kilter_core.identify import identify
@@ -40,7 +40,7 @@ def geometry_only(robot: Robot, rows: Observations) -> tuple[float, float, float
     hunted = float(np.sqrt(np.nanmean(np.sum(points**2, axis=1))))
     found = identify(robot, used)
     errors = Errors.of(found.calibration, found.fit.problem.measurement).points
-    return hunted, train_rms(problem, []), float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    return hunted, fit_rms(problem), float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
 def agree(robot: Robot, rows: Observations) -> None:

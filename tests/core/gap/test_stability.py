@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.gap.evidence.stability import inclusion, reweighted
+from kilter_core.gap.evidence.stability import FEW, inclusion, reweighted
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
@@ -62,8 +62,18 @@ def test_a_name_that_rests_on_two_poses_does_not_return(problem):
     strongest = np.argsort(-np.bincount(visit, w.W_raw[:, column] ** 2))[:2]
     at = np.isin(visit, strongest)
     few = noise + np.where(at, 7.0 * np.sign(w.W_raw[:, column]), 0.0)
-    shares = [inclusion(h, {}, 60, 0, lambda f: None)[h.chosen[0]][0] for h in (
+    shares = [inclusion(h, {}, h.chosen, 60, 0, lambda f: None)[h.chosen[0]][0] for h in (
         chosen(problem, "backlash j3", y) for y in (spread, few)
     )]  # fmt: skip
     assert shares[0] >= 0.9
     assert shares[1] < 0.8
+
+
+def test_where_no_verdict_waits_a_few_resamples_tell_enough(problem):
+    w = problem.problem
+    column = next(k for k, p in enumerate(problem.library.parameters) if p.name == "backlash_3")
+    y = np.random.default_rng(3).standard_normal(len(w.y)) + 9.0 * w.W_raw[:, column]
+    search, drawn = chosen(problem, "backlash j3", y), []
+    (share,) = inclusion(search, {}, (), 60, 0, lambda f: None, lambda: bool(drawn.append(1))).values()
+    assert len(drawn) == FEW
+    assert share[0] in {k / FEW for k in range(FEW + 1)}

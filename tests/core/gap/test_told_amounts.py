@@ -9,9 +9,13 @@ import pytest
 
 from kilter_client.cli.gap_report import show_gap
 from kilter_client.cli.tables import number
-from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap import GapOptions, find, find_gap
+from kilter_core.gap.evidence import widened as module
 from kilter_core.gap.evidence.verdict import Judged
+from kilter_core.gap.evidence.widened import widened
 from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import linearize_at
 from tests.core.gap.sized_twins import LARGE, SMALL, Sized, sized
 from tests.core.gap.time_twins import robot
 
@@ -58,6 +62,8 @@ def test_a_large_one_is_told_everywhere_as_it_is_stored(effect: str, capsys: pyt
         assert row["interval_low"] <= truth * WIRE.get(row["unit"], 1.0) <= row["interval_high"], row["name"]
     moved = 1e3 * float(np.sqrt(np.mean(made.moved**2)))
     assert document["effects"][0]["moves_mm"] == pytest.approx(moved, rel=0.03)
+    gap = document["gap"]
+    assert document["effects"][0]["gain_mm"] == pytest.approx(gap["before_mm"] - gap["after_mm"], rel=1e-3)  # all of it
     show_gap(document | {"figures": {}})  # which the service draws
     printed = capsys.readouterr().out
     assert "amplitudes as the version stores them" in printed
@@ -84,3 +90,21 @@ def test_an_amplitude_held_by_its_range_is_told_at_its_end_with_what_the_rows_as
     assert abs(one.wanted - beyond.truth[0]) < FAR * one.sigma
     assert not named.gates["plausible"]
     assert any(w["code"] == "at_end_of_range" for w in report.warnings)
+
+
+def test_what_the_rows_hardly_know_keeps_its_prior_and_no_fit_leaves_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves that imitate each other ran away on a real arm when their priors were widened."""
+    seen: list[SearchResult] = []
+    monkeypatch.setattr(find, "widened", lambda found: seen.append(found) or found)
+    searched(sized("thermal_drift", 1, LARGE["thermal_drift"]), "thermal_drift")
+    (found,) = seen
+    prior = found.problem.settings.source.library_sigma[found.columns]
+    better = widened(found)
+    assert np.any(better.problem.settings.source.library_sigma[found.columns] > 2.0 * prior)
+    assert better.problem.chi2 <= found.problem.chi2
+    monkeypatch.setattr(module, "KNOWN", 1e-6)  # as if the rows hardly knew them
+    assert widened(found) is found
+    monkeypatch.setattr(module, "KNOWN", 0.7)
+    far = found.problem.values + 1e-3
+    monkeypatch.setattr(module, "refit", lambda settings, *_: linearize_at(settings, far))  # one that ran away
+    assert widened(found) is found

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -100,6 +101,21 @@ def false_names(search: SearchResult, shuffles: int, seed: int) -> float:
         k, _ = selector.entry(given.with_data(columns.under(mixed), float(mixed @ mixed)), (), search.critical)
         hits += k is not None
     return hits / shuffles
+
+
+def control_document(search: SearchResult, shuffled: Sequence[Control], shuffles: int, seed: int) -> dict[str, Any]:
+    """What the shuffles of every effect came to, and how often shuffled residuals name anything."""
+    rows = [
+        {
+            **search.selector.scorer.candidates[c.place].named(), "shuffled": c.label, "shuffles": c.shuffles,
+            "survived": c.survived, "passed": c.passed,
+        }
+        for c in shuffled
+    ]  # fmt: skip
+    return {
+        "passed": all(c.passed for c in shuffled), "effects": rows, "shuffles": shuffles,
+        "names_in_shuffled_residuals": false_names(search, shuffles, seed),
+    }  # fmt: skip
 
 
 def _order(group: Ints, rng: np.random.Generator, inside: bool = False) -> Ints:

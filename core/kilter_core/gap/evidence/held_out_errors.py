@@ -17,7 +17,7 @@ from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.evidence.predicted import surely_predicted
 from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.in_space import fit_rms, noise_rms, root_of
+from kilter_core.gap.search.in_space import fit_rms, noise_rms, rms_at, root_of
 from kilter_core.gap.search.linearized import solved
 from kilter_core.gap.search.prepare import Prepared, windowed
 from kilter_core.gap.search.rounding import rounding_document
@@ -72,6 +72,7 @@ class HoldoutEvaluator:
             source, values = on_rows(search.problem.settings.source, validation, search, search.problem.values)
             self.rows = windowed(validation, source, values, prepared.width)
         self._known: dict[tuple[int, ...], Floats] = {}
+        self._values: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, columns: Sequence[int]) -> Floats:
         """Whitened errors (V, m) of the held-out poses; each set of columns is fitted once."""
@@ -85,14 +86,28 @@ class HoldoutEvaluator:
             problem = self.search.problem if len(columns) else self.prepared.problem
             return left_out_errors(problem, columns)[problem.settings.used]
         problem = self.search.problem
-        begin = problem if len(columns) else self.prepared.problem
-        source = on_rows(
-            problem.settings.source, self.rows, self.search, solved(problem.settings, begin.values, columns)[0]
-        )
+        source = on_rows(problem.settings.source, self.rows, self.search, self._fitted(tuple(columns)))
         r = np.nan_to_num(source[0].residual(source[1]))
         if self.moving:
             r = source[0].referenced(r)
         return np.asarray(r @ np.linalg.inv(self._lower()).T)
+
+    def _fitted(self, columns: tuple[int, ...]) -> Floats:
+        """Values of the rows searched, fitted with a set of columns once."""
+        if columns not in self._values:
+            problem = self.search.problem
+            begin = problem if columns else self.prepared.problem
+            self._values[columns] = solved(problem.settings, begin.values, columns)[0]
+        return self._values[columns]
+
+    def taken_off(self, place: int) -> float:
+        """What one chosen candidate takes off the rms error (m; rad of a joint) of the rows searched, all else fitted again.
+
+        Scores would say less of a large one: they project off what the priors hold.
+        """
+        rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
+        problem = self.search.problem
+        return rms_at(problem.settings, self._fitted(tuple(rest))) - fit_rms(problem)
 
     def rms(self, columns: Sequence[int]) -> float:
         """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""

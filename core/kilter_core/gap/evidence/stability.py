@@ -6,7 +6,7 @@ it. Signs of residuals around the fit would leave the poses as they are: a name 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from kilter_core.types import Floats
 INCLUDED = 0.8  # share of resamples in which a name must return
 DECIDED = 2.5  # standard errors from that share at which more resamples would change nothing
 LOOK = 20  # resamples between two looks
+FEW = 5  # resamples where no verdict waits for them
 MANY = 2500  # scalars above which the candidates of a resample are those of the data to a few per cent
 SMALLEST = 1e-9
 
@@ -27,6 +28,7 @@ SMALLEST = 1e-9
 def inclusion(
     search: SearchResult,
     classes: dict[int, tuple[int, ...]],
+    rising: Collection[int],
     draws: int,
     seed: int,
     progress: Callable[[float], None],
@@ -34,8 +36,9 @@ def inclusion(
 ) -> dict[int, tuple[float, float]]:
     """Share of resamples in which each chosen candidate, and any of its class, is selected again.
 
-    ``classes`` gives the places that count as the same name. Where time is ``over`` before enough of them were drawn to
-    say anything, no name returned.
+    ``classes`` gives the places that count as the same name; ``rising`` are those whose verdict waits for this: where there
+    are none, a few resamples tell enough. Where time is ``over`` before enough of them were drawn to say anything, no name
+    returned.
     """
     # Pairs cost most of a search under unknown noise; what entered one by one is looked for one by one again.
     selector = replace(search.selector, pairs=search.selector.scorer.absolute or search.paired)
@@ -48,11 +51,12 @@ def inclusion(
     most = len(search.chosen) + 2
     done = draws
     for b in range(draws):
-        if b and b % LOOK == 0 and _decided([any_[k] / b for k in search.chosen], b):
+        look = b and b % LOOK == 0 if rising else b == FEW
+        if look and _decided([any_[k] / b for k in rising], b):
             done = b
             break
         if over():
-            if b < LOOK:
+            if b < (LOOK if rising else FEW):
                 return dict.fromkeys(search.chosen, (0.0, 0.0))
             done = b
             break

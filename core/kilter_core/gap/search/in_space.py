@@ -7,19 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Floats
-
-
-def train_rms(problem: LinearizedProblem, columns: Sequence[int]) -> float:
-    """Rms error (m or rad) of the visits at a set of columns, geometry re-fitted."""
-    return _rms_of(problem.settings, residual_given(problem, columns))
 
 
 def fit_rms(problem: LinearizedProblem) -> float:
     """Rms error (m or rad) of the visits at the values of the fit itself: what a version that holds them leaves."""
     return _rms_of(problem.settings, problem.raw)
+
+
+def rms_at(settings: ProblemSettings, values: Floats) -> float:
+    """Rms error (m or rad) of the visits at other values."""
+    return _rms_of(settings, settings.whitened(values).reshape(-1))
 
 
 def _rms_of(settings: ProblemSettings, whitened: Floats) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kilter_core.gap.budget import RESAMPLING, Budget, OutOfTimeError
+from kilter_core.gap.budget import MEASURING, Budget, OutOfTimeError
 from kilter_core.gap.search.finalize import finalize
 from kilter_core.gap.search.forward_selection import SearchResult, selector_at, when
 from kilter_core.gap.search.renewal import renewed
@@ -24,7 +24,7 @@ def rejudged(found: SearchResult, alpha: float, limits: Floats, budget: Budget |
     The names are settled in any case: one that chance could have given is none. Once its share of the ``budget`` is over,
     noise and outliers stay as they are.
     """
-    tick = (budget or Budget()).tick(RESAMPLING, AGAIN)
+    tick = (budget or Budget()).tick(MEASURING, AGAIN)
     for _ in range(ROUNDS):
         found = finalize(found, alpha)
         try:
