@@ -64,7 +64,7 @@ class Bridge:
         assert process.stderr is not None
         self._reader = Thread(target=self._read, daemon=True)
         self._reader.start()
-        self.heard(r"listens on UDP")
+        self.heard(r"listens on UDP|published")
 
     def _read(self) -> None:
         assert self.process.stderr is not None

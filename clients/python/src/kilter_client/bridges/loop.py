@@ -10,7 +10,7 @@ import select
 import socket
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from kilter_client.bridges.news import Kind, Line
@@ -22,6 +22,19 @@ TELL_S = 0.2
 LARGEST_PACKET = 4096
 MOST_WAITING = 64  # requests that are looked at to find the newest
 SHOWN_TIMES = 20_000
+
+
+@contextlib.contextmanager
+def without_collections() -> Iterator[None]:
+    """Let no collection of garbage interrupt a cycle: what a cycle leaves is freed by its count of references."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 class Request(NamedTuple):
@@ -99,15 +112,9 @@ class Loop:
     def run(self) -> None:
         """Answer until :meth:`leave`."""
         self._port.setblocking(False)
-        gc.collect()
-        gc.freeze()
-        gc.disable()  # what a cycle leaves is freed by its count of references
-        try:
+        with without_collections():
             while not (self._leaving and (self._correction.out or self._silent_s() > self._gone_after_s)):
                 self._cycle()
-        finally:
-            gc.enable()
-            gc.unfreeze()
 
     def _cycle(self) -> None:
         if self._asked.poll(1000 * TELL_S):
