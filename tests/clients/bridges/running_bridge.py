@@ -19,6 +19,7 @@ import numpy as np
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from kilter_client.errors import NotFoundError
 from tests.clients.three_joint_arm import LENGTHS_MM, Floats, tip_mm
 from tests.clients.three_joint_arm import arm as three_joint_arm
 
@@ -46,6 +47,17 @@ def add_arm(kilter: Kilter, name: str, folder: Path, compensation: str = "none")
     """Add the arm, calibrated, with a controller that corrects so; its active version."""
     kilter.robots.add({**three_joint_arm(name), "controller_compensation": compensation})
     return measure(kilter, name, OFF_DEG, folder, "monday")
+
+
+def shared_arm(kilter: Kilter, folder: Path) -> str:
+    """The calibrated arm of all tests that make no version of it, and whose controller does not correct."""
+    name = "bridged"
+    try:
+        kilter.robots.get(name)
+    except NotFoundError:
+        add_arm(kilter, name, folder)
+    kilter.robots.compensation(name, "none")
+    return name
 
 
 def off_mm(wanted_deg: Floats, offset_deg: Floats, off_deg: Floats = OFF_DEG) -> Floats:
