@@ -148,6 +148,17 @@ bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo,
 bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and count late answers (CYCLES=150000 CYCLE_MS=4)
 	$(BIN)/python -m tests.clients.bridges.long_run --cycles $(or $(CYCLES),150000) --cycle-ms $(or $(CYCLE_MS),4)
 
+test-franka: $(KERNELS) .venv-franka/.ready ## move a simulated Franka robot through a bridge, its limits enforced (SECONDS=16)
+	KILTER_FRANKA=.venv-franka $(if $(SECONDS),SECONDS=$(SECONDS)) $(BIN)/python -m pytest -q -s --timeout 1800 tests/clients/bridges/test_fci_bridge.py
+
+# The simulator needs numpy below 2, so it has an environment of its own; the bridge gets the robot's library alone.
+FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
+.venv-franka/.ready: $(FRANKA_PINS)
+	[ -x .venv-franka/bin/python ] || "$(PYTHON)" -m venv .venv-franka
+	.venv-franka/bin/pip install --disable-pip-version-check -q --constraint $(FRANKA_PINS) franka-sim pylibfranka
+	.venv-franka/bin/pip install --disable-pip-version-check -q --upgrade --no-deps --target .venv-franka/bridge --constraint $(FRANKA_PINS) pylibfranka
+	touch $@
+
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
 	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from kilter_client.errors import NotFoundError
 from tests.clients.three_joint_arm import LENGTHS_MM, Floats, tip_mm
 from tests.clients.three_joint_arm import arm as three_joint_arm
 
@@ -48,6 +49,17 @@ def add_arm(kilter: Kilter, name: str, folder: Path, compensation: str = "none")
     return measure(kilter, name, OFF_DEG, folder, "monday")
 
 
+def shared_arm(kilter: Kilter, folder: Path) -> str:
+    """The calibrated arm of all tests that make no version of it, and whose controller does not correct."""
+    name = "bridged"
+    try:
+        kilter.robots.get(name)
+    except NotFoundError:
+        add_arm(kilter, name, folder)
+    kilter.robots.compensation(name, "none")
+    return name
+
+
 def off_mm(wanted_deg: Floats, offset_deg: Floats, off_deg: Floats = OFF_DEG) -> Floats:
     """How far the real arm's tool is from where a nominal arm would have it (N,)."""
     there = tip_mm(wanted_deg[:, :3] + offset_deg[:, :3] + off_deg, REAL_MM)
@@ -64,7 +76,7 @@ class Bridge:
         assert process.stderr is not None
         self._reader = Thread(target=self._read, daemon=True)
         self._reader.start()
-        self.heard(r"listens on UDP")
+        self.heard(r"listens on UDP|published")
 
     def _read(self) -> None:
         assert self.process.stderr is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import socket
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_client.frames import encode
 from tests.clients.bridges.egm_peer import EgmPeer
-from tests.clients.bridges.running_bridge import add_arm, bridging, off_mm
+from tests.clients.bridges.running_bridge import bridging, off_mm, shared_arm
 from tests.clients.three_joint_arm import Floats
 
 CYCLE_S, SPEED_DEG_S, RATE_DEG_S = 0.012, 20.0, 2.0
@@ -39,10 +38,8 @@ def free_port() -> int:
 
 
 @pytest.fixture
-def arm(kilter: Kilter, tmp_path: Path, request: pytest.FixtureRequest) -> str:
-    name = re.sub(r"\W", "-", request.node.name)[:60]
-    add_arm(kilter, name, tmp_path)
-    return name
+def arm(kilter: Kilter, tmp_path: Path) -> str:
+    return shared_arm(kilter, tmp_path)
 
 
 def test_the_arm_follows_a_planner_corrected_and_holds_where_the_planner_is_silent(arm: str) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.guard import Guard
-from kilter_client.bridges.loop import Loop
+from kilter_client.bridges.loop import Loop, Request
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.rsi import From, RsiWire
 from kilter_core.correct.file import from_bytes, to_bytes
@@ -85,16 +85,16 @@ def controllers() -> Iterator[Make]:
 
 
 @contextmanager
-def looping(correction: Correction) -> Iterator[tuple[Loop, tuple[str, int], Line]]:
+def looping(correction: Correction, wire: RsiWire | None = None) -> Iterator[tuple[Loop, tuple[str, int], Line]]:
     """A loop in a thread, quiet long enough to take a controller; its address, and the companion's end."""
     ours, theirs = pair()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
         port.bind(("127.0.0.1", 0))
-        loop = Loop(port, RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S)
+        loop = Loop(port, wire or RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S)
         thread = threading.Thread(target=loop.run)
         thread.start()
         try:
-            time.sleep(1.2 * GONE_S)
+            time.sleep(1.6 * GONE_S)
             yield loop, port.getsockname(), Line(theirs)
         finally:
             loop.leave()
@@ -192,7 +192,7 @@ def test_a_second_controller_gets_no_answer_until_the_first_has_gone(correction:
             if k % 33 == 0:
                 assert second.ask(message(4 * k + 2)) is None
         assert loop.counts["other_controller"] == 3
-        time.sleep(1.2 * GONE_S)
+        time.sleep(1.6 * GONE_S)
         answer = second.ask(message(4))
         assert answer is not None
         assert np.abs(np.radians(offsets(answer))).max() <= RATE_RAD_S * CYCLE_S + 1e-8  # begins at nothing
@@ -215,27 +215,45 @@ def test_lost_cycles_are_counted_and_the_offsets_go_on_from_where_they_are(
         assert loop.counts["lost"] - counted >= lost - 1
 
 
-def test_waiting_requests_are_late_and_only_the_newest_is_answered(correction: Correction, controllers: Make) -> None:
-    ours, theirs = pair()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port, theirs:
-        port.bind(("127.0.0.1", 0))
-        loop = Loop(port, RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S)
-        time.sleep(1.2 * GONE_S)
-        controller = controllers(port.getsockname())
-        for k in range(1, 21):
+class HeldUp(RsiWire):
+    """Messages whose first answer takes as long as the test wants."""
+
+    def __init__(self, go_on: threading.Event) -> None:
+        super().__init__([1.0] * 6)
+        self._go_on = go_on
+
+    def answer(self, request: Request, offset: Sequence[float]) -> bytes:
+        self._go_on.wait(10.0)
+        return super().answer(request, offset)
+
+
+@pytest.mark.parametrize("held_up_s", [0.0, 2 * GONE_S])
+def test_of_requests_that_wait_only_the_newest_is_answered_and_none_after_a_long_pause_of_the_bridge(
+    correction: Correction, controllers: Make, held_up_s: float
+) -> None:
+    go_on = threading.Event()
+    with looping(correction, HeldUp(go_on)) as (loop, address, _):
+        controller = controllers(address)
+        for k in range(1, 22):
             controller.socket.send(message(4 * k))
-        thread = threading.Thread(target=loop.run)
-        thread.start()
-        try:
-            controller.socket.settimeout(10.0)
-            assert b"<IPOC>80</IPOC>" in controller.socket.recv(2048)
-            controller.socket.settimeout(0.2)
+            time.sleep(0.02 if k == 1 else 0.0)
+        time.sleep(held_up_s)
+        go_on.set()
+        controller.socket.settimeout(10.0)
+        assert b"<IPOC>4</IPOC>" in controller.socket.recv(2048)
+        controller.socket.settimeout(0.1)
+        if held_up_s:  # it may have stopped meanwhile, and hold nothing any more
+            assert controller.ask(message(100)) is None
+            assert loop.document()["state"] == "refusing"
+            time.sleep(1.6 * GONE_S)
+            controller.socket.settimeout(1.0)
+            answer = controller.ask(message(200))
+            assert answer is not None
+            assert np.abs(np.radians(offsets(answer))).max() <= RATE_RAD_S * CYCLE_S + 1e-8
+        else:
+            assert b"<IPOC>84</IPOC>" in controller.socket.recv(2048)
             with pytest.raises(TimeoutError):
                 controller.socket.recv(2048)
-        finally:
-            loop.leave()
-            thread.join(10)
-            ours.close()
         assert loop.counts["late"] >= 19
 
 

@@ -20,7 +20,7 @@ from kilter_client.corrector import session_config
 from kilter_core.correct.file import from_bytes
 from tests.clients.answered import document
 from tests.clients.bridges.rsi_peer import Floats, RsiPeer
-from tests.clients.bridges.running_bridge import LATER_DEG, add_arm, bridging, measure, off_mm, states
+from tests.clients.bridges.running_bridge import LATER_DEG, add_arm, bridging, measure, off_mm, shared_arm, states
 from tests.clients.cutting_proxy import CuttingProxy
 
 CYCLE_S = 0.012
@@ -43,7 +43,12 @@ def jumps(peer: RsiPeer) -> Floats:
 
 
 @pytest.fixture
-def arm(kilter: Kilter, tmp_path: Path, request: pytest.FixtureRequest) -> str:
+def arm(kilter: Kilter, tmp_path: Path) -> str:
+    return shared_arm(kilter, tmp_path)
+
+
+@pytest.fixture
+def own_arm(kilter: Kilter, tmp_path: Path, request: pytest.FixtureRequest) -> str:
     name = re.sub(r"\W", "-", request.node.name)[:60]
     add_arm(kilter, name, tmp_path)
     return name
@@ -62,24 +67,24 @@ def published(line: str) -> Iterator[zenoh.Subscriber[zenoh.handlers.FifoChannel
 
 
 def test_the_arm_is_on_its_path_ramped_in_and_out_through_a_change_of_version(
-    arm: str, kilter: Kilter, tmp_path: Path
+    own_arm: str, kilter: Kilter, tmp_path: Path
 ) -> None:
-    with bridging("rsi", arm, *PACE) as bridge, published(bridge.heard("published on")) as subscriber:
+    with bridging("rsi", own_arm, *PACE) as bridge, published(bridge.heard("published on")) as subscriber:
         bridge.heard("waiting")
         peer = RsiPeer(bridge.port, path).start()
         try:
             peer.wait(150)
             bridge.heard("correcting")
             until_change = len(peer.rows)
-            version = measure(kilter, arm, LATER_DEG, tmp_path, "tuesday")
+            version = measure(kilter, own_arm, LATER_DEG, tmp_path, "tuesday")
             bridge.heard(version)
             peer.wait(200)  # the ramp of the versions takes a second
             until_end = len(peer.rows)
-            assert run(["robot", "compensation", arm, "factory"]) == 0
+            assert run(["robot", "compensation", own_arm, "factory"]) == 0
             bridge.heard("off.*corrected twice")
             peer.wait(2)
             assert not peer.offset.any()
-            assert run(["robot", "compensation", arm, "none"]) == 0
+            assert run(["robot", "compensation", own_arm, "none"]) == 0
             peer.until(lambda one: bool(one.offset.any()))
             peer.wait(60)
             assert peer.offset.any()
@@ -101,7 +106,7 @@ def test_the_arm_is_on_its_path_ramped_in_and_out_through_a_change_of_version(
     assert not offsets[-1].any()  # and ends at nothing
     assert not offsets[:, 3:].any()  # axes that the robot does not have
     assert {"waiting", "ramping in", "correcting", "off"} <= {one["state"] for one in told}
-    assert {one["robot"] for one in told} == {arm}
+    assert {one["robot"] for one in told} == {own_arm}
     assert told[-1]["version_id"] == version
 
 
@@ -181,35 +186,34 @@ def test_a_controller_that_may_correct_already_is_refused_in_words(
 
 
 def test_the_version_that_a_bridge_follows_is_the_active_one_or_that_it_was_told(
-    arm: str, kilter: Kilter, tmp_path: Path
+    own_arm: str, kilter: Kilter, tmp_path: Path
 ) -> None:
-    old = kilter.versions.get(kilter.robots.get(arm)["active_version"])
+    old = kilter.versions.get(kilter.robots.get(own_arm)["active_version"])
     known = Followed(old["sha256"][:16])
-    assert look(arm, None, False, known) == (known, [], "")
-    new = kilter.versions.get(measure(kilter, arm, LATER_DEG, tmp_path, "tuesday"))
-    later, news, _ = look(arm, None, False, known)
+    assert look(own_arm, None, False, known) == (known, [], "")
+    new = kilter.versions.get(measure(kilter, own_arm, LATER_DEG, tmp_path, "tuesday"))
+    later, news, _ = look(own_arm, None, False, known)
     assert later.number == new["sha256"][:16]
     assert [(kind, from_bytes(text).version_id) for kind, text in news] == [(Kind.PROGRAM, new["id"])]
-    assert look(arm, old["id"], False, known) == (known, [], "")  # told, it stays
+    assert look(own_arm, old["id"], False, known) == (known, [], "")  # told, it stays
     kilter.versions.retire(old["id"])
-    off, news, _ = look(arm, old["id"], False, known)
+    off, news, _ = look(own_arm, old["id"], False, known)
     assert news == [(Kind.OFF, f"version {old['id']} is retired".encode())]
-    assert look(arm, old["id"], False, off) == (off, [], "")  # it is said once
+    assert look(own_arm, old["id"], False, off) == (off, [], "")  # it is said once
     kilter.versions.restore(old["id"])
-    assert [kind for kind, _ in look(arm, old["id"], False, off)[1]] == [Kind.PROGRAM]
+    assert [kind for kind, _ in look(own_arm, old["id"], False, off)[1]] == [Kind.PROGRAM]
     assert [kind for kind, _ in look("nobody", None, False, known)[1]] == [Kind.OFF]
 
 
 def test_what_cannot_be_bridged_is_refused_before_anything_listens(
-    robot: str, kilter: Kilter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    robot: str, arm: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["robot", "compensation", robot, "none"]) == 0
     assert run(["bridge", "rsi", robot]) == 1
     assert "has no active version: activate one" in capsys.readouterr().err
-    add_arm(kilter, f"{robot}-2", tmp_path)
     for options, said in (
         (["--signs", "+,-"], "each of the 3 joints"),
         (["--listen", "203.0.113.7", "--port", "0"], "cannot be had"),
     ):
-        assert run(["bridge", "rsi", f"{robot}-2", *options]) == 2
+        assert run(["bridge", "rsi", arm, *options]) == 2
         assert said in capsys.readouterr().err

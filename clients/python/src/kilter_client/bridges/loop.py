@@ -10,7 +10,7 @@ import select
 import socket
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from kilter_client.bridges.news import Kind, Line
@@ -22,6 +22,19 @@ TELL_S = 0.2
 LARGEST_PACKET = 4096
 MOST_WAITING = 64  # requests that are looked at to find the newest
 SHOWN_TIMES = 20_000
+
+
+@contextlib.contextmanager
+def without_collections() -> Iterator[None]:
+    """Let no collection of garbage interrupt a cycle: what a cycle leaves is freed by its count of references."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 class Request(NamedTuple):
@@ -84,7 +97,8 @@ class Loop:
         self._asked = select.poll()
         self._asked.register(port, select.POLLIN)
         self._controller: Address | None = None
-        self._heard_s = time.monotonic()
+        self._heard_s = self._quiet_s = time.monotonic()  # when the controller asked last; when nobody did
+        self._patience_s = min(TELL_S, gone_after_s / 4.0)
         self._stamp, self._last = -1, b""
         self._told_s, self._leaving = 0.0, False
         self.counts: Counter[str] = Counter()
@@ -99,18 +113,14 @@ class Loop:
     def run(self) -> None:
         """Answer until :meth:`leave`."""
         self._port.setblocking(False)
-        gc.collect()
-        gc.freeze()
-        gc.disable()  # what a cycle leaves is freed by its count of references
-        try:
-            while not (self._leaving and (self._correction.out or self._silent_s() > self._gone_after_s)):
+        with without_collections():
+            while not (self._leaving and (self._correction.out or self._silent())):
                 self._cycle()
-        finally:
-            gc.enable()
-            gc.unfreeze()
 
     def _cycle(self) -> None:
-        if self._asked.poll(1000 * TELL_S):
+        if not self._asked.poll(1000 * self._patience_s):
+            self._quiet_s = time.monotonic()
+        else:
             with contextlib.suppress(BlockingIOError, ConnectionError):  # the latter: the controller's port was closed
                 data, sender = self._port.recvfrom(LARGEST_PACKET)
                 began_s = time.monotonic()
@@ -164,14 +174,14 @@ class Loop:
 
     def _admits(self, sender: Address, stamp: int, now_s: float) -> bool:
         """Whether a request is to be answered: of the one controller, newer than the last, after a silence at its start."""
-        silent = now_s - self._heard_s >= self._gone_after_s
-        if silent:
+        if self._silent():
             self._controller, self._stamp = sender, -1
             self._correction.begin()
             return True
-        if self._controller is None:
-            self._heard_s = now_s  # it must fall silent first
-            self.counts["asked_before_the_bridge"] += 1
+        if self._controller is None or now_s - self._heard_s >= self._gone_after_s:
+            # It asked before the bridge listened, or while the bridge was held up: it must fall silent first.
+            self._controller, self._heard_s = None, now_s
+            self.counts["refused"] += 1
             return False
         if sender != self._controller:
             self.counts["other_controller"] += 1
@@ -181,15 +191,15 @@ class Loop:
             return False
         return True
 
-    def _silent_s(self) -> float:
-        return time.monotonic() - self._heard_s
+    def _silent(self) -> bool:
+        """Whether nobody was seen to ask for so long that a controller has stopped."""
+        return self._quiet_s - self._heard_s >= self._gone_after_s
 
     def _waits(self) -> str:
         """What it waits for, if no controller is being answered: the silence before the first one, or one that asks."""
-        silent = self._silent_s() >= self._gone_after_s
-        if self._controller is not None:
-            return "waiting" if silent else ""
-        return "waiting" if silent else "refusing" if self.counts["asked_before_the_bridge"] else "starting"
+        if self._silent():
+            return "waiting"
+        return "" if self._controller is not None else "refusing" if self.counts["refused"] else "starting"
 
     def document(self) -> dict[str, Any]:
         """The state, JSON-able."""
@@ -212,7 +222,7 @@ class Loop:
 
 
 BEFORE = (
-    "a controller asked already when the bridge started, and may hold offsets of a bridge before it: "
+    "a controller asked already when the bridge began to listen, and may hold offsets from before: "
     "let it stop, and start it again"
 )
 

@@ -19,6 +19,7 @@ from kilter_client.errors import FileError, UsageError
 from kilter_client.frames import HEADER, MAGIC, POINT
 
 MOST_WAITING = 64
+EASE_S = 0.5
 FAR_S = 0.1  # of motion at the highest speed: a setpoint beyond that is not on the way of this arm
 
 
@@ -26,6 +27,11 @@ class Plan(Protocol):
     """Setpoints (n,) rad of the robot's joints."""
 
     counts: Counter[str]
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more is planned."""
+        ...
 
     def begin(self) -> None:
         """The controller has begun."""
@@ -42,20 +48,26 @@ class Table:
     def __init__(self, times_s: Sequence[float], rows: Sequence[Sequence[float]]) -> None:
         self.counts: Counter[str] = Counter()
         self._times_s, self._rows = times_s, rows
-        self._row, self._now_s = 0, times_s[0]
+        self._row, self._now_s, self._begun = 0, times_s[0], False
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last row has come."""
+        return self._now_s > self._times_s[-1]
 
     def begin(self) -> None:
         """Begin at the first row."""
-        self._row, self._now_s = 0, self._times_s[0]
+        self._row, self._now_s, self._begun = 0, self._times_s[0], False
 
     def next(self, step_s: float) -> Sequence[float] | None:
         """Return the setpoint after a step; the first call, and those behind the end, return the first and last row."""
+        self._now_s += step_s if self._begun else 0.0
+        self._begun = True
         times, row = self._times_s, self._row
         while row + 2 < len(times) and times[row + 1] <= self._now_s:
             row += 1
         self._row = row
         share = min(1.0, max(0.0, (self._now_s - times[row]) / (times[row + 1] - times[row])))
-        self._now_s += step_s
         return [a + share * (b - a) for a, b in zip(self._rows[row], self._rows[row + 1], strict=True)]
 
 
@@ -95,6 +107,7 @@ class Heard:
         self._port, self._joints, self._seq = port, joints, -1
         self._layout = struct.Struct(f"<{joints}d")
         port.setblocking(False)
+        self.ended = False
 
     def begin(self) -> None:
         """Forget what came before the controller began."""
@@ -133,40 +146,72 @@ class Heard:
 
 
 class Setpoints:
-    """The setpoints that are followed: those of a plan, from where the arm stands, and no faster than ``speed_rad_s``."""
+    """The setpoints that are followed: those of a plan, from where the arm stands, and no faster than ``speed_rad_s``.
+
+    What the plan's first setpoint is off from there fades out over ``EASE_S``.
+    """
 
     def __init__(self, plan: Plan, speed_rad_s: float, cycle_s: float) -> None:
         self._plan, self._speed, self._cycle_s = plan, speed_rad_s, cycle_s
         self.at: tuple[float, ...] | None = None
+        self._gap: tuple[float, ...] | None = None
+        self._eased_s = 0.0
 
     @property
     def counts(self) -> Counter[str]:
         """What was not followed."""
         return self._plan.counts
 
+    @property
+    def ended(self) -> bool:
+        """Whether the plan is at its end, and the arm with it."""
+        return self._plan.ended and self._gap is not None and self._eased_s >= EASE_S
+
     def begin(self, q: Sequence[float] | None) -> tuple[float, ...] | None:
         """Begin where the arm stands (n,) rad; None: nobody knows where that is."""
         self._plan.begin()
         self.at = None if q is None else tuple(q)
+        self._gap, self._eased_s = None, 0.0
         return self.at
 
-    def step(self, cycles: int) -> tuple[float, ...] | None:
-        """Return the setpoint (n,) rad after so many cycles; the last one where the next cannot be followed."""
+    def step(self, cycles: int, pace: float = 1.0) -> tuple[float, ...] | None:
+        """Return the setpoint (n,) rad after so many cycles; the last one where the next cannot be followed.
+
+        ``pace`` below 1 lets the time of the plan pass more slowly.
+        """
         step_s = cycles * self._cycle_s
-        wanted = self._plan.next(step_s)
-        if wanted is None or self.at is None:
+        planned = self._plan.next(step_s * pace)
+        if planned is None or self.at is None:
             return self.at
-        gaps = [new - old for new, old in zip(wanted, self.at, strict=True)]
-        farthest, most = max(map(abs, gaps)), self._speed * step_s
+        if self._gap is None:
+            if _farthest(planned, self.at) > self._speed * FAR_S:
+                self.counts["plan_too_far"] += 1
+                return self.at
+            self._gap = tuple(old - new for new, old in zip(planned, self.at, strict=True))
+        else:
+            self._eased_s += step_s
+        left = 1.0 - _smooth(min(1.0, self._eased_s / EASE_S))
+        self._follow([new + left * gap for new, gap in zip(planned, self._gap, strict=True)], self.at, step_s)
+        return self.at
+
+    def _follow(self, wanted: Sequence[float], at: tuple[float, ...], step_s: float) -> None:
+        farthest, most = _farthest(wanted, at), self._speed * step_s
         if farthest > max(most, self._speed * FAR_S):
             self.counts["plan_too_far"] += 1
-            return self.at
-        if farthest > most:
+        elif farthest > most:
             self.counts["plan_slowed"] += 1
-            self.at = tuple(old + gap * most / farthest for old, gap in zip(self.at, gaps, strict=True))
+            self.at = tuple(old + (new - old) * most / farthest for new, old in zip(wanted, at, strict=True))
         else:
             self.at = tuple(wanted)
-        return self.at
+
+
+def _farthest(wanted: Sequence[float], at: Sequence[float]) -> float:
+    return max(abs(new - old) for new, old in zip(wanted, at, strict=True))
+
+
+def _smooth(share: float) -> float:
+    """From 0 to 1, with speed and acceleration zero at both ends."""
+    return share**3 * (10.0 + share * (6.0 * share - 15.0))
 
 
 def planned(path: Path | None, port: int | None, joints: int) -> Plan:

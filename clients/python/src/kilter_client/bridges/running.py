@@ -15,10 +15,12 @@ from typing import Any
 from kilter_client.bridges import versions
 from kilter_client.bridges.companion import Task
 from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.fci import JOINTS, Fci
 from kilter_client.bridges.guard import Guard
 from kilter_client.bridges.loop import Loop, Wire
 from kilter_client.bridges.news import Line, pair
-from kilter_client.errors import FileError, UsageError
+from kilter_client.bridges.plan import Setpoints
+from kilter_client.errors import FileError, MissingPackageError, UsageError
 from kilter_core.correct.file import from_bytes
 from kilter_core.errors import OptionError
 
@@ -126,6 +128,28 @@ def answer_over_udp(start: Start, wire: Wire, bounds: Bounds, listen: str, port:
         return loop.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
 
 
+def move_by_fci(start: Start, setpoints: Setpoints, bounds: Bounds, address: str, realtime: bool) -> dict[str, Any]:
+    """Move a Franka robot along setpoints, corrected; returns what happened.
+
+    Raises:
+        MissingPackageError: pylibfranka is not installed.
+        FrankaError: the robot does not answer, or it stopped the motion.
+
+    """
+    if start.joints != JOINTS:
+        raise UsageError(f"Robot {start.robot} has {start.joints} joints; a Franka robot has {JOINTS}.")
+    try:
+        import pylibfranka
+    except ImportError as error:
+        raise MissingPackageError("This bridge needs pylibfranka: `pip install pylibfranka==0.21.3`.") from error
+    correction = correction_of(start, bounds)
+    with beside(start) as line:
+        fci = Fci(pylibfranka, address, setpoints, correction, line, realtime)
+        with _ended_by_signals(fci):
+            fci.run()
+        return fci.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
+
+
 def _tell(start: Start, udp: socket.socket) -> None:
     if not start.task.quiet:
         address, port = udp.getsockname()
@@ -153,7 +177,7 @@ def beside(start: Start) -> Iterator[Line]:
 
 
 @contextmanager
-def _ended_by_signals(loop: Loop) -> Iterator[None]:
+def _ended_by_signals(loop: Loop | Fci) -> Iterator[None]:
     """Fade out at the first Ctrl-C or SIGTERM, end at once at the second."""
 
     def leave(number: int, _: object) -> None:

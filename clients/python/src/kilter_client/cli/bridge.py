@@ -11,6 +11,7 @@ import typer
 
 from kilter_client.bridges.egm import AXES as EGM_AXES
 from kilter_client.bridges.egm import EgmWire
+from kilter_client.bridges.fci import CYCLE_S as FCI_CYCLE_S
 from kilter_client.bridges.plan import Setpoints, planned
 from kilter_client.bridges.rsi import AXES, From, RsiWire
 from kilter_client.cli.arguments import Json, Robot
@@ -132,6 +133,39 @@ def egm(
     emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
 
 
+@bridge.command(epilog="Example: kilter bridge fci fr3 172.16.0.2 --path weld.csv")
+def fci(
+    robot: Robot,
+    address: Annotated[str, typer.Argument(help="Address of the robot.", show_default=False)],
+    path: Annotated[
+        Path,
+        typer.Option(
+            "--path", help="Table of setpoints (t_s, q1_deg, ...), a row each ms.", exists=True, dir_okay=False
+        ),
+    ],
+    speed_deg_s: Speed = 60.0,
+    version: Version = None,
+    largest_deg: Largest = 1.0,
+    rate_deg_s: Rate = 5.0,
+    ramp_s: Ramp = 2.0,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Refuse to run without real-time kernel and priority.")
+    ] = False,
+    publish: Publish = "tcp/127.0.0.1:0",
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Move a Franka robot along corrected setpoints (Franka Control Interface, joint positions).
+
+    Ctrl-C brings the arm to rest, fades the offsets out and ends; a second one ends at once.
+    """
+    running = _needed()
+    start = running.prepared(robot, "fci", version, force, as_json, publish)
+    bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, 1000.0 * FCI_CYCLE_S, 0.0)
+    setpoints = Setpoints(planned(path, None, start.joints), math.radians(speed_deg_s), FCI_CYCLE_S)
+    emit(running.move_by_fci(start, setpoints, bounds, address, realtime), as_json, _show)
+
+
 def _needed() -> Any:
     """Import what a bridge needs.
 
@@ -150,7 +184,7 @@ def _needed() -> Any:
 
 def _show(document: Mapping[str, Any]) -> None:
     counts = document["counts"]
-    took = document["answer_us"]
+    took = document.get("answer_us") or {}
     say(
         f"{document['bridge']} bridge of {document['robot']}: {counts.get('answered', 0)} answers, late {counts.get('late', 0)}"
     )
@@ -161,7 +195,9 @@ def _show(document: Mapping[str, Any]) -> None:
         say(f"  not corrected, {name}: {count}")
     if document["controller_missed"] is not None:
         say(f"  missed by the controller's own count: {document['controller_missed']}")
-    if took["p50"] is not None:
+    if document.get("command_success_rate") is not None:
+        say(f"  commands that came in time, of the last 100: {100 * document['command_success_rate']:.0f} %")
+    if took.get("p50") is not None:
         say(
             f"  answer after {took['p50']} us (median), {took['p99']} us (p99), at most {document['answer_longest_us']} us"
         )
