@@ -12,6 +12,7 @@ import pytest
 from kilter_service.db import Database
 from kilter_service.drift.charts import KeptCharts, charts_of
 from kilter_service.drift.records import StoredCheck
+from kilter_service.drift.wire import chance_words
 from kilter_service.jobs.retention import store as retention
 from tests.core.watch.drifting import DriftingArm, some_arm
 from tests.service.conftest import WorkerProcess
@@ -174,3 +175,8 @@ def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
     other = made([0.1, 0.12, 0.9, 0.11, 0.13], [1, 2, 5, 3, 4])
     assert kept.of(sorted(other, key=lambda one: one.at))[0].values[-1] == 0.9
     assert kept.of(made(values, days)) is not first  # of three, the oldest went
+
+
+def test_a_chance_that_no_number_holds_is_not_nothing() -> None:
+    assert [chance_words(one) for one in (0.0, 2e-14, 0.31)] == ["less than 1e-300", "2e-14", "0.3"]
+    assert chance_words(0.234, 2) == "0.23"

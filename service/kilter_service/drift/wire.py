@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from kilter_core.watch.poses import Faint
 
 PPM = 1e6
+LEAST_CHANCE = 1e-300
 ZERO, SLIDE = math.radians(0.03), 5e-5  # steps that a check should show (kilter_core.watch.poses, which loads scipy)
 FRAME = ("x", "y", "z", "rx", "ry", "rz")
 KINDS = {"zero": "zero of joint {}", "sag": "sag of joint {}", "base": "base", "tool": "tool", "scale": "scale"}
@@ -82,15 +83,20 @@ def sentence(found: Check, agreed_at: datetime | None = None) -> str:
     if found.verdict == "ok":
         return (
             f"ok: {found.poses} poses agree with the version, {to_mm(found.misfit):.3g} mm rms. An arm that has not moved "
-            f"shows as much with a chance of {found.p_value:.2g}."
+            f"shows as much with a chance of {chance_words(found.p_value, 2)}."
         )
     after = "" if agreed_at is None else f" since {agreed_at:%Y-%m-%d}"
-    chance = f" An arm that has not moved shows as much with a chance of {found.p_value:.1g}."
+    chance = f" An arm that has not moved shows as much with a chance of {chance_words(found.p_value)}."
     if found.verdict == "moved":
         return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"
     if not found.causes:
         return f"cannot tell: it has moved{after}, and no single cause explains the rows.{chance}"
     return f"cannot tell: {listed([by_how_much(one) for one in found.causes])}{after}.{chance}"
+
+
+def chance_words(p_value: float, digits: int = 1) -> str:
+    """Return a chance in a few digits; what no number can hold is still not nothing."""
+    return f"{p_value:.{digits}g}" if p_value > 0.0 else f"less than {LEAST_CHANCE:g}"
 
 
 def rezero_sentence(found: Rezeroed, start: str) -> str:
