@@ -162,6 +162,9 @@ FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
 	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
 
+bench-drift: $(KERNELS) ## watch simulated arms day after day and print one page: false alarms, steps, causes, ramps, seasons (ROBOTS=1000 DAYS=250)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift --robots $(or $(ROBOTS),1000) --days $(or $(DAYS),250)
+
 bench-page: $(KERNELS) ## measure the page: the first view, memory over LOADS=1000 of them, a campaign of a million rows
 	$(BIN)/python -m benchmarks.page --loads $(or $(LOADS),1000)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -167,6 +168,15 @@ def test_a_check_is_planned_and_says_beforehand_what_it_will_show(
     told = command.json("plan", "check", calibrated, "--anywhere", "--keep-out", "100,-2000,-2000,2000,2000,400")
     assert told["result"]["false_alarm"] == pytest.approx(1e-3)
     assert {one["name"] for one in told["result"]["smallest"]} >= {"zero_1", "sag_2", "base", "tool", "scale"}
+    faint = told["result"]["faint"]
+    lever = 1e3 * float(np.hypot(arm.tool[0, 3], arm.tool[1, 3]))
+    assert re.match(
+        r"A step of 0\.03 deg of the zero of joint 6 does not alarm in 95 % of the checks: that begins", faint[-1]
+    )
+    off = re.search(r"at most ([\d.]+) mm off that axis; [\d.]+ mm would show it, or about \d+ such poses", faint[-1])
+    assert off is not None
+    assert float(off[1]) == pytest.approx(lever, rel=0.05)  # as the fit found the tool
+    assert faint[-1][:60] in command("plan", "check", calibrated, "--anywhere")
     said = command("plan", "check", calibrated, "--keep-out", "1,2,3,0,0,0", code=2)
     assert "--keep-out 1,2,3,0,0,0: give the lowest corner first" in said
     said = command("plan", "check", calibrated, "--without-joints", "9", code=1)

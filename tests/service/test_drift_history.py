@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from kilter_service.db import Database
+from kilter_service.drift.charts import KeptCharts, charts_of
+from kilter_service.drift.records import StoredCheck
+from kilter_service.drift.wire import chance_words
 from kilter_service.jobs.retention import store as retention
 from tests.core.watch.drifting import DriftingArm, some_arm
 from tests.service.conftest import WorkerProcess
@@ -111,6 +114,7 @@ def test_a_date_that_was_set_back_changes_the_order_and_nothing_else(
     anew = watched.sent(arm.after("base", 0.2), 6, 1003, DAY + timedelta(days=6))
     watched.done("drift", [anew], new_setup=["base"])
     found = watched.history()
+    assert watched.history()["charts"] == found["charts"]
     assert [one["at"][:10] for one in found["history"]] == ["2026-09-04", "2026-09-06"]
     assert found["last"]["campaign_id"] == campaign
 
@@ -148,3 +152,31 @@ def test_the_number_of_today_is_that_of_the_newest_check(
     assert "On the rows of a check, which no fit used" in card
     assert "more than chance explains" in card
     assert "Today: Mean error" in client.get(f"/versions/{version}").raise_for_status().text
+
+
+def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
+    number = {"name": "value", "unit": "deg", "u95": 0.01}
+
+    def made(values: list[float], days: list[int]) -> list[StoredCheck]:
+        looked = [
+            {"name": "zero_1", "words": "zero of joint 1", "numbers": [{**number, "change": one}]} for one in values
+        ]
+        return [
+            StoredCheck(f"job_{k}", "cmp", DAY + timedelta(days=day), {"verdict": "ok", "looked_at": [one]})
+            for k, (one, day) in enumerate(zip(looked, days, strict=True))
+        ]
+
+    kept, values, days = KeptCharts(2), [0.1, 0.12, 0.11, 0.13, 0.9], [1, 2, 3, 4, 5]
+    first = kept.of(made(values, days))
+    assert kept.of(made(values, days)) is first
+    assert first == charts_of(made(values, days))
+    more = kept.of(made([*values, 0.2], [*days, 6]))
+    assert len(more[0].values) == 6
+    other = made([0.1, 0.12, 0.9, 0.11, 0.13], [1, 2, 5, 3, 4])
+    assert kept.of(sorted(other, key=lambda one: one.at))[0].values[-1] == 0.9
+    assert kept.of(made(values, days)) is not first  # of three, the oldest went
+
+
+def test_a_chance_that_no_number_holds_is_not_nothing() -> None:
+    assert [chance_words(one) for one in (0.0, 2e-14, 0.31)] == ["less than 1e-300", "2e-14", "0.3"]
+    assert chance_words(0.234, 2) == "0.23"

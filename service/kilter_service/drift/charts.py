@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections import OrderedDict
 from collections.abc import Sequence
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,7 @@ from kilter_service.drift.records import StoredCheck
 
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
 FALSE_ALARM = 1e-3  # chance at which a single check alarms (kilter_core.watch, which loads numpy and scipy)
+KEPT = 200  # robots whose charts are kept: some 100 kB each
 SHIFTS = ("value", "x", "y", "z")  # of a frame its shift: rotations of five poses are shifts for the most part
 
 
@@ -51,6 +55,28 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
             )
         )
     return out
+
+
+class KeptCharts:
+    """Charts of the checks that were looked at lately: computing those of a fleet takes seconds, and checks never change."""
+
+    def __init__(self, most: int = KEPT) -> None:
+        self._most, self._lock = most, threading.Lock()
+        self._kept = OrderedDict[tuple[tuple[str, datetime], ...], list[ControlChart]]()
+
+    def of(self, made: Sequence[StoredCheck]) -> list[ControlChart]:
+        """Return the charts of these checks; what is returned is shared, and nobody changes it."""
+        key = tuple((one.job_id, one.at) for one in made)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        found = charts_of(made)
+        with self._lock:
+            self._kept[key] = found
+            while len(self._kept) > self._most:
+                self._kept.popitem(last=False)
+        return found
 
 
 def height(chart: ControlChart) -> float:

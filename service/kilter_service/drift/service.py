@@ -19,9 +19,10 @@ from kilter_service.db import Database, Session
 from kilter_service.db.row import now
 from kilter_service.drift import store
 from kilter_service.drift import wire_history as wire
-from kilter_service.drift.charts import FALSE_ALARM, RUN_LENGTH, charts_of, height
+from kilter_service.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
 from kilter_service.drift.records import Activated, StoredCheck
 
+KEPT = KeptCharts()
 MOST_OF_MANY = 100  # checks of each robot in the list of all
 MOST_OF_LAST = 5  # looked through for the last one that counts
 WORST = ("moved", "cannot_tell", "creeping", "never", "ok")
@@ -91,7 +92,7 @@ def _own(made: Sequence[StoredCheck], log: Sequence[Activated]) -> tuple[list[St
     """The checks of the active version, and their charts."""
     active = _active(log)
     own = [one for one in made if active is not None and one.result.get("version_id") == active]
-    return own, charts_of(own)
+    return own, KEPT.of(own)
 
 
 def _summary(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -14,8 +15,11 @@ if TYPE_CHECKING:
     from kilter_core.watch import Check, Rezeroed
     from kilter_core.watch.causes import Cause
     from kilter_core.watch.check import Judged
+    from kilter_core.watch.poses import Faint
 
 PPM = 1e6
+LEAST_CHANCE = 1e-300
+ZERO, SLIDE = math.radians(0.03), 5e-5  # steps that a check should show (kilter_core.watch.poses, which loads scipy)
 FRAME = ("x", "y", "z", "rx", "ry", "rz")
 KINDS = {"zero": "zero of joint {}", "sag": "sag of joint {}", "base": "base", "tool": "tool", "scale": "scale"}
 MORE_POSES = "Measure more poses that differ in every joint, far from each other, and check again."
@@ -79,15 +83,20 @@ def sentence(found: Check, agreed_at: datetime | None = None) -> str:
     if found.verdict == "ok":
         return (
             f"ok: {found.poses} poses agree with the version, {to_mm(found.misfit):.3g} mm rms. An arm that has not moved "
-            f"shows as much with a chance of {found.p_value:.2g}."
+            f"shows as much with a chance of {chance_words(found.p_value, 2)}."
         )
     after = "" if agreed_at is None else f" since {agreed_at:%Y-%m-%d}"
-    chance = f" An arm that has not moved shows as much with a chance of {found.p_value:.1g}."
+    chance = f" An arm that has not moved shows as much with a chance of {chance_words(found.p_value)}."
     if found.verdict == "moved":
         return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"
     if not found.causes:
         return f"cannot tell: it has moved{after}, and no single cause explains the rows.{chance}"
     return f"cannot tell: {listed([by_how_much(one) for one in found.causes])}{after}.{chance}"
+
+
+def chance_words(p_value: float, digits: int = 1) -> str:
+    """Return a chance in a few digits; what no number can hold is still not nothing."""
+    return f"{p_value:.{digits}g}" if p_value > 0.0 else f"less than {LEAST_CHANCE:g}"
 
 
 def rezero_sentence(found: Rezeroed, start: str) -> str:
@@ -132,3 +141,22 @@ def remedy(found: Check) -> str | None:
     if "tool" in kinds and zeros:
         return MASTERING.format(joint=zeros[0], place="the bolts of the tool", thing="the flange")
     return MORE_POSES
+
+
+def faint_sentence(one: Faint) -> str:
+    """Return what poses do not show of a zero, why, and what would."""
+    words, (unit, factor) = cause_words(one.cause), unit_of(one.cause)
+    if one.seen is None:
+        off = "" if one.lever is None else f" The measured point is {to_mm(one.lever):.2g} mm off that axis."
+        return f"The {words} is not seen at all, whatever the poses.{off}"
+    step = (SLIDE if one.cause.slides else ZERO) * factor
+    begins = (
+        f"A step of {step:.2g} {unit} of the {words} does not alarm in 95 % of the checks: that begins at "
+        f"{one.seen * factor:.2g} {unit}."
+    )
+    if one.lever is None or one.needed is None:
+        return f"{begins} About {one.poses} such poses would show it."
+    return (
+        f"{begins} The measured point is at most {to_mm(one.lever):.3g} mm off that axis; {to_mm(one.needed):.3g} mm would "
+        f"show it, or about {one.poses} such poses."
+    )

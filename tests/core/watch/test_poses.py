@@ -111,6 +111,25 @@ def test_a_reflector_on_the_last_axis_is_refused_with_the_distance_it_needs() ->
     assert check_poses(far, EXACT, 5, Region.of(far)).found.smallest["zero_6"] < np.radians(0.25)
 
 
+def test_what_would_show_a_faint_zero_does() -> None:
+    arm, calibration = perfect(3)
+    plan = check_poses(calibration, EXACT, 6, Region.of(calibration), seed=0)
+    (faint,) = [one for one in plan.faint if one.cause.name == "zero_6"]
+    lever = float(np.hypot(arm.tool[0, 3], arm.tool[1, 3]))
+    assert faint.lever == pytest.approx(lever, rel=1e-6)
+    assert faint.seen == plan.found.smallest["zero_6"]
+    assert faint.needed is not None
+    assert faint.poses is not None
+    tool = arm.tool.copy()
+    tool[:2, 3] *= 1.02 * faint.needed / lever
+    farther = Calibration.nominal(robot_from_document(replace(arm, tool=tool).document()))
+    assert "zero_6" not in [one.cause.name for one in check_poses(farther, EXACT, 6, Region.of(farther)).faint]
+    rng = np.random.default_rng(0)
+    more = arm.measured(some_poses(round(1.1 * faint.poses), rng), rng, NOISE)
+    assert check(calibration, more, EXACT).smallest["zero_6"] <= np.radians(0.03)
+    assert all(plan.found.smallest[one.cause.name] > np.radians(0.03) for one in plan.faint)
+
+
 def test_the_same_seed_plans_the_same_poses() -> None:
     _, calibration = perfect(5)
     region = Region.of(calibration)

@@ -113,5 +113,8 @@ class PlanResult(Stored):
         None, description="Of `check`: the smallest changes that these poses show in 95 % of the checks."
     )
     unseen: list[str] | None = Field(None, description="Of `check`: what these poses do not show, in words.")
+    faint: list[str] | None = Field(
+        None, description="Of `check`: zeros of which these poses do not show a small step, and what would, in words."
+    )
     within: str | None = Field(None, description="Where poses were looked for.")
     warnings: list[Remark] | None = Field(None, description="What to know before driving them.")

@@ -130,6 +130,7 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
     shown = {
         "false_alarm": FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
         "unseen": [wire.cause_words(one) for one in plan.found.unseen],
+        "faint": [wire.faint_sentence(one) for one in plan.faint],
     }  # fmt: skip
     return {**document_of(job.robot, [Pose(row) for row in plan.q]), **shown}
 

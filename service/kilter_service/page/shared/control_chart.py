@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftSummary, State
+from kilter_service.drift.wire import chance_words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
 from kilter_service.page.words import moment, number
@@ -140,7 +141,7 @@ def _words(one: CheckOfRobot) -> str:
 
 
 def _chance(one: CheckOfRobot) -> str:
-    return f"{one.p_value:.2g}"
+    return chance_words(one.p_value, 2)
 
 
 def _sums_table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:

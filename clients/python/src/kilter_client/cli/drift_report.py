@@ -34,6 +34,8 @@ def show_smallest(result: Mapping[str, Any]) -> None:
         )
     if result.get("unseen"):
         say(f"they do not show: {', '.join(result['unseen'])}")
+    for sentence in result.get("faint") or ():
+        say(sentence)
 
 
 def show_history(found: Mapping[str, Any]) -> None:

@@ -73,6 +73,8 @@ class PlanResult(ShownPlan, Record):
     """Cycles of the standard's poses."""
     cycles_demanded: int | None
     """Cycles that the standard demands."""
+    faint: tuple[str, ...]
+    """Of `check`: zeros of which these poses do not show a small step, and what would, in words."""
     false_alarm: float | None
     """Of `check`: chance of a false alarm at which it will say `moved`."""
     poses: Records[PlannedPose]
