@@ -77,7 +77,8 @@ def test_every_command_of_the_contract_is_there() -> None:
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
-        "residuals", "activations", "export", "correct", "status", "suspicious", "today", "stream-session", "twin compare",
+        "residuals", "activations", "export", "correct", "status", "suspicious", "today", "stream-session",
+        "twin compare", "twin onto",
         "effects", "methods", "presets", "formats", "columns",
         "whoami", "audit", "token add", "token list", "token revoke",
     )} == set(COMMANDS)  # fmt: skip
