@@ -78,7 +78,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status", "suspicious", "today", "accept", "stream-session",
-        "twin compare",
+        "twin compare", "twin onto", "homing",
         "effects", "methods", "presets", "formats", "columns",
         "whoami", "audit", "token add", "token list", "token revoke",
     )} == set(COMMANDS)  # fmt: skip

@@ -45,15 +45,16 @@ def written(path: Path, arm: DriftingArm, poses: int, seed: int) -> Path:
     return path
 
 
-def rigid(arm: DriftingArm, drives: str = "", masses: str = "1e-3") -> str:
+def rigid(arm: DriftingArm, drives: str = "") -> str:
     """The nominal arm as somebody else would write it: a body behind each row of its table, and nothing that drives it."""
     inner = '<site name="flange"/>'
     for k in reversed(range(6)):
         d, a, alpha = arm.rows[k]
+        com = " ".join(map(str, arm.centres[k]))
         inner = (
             f'<body name="turn{k + 1}"><joint name="axis{k + 1}" type="hinge" axis="0 0 1"/>'
-            f'<inertial pos="0 0 0" mass="{masses}" diaginertia="1e-5 1e-5 1e-5"/>'
-            f'<body pos="{a} 0 {d}" quat="{np.cos(alpha / 2)} {np.sin(alpha / 2)} 0 0">{inner}</body></body>'
+            f'<body pos="{a} 0 {d}" quat="{np.cos(alpha / 2)} {np.sin(alpha / 2)} 0 0">'
+            f'<inertial pos="{com}" mass="{arm.masses[k]}" diaginertia="1e-4 1e-4 1e-4"/>{inner}</body></body>'
         )
     return f'<mujoco><compiler angle="radian"/><worldbody>{inner}</worldbody><actuator>{drives}</actuator></mujoco>'
 
@@ -96,6 +97,15 @@ def test_the_twin_is_as_good_as_the_version_and_another_model_as_bad_as_the_nomi
     )
     assert "theirs.xml settled at 8 rows of " in text
 
+    copy = tmp_path / "theirs-0042.xml"
+    laid = command.json("twin", "onto", tmp_path / "theirs.xml", fit.version_id, "-o", copy, "--joints", JOINTS)
+    assert "Masses and the rest of the source are as they were" in laid["notes"][0]
+    assert (tmp_path / "theirs.xml").read_text() == rigid(arm)
+    found = command.json("twin", "compare", copy, *asked, "--site", "kilter_tool", "--joints", JOINTS)
+    assert found["errors"][str(copy)]["mean_mm"] == pytest.approx(own["mean_mm"], abs=0.002)
+    same = command.json("twin", "onto", copy, fit.version_id, "-o", copy, code=2)
+    assert "is the model itself" in same["detail"]
+
 
 def test_models_that_cannot_be_settled_are_refused_with_the_remedy(
     k: Kilter, arm: DriftingArm, command: Command, tmp_path: Path
@@ -117,7 +127,7 @@ def test_models_that_cannot_be_settled_are_refused_with_the_remedy(
     mesh = rigid(arm).replace("<worldbody>", '<asset><mesh name="m" file="gone.stl"/></asset><worldbody>')
     assert "gone.stl" in refusal(mesh)
     swinging = "".join(f'<position joint="axis{j}" kp="1e7"/>' for j in range(1, 7))
-    told = refusal(rigid(arm, swinging, "3"), "held", "--site", "flange", "--step-ms", "5")
+    told = refusal(rigid(arm, swinging), "held", "--site", "flange", "--step-ms", "5")
     assert "does not come to rest at steps of 5 ms" in told
     assert "--step-ms" in told
 

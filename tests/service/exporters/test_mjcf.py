@@ -348,4 +348,4 @@ def test_a_model_without_a_table_needs_no_step_and_a_later_one_is_refused() -> N
 def test_it_can_be_attached_to_a_scene() -> None:
     """A scene includes the model as it is; contacts, floor and cameras are the scene's."""
     root = ElementTree.fromstring(str(twin((), GEOMETRY)[0].text))
-    assert {child.tag for child in root} == {"compiler", "option", "size", "worldbody", "actuator"}
+    assert {child.tag for child in root} == {"compiler", "option", "size", "worldbody", "actuator", "custom"}

@@ -91,6 +91,20 @@ def _plain(table: list[dict[str, str]], name: str) -> list[float]:
     return [float(row.get(name) or "nan") for row in table]
 
 
+def mujoco_package() -> Any:
+    """Return MuJoCo.
+
+    Raises:
+        MissingPackageError: it is not installed.
+
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingPackageError("Models of MuJoCo need it: pip install mujoco.", package="mujoco") from error
+    return mujoco
+
+
 def loaded(path: Path) -> Any:
     """Load a model.
 
@@ -99,10 +113,7 @@ def loaded(path: Path) -> Any:
         MissingPackageError: MuJoCo is not installed.
 
     """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingPackageError("Models of MuJoCo need it: pip install mujoco.", package="mujoco") from error
+    mujoco = mujoco_package()
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:

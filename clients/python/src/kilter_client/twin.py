@@ -38,7 +38,8 @@ def apply(model: Any, data: Any) -> None:
     table = _table_of(model)
     if table is None:
         return
-    sides = _sides(model, data, table["order"])
+    controls = {name: _control(model, data, table, name) for name in table["order"]}
+    sides = _sides(data, controls)
     loaded = {*table["joints"], *(row["joint"] for row in table["bending"])}
     wrenches = {name: _load(model, data, name, f"{name}_link") for name in loaded}
     shifts = dict.fromkeys(table["order"], 0.0)
@@ -50,17 +51,17 @@ def apply(model: Any, data: Any) -> None:
             for k, tilt in enumerate(_tilts(own, *wrenches[name][3:5])):
                 twists[name][3 + k] += tilt
     for curve in table["curves"]:
-        amount = _curve(curve, _control(model, data, curve["driver"]), _control(model, data, curve["joint"]))
+        amount = _curve(curve, controls[curve["driver"]], controls[curve["joint"]])
         if curve["twist"] is None:
             shifts[curve["joint"]] += amount
         else:
             twists.setdefault(curve["joint"], [0.0] * 6)[curve["twist"]] += amount
     for row in table["bending"]:
-        bent = _bent(model, data, row, table["order"], wrenches[row["joint"]])
+        bent = _bent(model, data, row, controls, wrenches[row["joint"]])
         twist = twists.setdefault(row["joint"], [0.0] * 6)
         twists[row["joint"]] = [a + b for a, b in zip(twist, bent, strict=True)]
     for name, shift in shifts.items():
-        drive = model.actuator(name).id
+        drive = model.actuator(table.get("drives", {}).get(name, name)).id
         model.actuator_biasprm[drive, 0] = model.actuator_gainprm[drive, 0] * shift
     for name, constant in table["twists"].items():
         moved = [a + b for a, b in zip(constant, twists.get(name, [0.0] * 6), strict=True)]
@@ -89,22 +90,21 @@ def _read(text: bytes) -> dict[str, Any]:
     return table
 
 
-def _sides(model: Any, data: Any, order: list[str]) -> dict[str, float]:
+def _sides(data: Any, controls: dict[str, float]) -> dict[str, float]:
     """Direction of the last motion of each control, kept in ``userdata``: sides, last controls, and whether it began."""
-    n = len(order)
-    for k, name in enumerate(order):
-        now = _control(model, data, name)
+    n = len(controls)
+    for k, now in enumerate(controls.values()):
         moved = now - data.userdata[n + k]
         if data.userdata[2 * n] != 0.0 and abs(moved) > NEVER_MOVED:
             data.userdata[k] = math.copysign(1.0, moved)
         if data.userdata[2 * n] == 0.0 or abs(moved) > NEVER_MOVED:
             data.userdata[n + k] = now
     data.userdata[2 * n] = 1.0
-    return {name: float(data.userdata[k]) for k, name in enumerate(order)}
+    return {name: float(data.userdata[k]) for k, name in enumerate(controls)}
 
 
-def _control(model: Any, data: Any, name: str) -> float:
-    return float(data.ctrl[model.actuator(name).id])
+def _control(model: Any, data: Any, table: dict[str, Any], name: str) -> float:
+    return float(data.ctrl[model.actuator(table.get("drives", {}).get(name, name)).id])
 
 
 def _load(model: Any, data: Any, joint: str, body: str) -> Floats:
@@ -174,16 +174,17 @@ def _curve(curve: dict[str, Any], q: float, own: float) -> float:
     return float(-a * math.sin(q + angle) * (1.0 - free / length))
 
 
-def _bent(model: Any, data: Any, row: dict[str, Any], order: list[str], of_joint: Floats) -> list[float]:
+def _bent(model: Any, data: Any, row: dict[str, Any], controls: dict[str, float], of_joint: Floats) -> list[float]:
     """Twist of a link that bends: linear in the loads on its joint and on its end."""
     import numpy as np
 
+    order = list(controls)
     place = order.index(row["joint"])
     after = f"{order[place + 1]}_link" if place + 1 < len(order) else "flange"
     of_end = _load(model, data, row["joint"], after)
     of_end[3:] -= _cross(row["link"], of_end[:3].tolist())
     power, root, way = row["reach"]
-    reach = max(0.0, way * (_control(model, data, row["joint"]) - root)) ** power
+    reach = max(0.0, way * (controls[row["joint"]] - root)) ** power
     twist: list[float] = (reach * (np.array(row["of_joint"]) @ of_joint + np.array(row["of_end"]) @ of_end)).tolist()
     return twist
 

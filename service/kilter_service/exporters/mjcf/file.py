@@ -9,10 +9,10 @@ from kilter_service.exporters.mjcf.drives import drives
 from kilter_service.exporters.mjcf.effects import elements_of, exported_effects
 from kilter_service.exporters.mjcf.notes import notes
 from kilter_service.exporters.mjcf.table import table, twisting
-from kilter_service.exporters.mjcf.tree import bodies
+from kilter_service.exporters.mjcf.tree import bodies, nominal_frames
 from kilter_service.exporters.urdf_words import numbers
 
-TABLE = "kilter"  # name of the text among <custom>
+TABLE, NOMINAL = "kilter", "kilter_nominal"  # names of the text and of the numbers among <custom>
 # What the reference says of the integrators: this one takes stiff gains and stiff limits at any step up to 5 ms.
 OPTION = {"integrator": "discrete", "timestep": "0.002", "tolerance": "1e-14"}
 COMPILER = {"angle": "radian", "boundmass": "1e-9", "boundinertia": "1e-9", "balanceinertia": "true"}
@@ -42,8 +42,10 @@ def mjcf(version: Exportable) -> Written:
         if abs(joint.lower) != float("inf") and abs(joint.upper) != float("inf"):
             own["ctrlrange"] = f"{joint.lower!r} {joint.upper!r}"
         SubElement(actuators, "position", own)
+    custom = SubElement(root, "custom")
+    SubElement(custom, "numeric", name=NOMINAL, data=nominal_frames(calibration))
     rest = table(exported.form)
     if rest is not None:
-        SubElement(SubElement(root, "custom"), "text", name=TABLE, data=rest)
+        SubElement(custom, "text", name=TABLE, data=rest)
     indent(root)
     return Written('<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n", written)

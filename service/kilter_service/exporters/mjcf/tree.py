@@ -111,9 +111,26 @@ def _payload(tool: Element, exported: ExportedEffects) -> None:
     SubElement(body, "site", name="payload", size=repr(THINNEST_M))
 
 
+def nominal_frames(calibration: Calibration) -> str:
+    """Where joint frames and tool nominally are at zero joints, seven numbers each: by them a model of others is found."""
+    robot, wanted = calibration.robot, calibration.wanted()
+    elements = flange_frames(wanted).elements
+    joints = [
+        elements[k + 1] @ _rotation(frame)
+        for k, frame in zip(robot.chain.primary, robot.chain.program.joint_frame, strict=True)
+    ]
+    flange = elements[-1] @ flange_frames(wanted).end
+    frames = (*joints, flange @ wanted_tool(calibration))
+    return " ".join(f"{numbers(T[:3, 3])} {_quat(T)}" for T in frames)
+
+
 def _body(parent: Element, name: str, T: Floats) -> Element:
+    return SubElement(parent, "body", name=name, pos=numbers(T[:3, 3]), quat=_quat(T))
+
+
+def _quat(T: Floats) -> str:
     x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
-    return SubElement(parent, "body", name=name, pos=numbers(T[:3, 3]), quat=numbers(np.array([w, x, y, z])))
+    return numbers(np.array([w, x, y, z]))
 
 
 def _axis(body: Element, name: str, kind: str, drive: Drive) -> None:

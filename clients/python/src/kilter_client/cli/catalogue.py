@@ -60,7 +60,8 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "diff": Entry("versions", "Compare the parameters of two versions."),
         "residuals": Entry("residuals", "Write the residual of every measured row."),
         "export": Entry("versions", "Write a version as a file for other programs."),
-        "twin": Entry("twin", "Score a simulator's model on measured poses."),
+        "twin": Entry("twin", "Score or calibrate a simulator's model."),
+        "homing": Entry("homing", "Put zero offsets into a copy of LeRobot's calibration."),
     },
     "Correct": {
         "correct": Entry("correct", "Correct a trajectory with the active version."),

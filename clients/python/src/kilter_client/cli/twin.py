@@ -1,4 +1,4 @@
-"""``kilter twin compare``: how far anybody's model of MuJoCo is from measured poses, beside the models of the server."""
+"""``kilter twin compare | onto``: how far anybody's model of MuJoCo is from measured poses; a copy of it, calibrated."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json, split_names
+from kilter_client.cli.arguments import Json, VersionId, split_names
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import OfRobot, resolved, resolved_options
 from kilter_client.cli.tables import show_rows
+from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,37 +24,36 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 group = typer.Typer(
-    help="Score a simulator's model on measured poses.", rich_markup_mode=None, no_args_is_help=True
+    help="Score a simulator's model on measured poses, and calibrate it.", rich_markup_mode=None, no_args_is_help=True
 )  # fmt: skip
 MODELS = {"nominal": "registration_only", "identified": "identified"}
+Model = Annotated[
+    Path, typer.Argument(help="An MJCF file.", metavar="MODEL", show_default=False, exists=True, dir_okay=False)
+]
+ModelJoints = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--joints", metavar="A,B,C", help="The model's joints in the robot's order; left out: named as the robot's."
+    ),
+]
 MEASURES = ("mean_mm", "rms_mm", "p95_mm", "max_mm")
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
     app.add_typer(group, name="twin")
-    group.callback()(_nothing)  # a group with one command is still a group
-
-
-def _nothing() -> None:
-    """Score a simulator's model on measured poses."""
 
 
 @group.command(epilog="Example: kilter twin compare so101.xml held-out --robot my-arm")
 def compare(
-    model: Annotated[
-        Path, typer.Argument(help="An MJCF file.", metavar="MODEL", show_default=False, exists=True, dir_okay=False)
-    ],
+    model: Model,
     campaign: Annotated[
         str, typer.Argument(help="Measured poses: id, name or `latest`.", metavar="CAMPAIGN", show_default=False)
     ],
     version: Annotated[
         str | None, typer.Option(help="The version beside it; left out: the active one, else the nominal robot.")
     ] = None,
-    joints: Annotated[
-        list[str] | None,
-        typer.Option(metavar="A,B,C", help="The model's joints in the robot's order; left out: as the robot's."),
-    ] = None,
+    joints: ModelJoints = None,
     site: Annotated[str, typer.Option(help="The model's site at the tool.")] = "tool",
     payload_body: Annotated[str, typer.Option(help="The model's body whose mass is the payload.")] = "payload",
     step_ms: Annotated[float | None, typer.Option(help="Time step; left out: the model's.", min=0.01, max=20.0)] = None,
@@ -77,6 +77,35 @@ def compare(
     settings = Settings(names, site, payload_body, None if step_ms is None else step_ms * 1e-3)
     apart = errors_of(found, measured, settings, model)
     emit(_document(model, used, job, apart), as_json, _show)
+
+
+@group.command(epilog="Example: kilter twin onto so101.xml ver_7c -o so101-0042.xml")
+def onto(
+    model: Model,
+    version: VersionId,
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: a copy for this one arm.")],
+    joints: ModelJoints = None,
+    site: Annotated[str | None, typer.Option(help="The model's site at the tool, which moves with it.")] = None,
+    robot: OfRobot = None,
+    as_json: Json = False,
+) -> None:
+    """Write a copy of a model with a version's poses and drives; the model and its meshes stay as they are."""
+    from kilter_client.twin_onto import lay_onto
+
+    if output.resolve() == model.resolve():
+        raise UsageError(f"{output} is the model itself, which stays as it is: name another file.")
+    with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
+        twin = kilter.versions.export(version, "mjcf").decode()
+    laid = lay_onto(model, twin, split_names(joints), site)
+    write(output, laid.text.encode())
+    emit({"version_id": version, "output": str(output), "notes": list(laid.notes)}, as_json, _show_laid)
+
+
+def _show_laid(document: Mapping[str, Any]) -> None:
+    for note in document["notes"]:
+        say(f"  {note}")
+    say(f"{document['output']}: the tool is at the site kilter_tool")
 
 
 def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, as_json: bool) -> dict[str, Any]:
