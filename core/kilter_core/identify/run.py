@@ -315,7 +315,7 @@ def _reported(
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
-        influence=influence_of(calibration, _shown(train, options), fit.names).to_document(),
+        influence=influence_of(calibration, _shown(train, options), fit.names).to_document() if fit.names else [],
         intervals=intervals,
         learned=learned,
         shares=shares,
