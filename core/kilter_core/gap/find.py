@@ -67,6 +67,7 @@ from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
+from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import metres
@@ -107,6 +108,7 @@ def find_gap(
     begin = beginning(robot, start)
     named = [EFFECTS[name] for name in wanted(options.effects)]
     observations, validation, confirmation = as_inputs(named, begin, observations, validation, confirmation)
+    observations, validation, confirmation = as_seen_poses(begin, observations, validation, confirmation)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):
