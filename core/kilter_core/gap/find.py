@@ -102,13 +102,11 @@ def find_gap(
         start of another robot.
 
     """
-    options = options or GapOptions()
-    progress = progress or unheard
-    budget = Budget(options.budget_s)
-    begin = beginning(robot, start)
+    options, progress = options or GapOptions(), progress or unheard
+    begin, budget = beginning(robot, start), Budget(options.budget_s)
     named = [EFFECTS[name] for name in wanted(options.effects)]
-    observations, validation, confirmation = as_inputs(named, begin, observations, validation, confirmation)
-    observations, validation, confirmation = as_seen_poses(begin, observations, validation, confirmation)
+    given = as_inputs(named, begin, observations, validation, confirmation)
+    observations, validation, confirmation = as_seen_poses(begin, *given)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):
