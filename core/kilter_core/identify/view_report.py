@@ -58,8 +58,8 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
     yield {
         "code": "too_large_to_deploy", "rms_mm": held["rms_mm"], "high_mm": held["high_mm"],
         "message": f"{state}, but the error is too large to deploy: on views held out the tool is off by "
-        f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the picture, add points of a "
-        "tracker, or look for what is missing with `kilter gap`.",
+        f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
+        "picture, add points of a tracker, or look for what is missing with `kilter gap`.",
     }  # fmt: skip
 
 
