@@ -73,7 +73,7 @@ def test_every_command_of_the_contract_is_there() -> None:
           for verb in ("list", "name", "note", "retire", "restore", "purge")),
         "instrument add", "instrument list", "upload", "inspect", "match",
         "sheet", "filter", "board", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
-        "identify", "gap", "evaluate", "plan poses", "plan check", "check", "drift", "rezero", "joint-parameters",
+        "identify", "gap", "evaluate", "plan poses", "plan check", "hand-eye", "check", "drift", "rezero", "joint-parameters",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",

@@ -69,6 +69,7 @@ from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
+from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
@@ -103,12 +104,11 @@ def find_gap(
         start of another robot.
 
     """
-    options = options or GapOptions()
-    progress = progress or unheard
-    budget = Budget(options.budget_s)
-    begin = beginning(robot, start)
+    options, progress = options or GapOptions(), progress or unheard
+    begin, budget = beginning(robot, start), Budget(options.budget_s)
     named = [EFFECTS[name] for name in wanted(options.effects)]
-    observations, validation, confirmation = as_inputs(named, begin, observations, validation, confirmation)
+    given = as_inputs(named, begin, observations, validation, confirmation)
+    observations, validation, confirmation = as_seen_poses(begin, *given)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):

@@ -44,6 +44,8 @@ def null_directions(J: Floats, names: Sequence[str], prior_sigma: Floats) -> tup
     direction by 1 / (1 + s²). The structural null space is turned into a basis in which each direction has a parameter
     of its own (pivoted QR), so that aliases read one by one: "d_6 cannot be told from tool_z".
     """
+    if not len(names):  # of the arm nothing was free: only cameras were placed
+        return ()
     size = np.linalg.norm(J, axis=0)
     scaled = J * prior_sigma
     R = np.linalg.qr(scaled, mode="r") if len(scaled) > len(names) else scaled

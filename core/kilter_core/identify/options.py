@@ -155,10 +155,17 @@ class IdentifyOptions:
         )
         if not self.tilt_first:
             names |= set(model.names[model.n_geometric :])
-        names -= set(_matching(model.names, self.fix))
+        names -= set(_matching(model.names, self.fix)) - self._seen(model)
         if not names:
             raise OptionError("Nothing is left to identify: free a parameter, the base or the tool.", option="fix")
         return np.array([k for k, name in enumerate(model.names) if name in names], dtype=np.int64)
+
+    def _seen(self, model: RobotModel) -> set[str]:
+        """What stands somewhere to measure: a pattern that does not begin with its name does not hold it."""
+        seen = [e for e in model.effects if e.instrument is not None]
+        names = {p.name for e in seen for p in e.parameters(model.robot)}
+        held = [p for p in self.fix if p.startswith(("camera_", "board_"))]
+        return names - set(_matching(model.names, held))
 
     def _geometric(self, model: RobotModel) -> list[str]:
         chain = model.robot.chain

@@ -41,7 +41,7 @@ from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, pro
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
-from kilter_core.identify.view_report import predictive_of, views_said, with_held, with_own_scatter
+from kilter_core.identify.view_report import predictive_of, too_large_to_deploy, views_said, with_held, with_own_scatter
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
@@ -200,8 +200,8 @@ def identify(
     said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
-        result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row,
-        fitted_kinds=errors_of(stages, measurement), held_kinds=kinds, views=_views(result, validation, measurement),
+        result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row,
+        fitted_kinds=errors_of(stages, measurement), held_kinds=kinds, **_views(result, said, validation, measurement, held),
     )  # fmt: skip
 
 
@@ -221,9 +221,14 @@ def _fitted(
     return with_likeliest_scale(fit_by_method(begin, measurement, options, progress, prior))
 
 
-def _views(result: Identification, validation: Validation, measurement: Measurement) -> dict[str, Any]:
-    """What views say, of those held out too."""
-    return with_held(result.views, result.calibration, validation, measurement)
+def _views(
+    result: Identification, warnings: tuple[dict[str, Any], ...], validation: Validation, measurement: Measurement,
+    held: dict[str, Errors],
+) -> dict[str, Any]:  # fmt: skip
+    """What views say, of those held out too, and the warnings with theirs."""
+    views = with_held(result.views, result.calibration, validation, measurement)
+    registered = held["registration_only"].to_document()["rms_mm"] if held else None
+    return {"views": views, "warnings": (*warnings, *too_large_to_deploy(views, registered))}
 
 
 def _left_more(beyond: BeyondNoise | None, inside: Ints | None) -> list[dict[str, Any]]:
@@ -318,7 +323,7 @@ def _reported(
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
-        influence=influence_of(calibration, _shown(train, options), fit.names).to_document(),
+        influence=influence_of(calibration, _shown(train, options), fit.names).to_document() if fit.names else [],
         intervals=intervals,
         learned=learned,
         shares=shares,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from kilter_core.identify.camera_report import cameras_document, pixels_document, tool_document
@@ -34,6 +35,32 @@ def views_said(calibration: Calibration, fit: Fit, found: ViewScatter | None) ->
         return {}
     said = cameras_document(calibration, sigmas_of(fit))
     return said if found is None else {**said, "pixels": pixels_document(found)}
+
+
+TOO_LARGE_MM = 1.0  # an arm that is off by more picks and places, and assembles nothing
+LITTLE = 0.5  # share of the registered nominal robot's error, beyond which a version is hardly worth it
+LACKING = 1.5  # variance between views over that of their corners, beyond which the model lacks something
+
+
+def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> Iterator[dict[str, Any]]:
+    """Warn of a fit that ended well and whose tool, on views held out, is too far off to be corrected with."""
+    held = (said.get("pixels") or {}).get("validation")
+    if held is None:
+        return
+    little = registered_mm is not None and held["high_mm"] > LITTLE * registered_mm
+    if held["high_mm"] <= TOO_LARGE_MM and not little:
+        return
+    between = said["pixels"]["between_views"]
+    state = "The calibration is complete" if between <= LACKING else (
+        f"Views scatter {between:.2g} times as much as their corners explain, so the model lacks something"
+    )  # fmt: skip
+    reason = "" if registered_mm is None or not little else f", and cameras placed alone leave {registered_mm:.3g} mm"
+    yield {
+        "code": "too_large_to_deploy", "rms_mm": held["rms_mm"], "high_mm": held["high_mm"],
+        "message": f"{state}, but the error is too large to deploy: on views held out the tool is off by "
+        f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
+        "picture, add points of a tracker, or look for what is missing with `kilter gap`.",
+    }  # fmt: skip
 
 
 def with_held(said: dict[str, Any], identified: Calibration, validation: Any, train: Measurement) -> dict[str, Any]:

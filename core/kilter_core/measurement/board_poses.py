@@ -29,15 +29,27 @@ def board_poses(
     local = (corners - centre) @ frame
     seen: Bools = np.asarray(~np.isnan(pixels).any(axis=2))
     usable = seen.sum(axis=1) >= (4 if flat else FEWEST_IN_SPACE)
+    if not usable.all():
+        return _of_usable(camera, intrinsics, board, pixels, usable)
     flats = np.where(seen[..., None], normalised(camera.model, intrinsics, pixels), 0.0)
     p, R = (_by_homography if flat else _in_space)(local, flats, seen)
     fixed = _alone(camera, intrinsics, local)
     p, R, rms = _refined(fixed, p, R, pixels)
     if flat:
         p, R, rms = _better((p, R, rms), _refined(fixed, p, _other_side(p, R), pixels))
-    usable &= np.isfinite(rms) & (p[:, 2] > 0.0)
-    R = R @ frame.T
-    return p - R @ centre, R, rms, usable
+    R_board = R @ frame.T
+    return p - R_board @ centre, R_board, rms, np.asarray(np.isfinite(rms) & (p[:, 2] > 0.0))
+
+
+def _of_usable(
+    camera: Camera, intrinsics: Floats, board: Board, pixels: Floats, usable: Bools
+) -> tuple[Floats, Floats, Floats, Bools]:
+    """Poses of the views with enough corners; of the others NaN."""
+    n = len(pixels)
+    p, R, rms, told = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full(n, np.nan), np.zeros(n, dtype=bool)
+    if usable.any():
+        p[usable], R[usable], rms[usable], told[usable] = board_poses(camera, intrinsics, board, pixels[usable])
+    return p, R, rms, told
 
 
 def _plane_of(corners: Floats) -> tuple[Floats, Floats, bool]:

@@ -23,6 +23,7 @@ from kilter_core.observations import Observations
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Bools, Floats, Ints
 
+MOST_TO_START = 200  # views of each camera and board that a start is found from
 FEWEST_CORNERS = 4  # of a view that tells a pose
 
 
@@ -161,9 +162,11 @@ class Pixels(Kind):
         known = prediction.instrument
         if known is not None and known.rig.has(self.rig):
             return known.rig.of(self.rig)
-        views = self.views(prediction)
-        held = placed_by(self.rig, views, self.pixels).described_by(self.rig.held())
-        return fit_rig(held, views, self.pixels, self.observations.pixel_sigma).rig.described_by(self.rig)
+        whole, sigma = self.views(prediction), self.observations.pixel_sigma
+        some = np.concatenate([which[:: max(1, -(-len(which) // MOST_TO_START))] for which, _, _ in whole.pairs()])
+        views, pixels = whole.only(some), self.pixels[some]
+        held = placed_by(self.rig, views, pixels).described_by(self.rig.held())
+        return fit_rig(held, views, pixels, None if sigma is None else sigma[some]).rig.described_by(self.rig)
 
     def placed(self, prediction: Prediction) -> PlacedRig:
         """The rig as it is known; where a prediction knows nothing of these cameras, as it fits these rows best."""

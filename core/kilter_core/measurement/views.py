@@ -22,6 +22,10 @@ class Views:
     position: Floats
     rotation: Floats
 
+    def only(self, rows: Ints) -> Views:
+        """Some of the views."""
+        return Views(self.camera[rows], self.board[rows], self.position[rows], self.rotation[rows])
+
     def pairs(self) -> Iterator[tuple[Ints, int, int]]:
         """Rows of each pair of a camera and a board."""
         for c, b in sorted({(int(c), int(b)) for c, b in zip(self.camera, self.board, strict=True) if c >= 0}):

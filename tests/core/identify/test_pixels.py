@@ -104,3 +104,17 @@ def test_a_joint_that_fits_both_ways_is_named() -> None:
     with pytest.raises(ObservationError) as refused:
         identify(begin.robot, rows, None, IdentifyOptions(level=1))
     assert refused.value.code == "hand_eye_undetermined"
+
+
+def test_a_fit_that_leaves_too_much_says_so() -> None:
+    """Zeros held where they are wrong: the fit ends, and nobody should correct with it."""
+    scene = eye_to_hand()
+    rng = np.random.default_rng(8)
+    rows = scene.observed(scene.poses(40, rng), rng, 0.1)
+    robot = robot_from_document(scene.drawn.document())
+    poor = identify(robot, rows, 0.25, IdentifyOptions(fix=("theta_*",)))
+    told = [w for w in poor.warnings if w["code"] == "too_large_to_deploy"]
+    assert len(told) == 1
+    assert "the model lacks something" in told[0]["message"]
+    good = identify(robot, rows, 0.25, ASKED)
+    assert not [w for w in good.warnings if w["code"] == "too_large_to_deploy"]

@@ -16,6 +16,7 @@ from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.rig_file import rig_conditions
 from kilter_client.cli.sending import send
 from kilter_client.errors import UsageError
 from kilter_client.given import moment_of
@@ -67,6 +68,15 @@ CampaignName = Annotated[
 ]
 
 
+CamerasFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--cameras", metavar="FILE", help="Cameras and boards of views: the JSON that `kilter see` writes.",
+        exists=True, dir_okay=False,
+    ),
+]  # fmt: skip
+
+
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
     app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
@@ -90,6 +100,7 @@ def upload(
     temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign, deg C.")] = None,
     tool_force_n: ToolForce = None,
     tool_moment_nm: ToolMoment = None,
+    cameras: CamerasFile = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     measured_at: MeasuredAt = None,
     instrument: InstrumentName = None,
@@ -107,20 +118,20 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
-    order = arguments.split_names([joint_order or ""])
+    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm, cameras)
     at = moment_of(measured_at)
     if campaign and (name or notes or conditions or at or instrument):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     by_preset = _preset(preset, file, device, column_map, joints)
     _refuse_idle(by_preset, column_map, joints, euler, topic, joint_order)
-    hints = LogHints(topic, order, _likely(robot, joints, column_map, joint_order))
-    prepared = prepare(file, device, column_map, joints, preset=by_preset, euler=euler, hints=hints)
-    prepared = _checked(file, prepared, unchecked)
+    names = arguments.split_names([joint_order or ""])
+    hints = LogHints(topic, names, _likely(robot, joints, column_map, joint_order))
+    read = prepare(file, device, column_map, joints, preset=by_preset, euler=euler, hints=hints)
+    prepared = _checked(file, read, unchecked)
     _tell(file, prepared, as_json)
     if dry_run:
-        found = what_it_holds(robot, prepared, conditions)
-        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256} | found), as_json, show_dry_run)
+        found = {"rows": prepared.rows, "sha256": prepared.sha256} | what_it_holds(robot, prepared, conditions)
+        emit(_report(prepared, found), as_json, show_dry_run)
         if found["refused"]:
             raise typer.Exit(1)
         return
@@ -129,9 +140,13 @@ def upload(
         "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
     }  # fmt: skip
     done = send(robot, campaign, wanted, file, prepared, as_json)
+    _warn(done, as_json)
+    emit(_report(prepared, done), as_json, _show_upload)
+
+
+def _warn(done: dict[str, Any], as_json: bool) -> None:
     for text in _odd(done):
         note(f"  Warning: {text}", as_json)
-    emit(_report(prepared, done), as_json, _show_upload)
 
 
 def sent_file(
@@ -162,9 +177,10 @@ def conditions_of(
     temperature_c: float | None,
     force: str | None = None,
     moment: str | None = None,
+    cameras: Path | None = None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
-    return campaigns.conditions_of(
+    return rig_conditions(cameras) | campaigns.conditions_of(
         payload_kg=payload_kg,
         payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
         temperature_c=temperature_c,

@@ -1,0 +1,42 @@
+"""The file that describes cameras and boards, as `kilter see` writes it beside its views."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from kilter_client.errors import UsageError
+
+CAMERA = (
+    "name", "mount", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion_model", "distortion",
+    "intrinsics", "sigmas_px",
+)  # fmt: skip
+BOARD = ("name", "mount", "corners_mm", "scale_sigma_percent")
+
+
+def rig_conditions(file: Path | None) -> dict[str, Any]:
+    """Return the conditions ``cameras`` and ``boards`` of a campaign; none without a file.
+
+    Raises:
+        UsageError: not such a file.
+
+    """
+    if file is None:
+        return {}
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        cameras = [_part(one, CAMERA) for one in document["cameras"]]
+        boards = [_part(one, BOARD) for one in document["boards"]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(
+            f"--cameras {file}: does not describe cameras and boards ({error}): give the JSON that `kilter see` writes."
+        ) from error
+    if not cameras or not boards:
+        what = "boards" if cameras else "cameras"
+        raise UsageError(f"--cameras {file}: names no {what}: state the intrinsics when you run `kilter see`.")
+    return {"cameras": cameras, "boards": boards}
+
+
+def _part(one: dict[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
+    return {name: one[name] for name in known if one.get(name) is not None}

@@ -1,0 +1,87 @@
+"""Views as poses of the tool: for what compares whole visits, and asks of each row where the tool was.
+
+The pose of each board before its camera, carried through camera and board as a version has them, or as an identification of
+the geometry finds them, says where the tool was in the robot's base; its corners say how well along each axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.run import identify
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.board_poses import board_poses
+from kilter_core.model import Calibration
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations import Observations
+from kilter_core.transforms import inverse
+from kilter_core.types import Bools, Floats
+
+BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board", "rig"))
+
+
+def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[Any, ...]:
+    """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
+
+    Beside a tracker the tracker's rows tell, and pixels are left out.
+
+    Raises:
+        ObservationError: views that tell no pose.
+
+    """
+    if rows.pixels is None:
+        return (rows, *others)
+    if rows.position is not None or rows.markers is not None:
+        return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others))
+    assert rows.rig is not None
+    known = begin
+    if begin.rig is None or not begin.rig.has(rows.rig):
+        known = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin).calibration
+    return tuple(_seen(known, one) if isinstance(one, Observations) and one.pixels is not None else one
+                 for one in (rows, *others))  # fmt: skip
+
+
+def _seen(known: Calibration, rows: Observations) -> Observations:
+    views = Measurement.of(rows, held=True).pixels
+    assert views is not None
+    assert rows.camera is not None
+    assert rows.board is not None
+    errors = views.tool_errors(known)
+    scatter = errors.scatter()
+    rig = known.rig.of(views.rig) if known.rig is not None and known.rig.has(views.rig) else None
+    rig = rig or views.placed(known.predict(rows))
+    n = len(rows)
+    p, R, told = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n, dtype=bool)
+    for c, b in sorted({(int(c), int(b)) for c, b in zip(rows.camera, rows.board, strict=True) if c >= 0}):
+        which = np.flatnonzero((rows.camera == c) & (rows.board == b))
+        p[which], R[which], told[which] = _poses(rig, (c, b), views.pixels[which])
+    sigma = np.full((n, 3), np.nan)
+    deviations = np.sqrt(np.diagonal(errors.covariance, axis1=1, axis2=2)[:, :3])
+    sigma[errors.rows] = scatter.sigma_px * deviations
+    kept = told & ~np.isnan(sigma).any(axis=1)
+    if not kept.any():
+        raise ObservationError("No view tells a pose: measure views that show more of a board.", code="no_view")
+    return replace(rows, position=p, rotation=R, sigma=sigma, **BARE).select(kept)
+
+
+def _poses(rig: PlacedRig, pair: tuple[int, int], pixels: Floats) -> tuple[Floats, Floats, Bools]:
+    """Tool poses (n, 3) and (n, 3, 3) of views of one camera and board, and which tell one."""
+    c, b = pair
+    camera, board, lens, sheet = rig.rig.cameras[c], rig.rig.boards[b], rig.cameras[c], rig.boards[b]
+    grown = (1.0 + float(sheet.values[0])) * np.array(board.corners)
+    real = replace(board, corners=tuple(map(tuple, grown.tolist())))
+    p, R, _, told = board_poses(camera, lens.values, real, pixels[:, : len(grown)])
+    M = np.tile(np.eye(4), (len(p), 1, 1))
+    M[:, :3, :3], M[:, :3, 3] = R, p
+    if camera.mount == "fixed":
+        T = lens.pose @ M @ inverse(sheet.pose)
+    else:
+        M[:, :3, :3] = R.transpose(0, 2, 1)
+        M[:, :3, 3] = -np.einsum("nji,nj->ni", R, p)
+        T = sheet.pose @ M @ inverse(lens.pose)
+    return T[:, :3, 3], T[:, :3, :3], told

@@ -1,0 +1,76 @@
+"""Hand-eye calibration from flange poses alone: no joint angles, so nothing of the arm is fitted.
+
+AX = ZB in closed form is the start, then all pixels are fitted at once, the flange poses taken as exact: what an arm is off
+by stays in the result, and in what views scatter by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.measurement.pixels import ToolErrors
+from kilter_core.measurement.rig_fit import fit_rig, placed_by
+from kilter_core.measurement.view_scatter import ViewScatter
+from kilter_core.measurement.views import Views, sight
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations.rig import Rig
+from kilter_core.types import Floats, Ints
+
+FEWEST = 8  # numbers of a view that tells a pose
+
+
+@dataclass(frozen=True)
+class HandEyeCalibration:
+    """Cameras and boards where they fit: fixed ones in the robot's base, the others on the flange.
+
+    ``closed_form`` is the start; ``covariance`` is that of the unknowns, ``left_px (N,)`` the rms of each view, and
+    ``scatter`` says how far the flange is from where views have it, their noise taken off.
+    """
+
+    rig: PlacedRig
+    closed_form: PlacedRig
+    covariance: Floats
+    left_px: Floats
+    scatter: ViewScatter
+
+
+def hand_eye(
+    position: Floats,
+    rotation: Floats,
+    rig: Rig,
+    pixels: Floats,
+    camera: Ints | None = None,
+    board: Ints | None = None,
+    sigma: Floats | None = None,
+) -> HandEyeCalibration:
+    """Find cameras and boards from flange poses ``position (N, 3)`` m, ``rotation (N, 3, 3)`` and ``pixels (N, M, 2)``.
+
+    ``camera`` and ``board (N,)`` are places in the ``rig``, the first of each when None; ``sigma (N, M, 2)`` px.
+
+    Raises:
+        ObservationError: ``no_view``, or ``hand_eye_undetermined``.
+
+    """
+    first = np.zeros(len(position), dtype=np.int64)
+    views = Views(first if camera is None else camera, first if board is None else board, position, rotation)
+    start = placed_by(rig, views, pixels)
+    fitted = fit_rig(start, views, pixels, sigma)
+    seen = sight(fitted.rig, views, pixels.shape[1], slopes=True)
+    assert seen.by_tool is not None
+    r = pixels - seen.pixels
+    with np.errstate(invalid="ignore", divide="ignore"):
+        left = np.sqrt(np.nansum(r**2, axis=(1, 2)) / np.sum(~np.isnan(r), axis=(1, 2)))
+    rows = np.flatnonzero(np.sum(~np.isnan(r), axis=(1, 2)) >= FEWEST)
+    if not len(rows):
+        raise ObservationError("No view shows four corners or more: none tells a pose.", code="no_view")
+    A = (seen.by_tool * ~np.isnan(r)[..., None])[rows].reshape(len(rows), -1, 6)
+    flat = np.nan_to_num(r[rows]).reshape(len(rows), -1, 1)
+    C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
+    e = C @ (A.transpose(0, 2, 1) @ flat)
+    count = int(np.count_nonzero(~np.isnan(r[rows]))) - 6 * len(rows)
+    errors = ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+    scatter = errors.scatter(float(6 * (len(rig.cameras) + len(rig.boards))))
+    return HandEyeCalibration(fitted.rig, start, fitted.covariance, np.asarray(left), scatter)
