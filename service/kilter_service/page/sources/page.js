@@ -9,6 +9,7 @@ import "./drop.js";
 import "./jobs.js";
 import "./shapes.js";
 import * as rows from "./rows.js";
+import { savable } from "./saving.js";
 
 htmx.config.allowEval = false;
 htmx.config.includeIndicatorStyles = false;
@@ -99,6 +100,7 @@ function start(within) {
 
 start(document);
 rows.begin();
+savable(document);
 document.addEventListener("htmx:load", (event) => {
   if (event.detail.elt !== document.body) start(event.detail.elt.parentElement || event.detail.elt);
 });
