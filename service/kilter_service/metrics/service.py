@@ -98,13 +98,12 @@ def _of_checks(checks: Mapping[str, CheckOfRobot]) -> Iterable[Metric]:
 
 def _of_webhooks(counts: Mapping[str, Mapping[str, int]]) -> Iterable[Metric]:
     """What workers have posted of verdicts; a restarted worker has another name and begins at zero."""
-    if counts:
-        text = "Verdicts of checks that were posted to the webhook (sent), or given up (failed)."
-        posts = CounterMetricFamily("kilter_webhook_posts", text, labels=("worker", "outcome"))
-        for worker, found in counts.items():
-            for outcome, number in found.items():
-                posts.add_metric((worker, outcome), number)
-        yield posts
+    text = "Verdicts of checks that were posted to the webhook (sent), or given up (failed)."
+    posts = CounterMetricFamily("kilter_webhook_posts", text, labels=("worker", "outcome"))
+    for worker, found in counts.items():
+        for outcome, number in found.items():
+            posts.add_metric((worker, outcome), number)
+    yield posts
 
 
 def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
