@@ -19,8 +19,8 @@ from tools.local_server import local_server
 
 
 def path(t_s: float) -> Floats:
-    """A motion of three axes at up to 12 deg/s."""
-    return np.array([30 * np.sin(0.4 * t_s), 30 + 20 * np.sin(0.5 * t_s), 20 + 30 * np.sin(0.3 * t_s), 0.0, 0.0, 0.0])
+    """A motion of three axes at up to 12 deg/s, with the elbow bent."""
+    return np.array([30 * np.sin(0.4 * t_s), 30 + 20 * np.sin(0.5 * t_s), 50 + 30 * np.sin(0.3 * t_s), 0.0, 0.0, 0.0])
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from tests.clients.bridges.running_bridge import bridging, off_mm, shared_arm
 from tests.clients.three_joint_arm import Floats
 
 CYCLE_S, SPEED_DEG_S, RATE_DEG_S = 0.012, 20.0, 2.0
-PACE = ["--cycle-ms", "12", "--rate-deg-s", str(RATE_DEG_S), "--ramp-s", "0.5", "--gone-after-s", "1", "--port", "0"]
+PACE = ["--cycle-ms", "12", "--rate-deg-s", str(RATE_DEG_S), "--ramp-s", "0.5", "--gone-after-s", "2", "--port", "0"]
 BEGIN = np.array([0.0, 30.0, 20.0])
 
 

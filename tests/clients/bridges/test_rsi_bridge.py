@@ -25,7 +25,7 @@ from tests.clients.cutting_proxy import CuttingProxy
 
 CYCLE_S = 0.012
 RATE_DEG_S = 2.0
-PACE = ["--cycle-ms", "12", "--rate-deg-s", str(RATE_DEG_S), "--ramp-s", "0.5", "--gone-after-s", "1", "--port", "0"]
+PACE = ["--cycle-ms", "12", "--rate-deg-s", str(RATE_DEG_S), "--ramp-s", "0.5", "--gone-after-s", "2", "--port", "0"]
 CALIBRATED_MM, NOMINAL_MM = 0.05, 1.0
 
 

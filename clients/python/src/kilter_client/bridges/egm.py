@@ -50,6 +50,10 @@ class EgmWire:
         good = len(degrees) == len(self._signs) and all(map(math.isfinite, degrees))
         return radians(degrees, self._signs) if good else None
 
+    def cycles(self, stamps: int) -> int | None:
+        """Return the cycles between sequence numbers so far apart: as many."""
+        return stamps
+
     def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the setpoint: of the plan, and where the arm stands when the controller begins."""
         return self._setpoints.begin(request.joints) if fresh else self._setpoints.step(cycles)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 TELL_S = 0.2
 LARGEST_PACKET = 4096
+MOST_AHEAD = 2  # cycles by which stamps may be ahead of the time that has passed
 MOST_WAITING = 64  # requests that are looked at to find the newest
 SHOWN_TIMES = 20_000
 
@@ -60,6 +61,10 @@ class Wire(Protocol):
 
     def read(self, data: bytes) -> Request | None:
         """Return a request; None when the bytes are none."""
+        ...
+
+    def cycles(self, stamps: int) -> int | None:
+        """Return the cycles that are between stamps so far apart, at least one; None where that cannot be told."""
         ...
 
     def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
@@ -156,7 +161,7 @@ class Loop:
         if not self._admits(sender, request.stamp, began_s):
             return
         fresh = self._stamp < 0 or not request.moving
-        cycles = 1 if fresh else max(1, round((began_s - self._heard_s) / self._cycle_s))
+        cycles = 1 if fresh else self._passed(request.stamp, began_s)
         self.counts["lost"] += cycles - 1
         self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
         wanted = self._wire.wanted(request, cycles, fresh)
@@ -171,6 +176,12 @@ class Loop:
         self.counts["late"] += took_s > self._cycle_s
         self._times_s.append(took_s)
         self._longest_s = max(self._longest_s, took_s)
+
+    def _passed(self, stamp: int, now_s: float) -> int:
+        """Cycles since the last request: by the controller's stamps, which do not jitter, else by the time that has passed."""
+        elapsed = max(1, round((now_s - self._heard_s) / self._cycle_s))
+        counted = self._wire.cycles(stamp - self._stamp)
+        return elapsed if counted is None else min(counted, elapsed + MOST_AHEAD)
 
     def _admits(self, sender: Address, stamp: int, now_s: float) -> bool:
         """Whether a request is to be answered: of the one controller, newer than the last, after a silence at its start."""

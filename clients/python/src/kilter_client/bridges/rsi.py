@@ -31,8 +31,8 @@ class RsiWire:
     were answered before: for controllers that send nothing else.
     """
 
-    def __init__(self, signs: Sequence[float], source: From = From.SETPOINT) -> None:
-        self._signs, self._source = tuple(signs), source
+    def __init__(self, signs: Sequence[float], source: From = From.SETPOINT, cycle_ms: float = 4.0) -> None:
+        self._signs, self._source, self._cycle_ms = tuple(signs), source, cycle_ms
         self._element = re.compile(rb"<" + source.value.encode() + rb"\s([^>]*)>")
         self._answered = (0.0,) * len(self._signs)
         self.counts: Counter[str] = Counter()
@@ -58,6 +58,11 @@ class RsiWire:
         if self._source is From.ACTUAL:
             q = tuple(a - b for a, b in zip(q, self._answered, strict=True))
         return q
+
+    def cycles(self, stamps: int) -> int | None:
+        """Return the cycles between IPOCs so far apart, which count milliseconds; None where they count something else."""
+        cycles, rest = divmod(stamps, self._cycle_ms)
+        return round(cycles) if cycles >= 1.0 and rest == 0.0 else None
 
     def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the joints of the message: the controller has its own plan."""
