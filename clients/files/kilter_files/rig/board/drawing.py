@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,7 @@ def printed(board: Board, page: str | None = None) -> Printed:
         MissingPackageError: OpenCV is not installed.
 
     """
-    shapes = (*_squares(board), *_markers(board), *_rulers(board), *_words(board))
+    shapes = (*board_shapes(board), *_rulers(board), *_words(board))
     return Printed(_title(board), page_for(board, page)[1], shapes)
 
 
@@ -71,21 +71,27 @@ def _title(board: Board) -> str:
     return f"{board.kind} {board.columns} x {board.rows}, {sizes}, {board.dictionary}, {board.first_id} to {last}"
 
 
-def _on_page(board: Board, point: Point) -> Point:
+def board_shapes(board: Board, middle: Point = (0.0, 0.0)) -> Iterator[Shape]:
+    """Squares and markers of a board whose middle is there, from the page's, y up."""
+    yield from _squares(board, middle)
+    yield from _markers(board, middle)
+
+
+def _on_page(board: Board, middle: Point, point: Point) -> Point:
     width, height = board.size_mm
-    return point[0] - width / 2, height / 2 - point[1]
+    return middle[0] + point[0] - width / 2, middle[1] + height / 2 - point[1]
 
 
-def _squares(board: Board) -> Iterator[Shape]:
+def _squares(board: Board, middle: Point) -> Iterator[Shape]:
     for corner in board.black_squares():
-        x, y = _on_page(board, corner)
+        x, y = _on_page(board, middle, corner)
         yield Rect(x, y - board.square_mm, board.square_mm, board.square_mm)
 
 
-def _markers(board: Board) -> Iterator[Shape]:
+def _markers(board: Board, middle: Point) -> Iterator[Shape]:
     known = dictionary(board.dictionary)
     for number, corners in board.markers().items():
-        left, top = _on_page(board, corners[0])
+        left, top = _on_page(board, middle, corners[0])
         yield from marker_shapes(known, number, left, top, board.marker_mm, board.cells)
 
 
@@ -93,11 +99,12 @@ def _rulers(board: Board) -> Iterator[Shape]:
     """One below the squares and one on their left, each from the middle of its side."""
     width, height = board.size_mm
     below, aside = -height / 2 - RULER_OUT_MM, -width / 2 - RULER_OUT_MM
-    yield from _ruler(ruler_mm(width), lambda at, out: (at, below - out))
-    yield from _ruler(ruler_mm(height), lambda at, out: (aside - out, at))
+    yield from ruler_shapes(ruler_mm(width), lambda at, out: (at, below - out))
+    yield from ruler_shapes(ruler_mm(height), lambda at, out: (aside - out, at))
 
 
-def _ruler(length: float, place: Any) -> Iterator[Shape]:
+def ruler_shapes(length: float, place: Callable[[float, float], Point]) -> Iterator[Shape]:
+    """A ruler whose ``place`` says where a distance along it, from its middle, and one outwards are on the page."""
     yield Stroke((place(-length / 2, 0.0), place(length / 2, 0.0)), 0.1)
     for k in range(round(length) + 1):
         size = 3.0 if k % 10 == 0 else 2.0 if k % 5 == 0 else 1.2

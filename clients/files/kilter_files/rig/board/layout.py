@@ -139,10 +139,22 @@ def page_for(board: Board, page: str | None = None) -> tuple[str, tuple[float, f
 
     """
     width, height = (side + 2 * AROUND_MM for side in board.size_mm)
+    return smallest_page(width, height, page)
+
+
+def smallest_page(
+    width: float, height: float, page: str | None = None, upright: bool = False
+) -> tuple[str, tuple[float, float]]:
+    """Return name and size in mm of the page that holds this; ``upright`` never lays it on its side.
+
+    Raises:
+        UsageError: it does not fit.
+
+    """
     for name in [page] if page else [name for name in PAPER_MM if name != "letter"]:
         short, long = PAPER_MM[name]
-        for size in ((short, long), (long, short)):
+        for size in ((short, long),) if upright else ((short, long), (long, short)):
             if width <= size[0] and height <= size[1]:
                 return name, size
-    what = f"With rulers and margins the board needs {width:g} x {height:g} mm"
+    what = f"With rulers and margins it needs {width:g} x {height:g} mm"
     raise UsageError(f"{what}, which fits {'no page' if page is None else 'not on ' + page}. Take smaller squares.")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
+from kilter_files.rig.board.layout import Board
 from kilter_files.rig.board.opencv import dictionary
 from kilter_files.rig.see.pictures import Grey
-from kilter_files.rig.see.target import Target
 
 Wanted = tuple[str, tuple[int, ...] | None]  # a dictionary, and which of its markers
 
@@ -41,7 +41,7 @@ class Finder:
     """Looks for markers and for a board's chessboard corners; what OpenCV needs is built once."""
 
     _detectors: dict[Wanted, Any] = field(default_factory=dict)
-    _boards: dict[tuple[Any, ...], Any] = field(default_factory=dict)
+    _boards: dict[tuple[Board, bool], Any] = field(default_factory=dict)
 
     def markers(self, grey: Grey, name: str, numbers: tuple[int, ...] | None = None, thorough: bool = False) -> Markers:
         """Find the markers of a dictionary, all or those of ``numbers``; ``thorough`` is the whole picture at once.
@@ -72,26 +72,25 @@ class Finder:
         numbers = [int(n) if chosen is None else chosen[int(n)] for n in found.ravel()]
         return Markers(numbers, np.array(quads, dtype=np.float64).reshape(-1, 4, 2))
 
-    def chessboard(self, grey: Grey, markers: Markers, target: Target) -> dict[int, Floats]:
+    def chessboard(self, grey: Grey, markers: Markers, board: Board, legacy: bool) -> dict[int, Floats]:
         """Corners of a ChArUco board by number, to about a tenth of a pixel."""
         if not markers.numbers:
             return {}
         quads = tuple(quad.astype(np.float32).reshape(1, 4, 2) for quad in markers.quads)
         numbers = np.array(markers.numbers, dtype=np.int32).reshape(-1, 1)
-        corners, found, *_ = self._board(target).detectBoard(grey, markerCorners=quads, markerIds=numbers)
+        corners, found, *_ = self._board(board, legacy).detectBoard(grey, markerCorners=quads, markerIds=numbers)
         if found is None or corners is None:
             return {}
         places = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
         return dict(zip([int(number) for number in np.ravel(found)], places, strict=True))
 
-    def _board(self, target: Target) -> Any:
-        board = target.board
-        key = (board, target.legacy)
+    def _board(self, board: Board, legacy: bool) -> Any:
+        key = (board, legacy)
         if key not in self._boards:
             cv2, known = dictionary(board.dictionary)
-            numbers = np.array(target.marker_numbers)
+            numbers = np.array(sorted(board.markers()))
             size = (board.columns, board.rows)
             made = cv2.aruco.CharucoBoard(size, board.square_mm, board.marker_mm, known, numbers)
-            made.setLegacyPattern(target.legacy)
+            made.setLegacyPattern(legacy)
             self._boards[key] = cv2.aruco.CharucoDetector(made)
         return self._boards[key]

@@ -15,6 +15,7 @@ from kilter_files.rig.see.views import View
 
 MOST_KEPT = 150  # views; more teach a lens nothing
 WORSE, ENOUGH_VIEWS = 1.5, 5  # times what the views' own intrinsics leave: they are another camera's
+FLAT = 0.1  # of a square, beyond which corners were measured in another frame than the board's own
 BAD_VIEW = 3.0  # times what the usual view leaves
 MUCH_MORE, LEAST_SHOWN_PX = 4.0, 0.1  # left, by what the pictures' noise makes
 
@@ -30,11 +31,26 @@ class Kept:
     def offer(self, view: View, target: Target) -> None:
         """Keep a view, or not."""
         if self._offered % self._every == 0:
-            sigma = float(np.sqrt((view.sigmas**2).mean()))
-            self.views.append(Seen(view.picture, target.corners_mm[view.places], view.pixels, sigma))
+            self.views += _planes(view, target)
             if len(self.views) > 2 * MOST_KEPT:
                 self.views, self._every = self.views[::2], 2 * self._every
         self._offered += 1
+
+
+def _planes(view: View, target: Target) -> list[Seen]:
+    """A view by its planes: each face of a cube is one."""
+    found = []
+    for face in range(len(target.faces)):
+        own = target.on_face(face)
+        known = [k for k, place in enumerate(view.places) if target.numbers[place] in own]
+        if not known:
+            continue
+        mm = target.corners_mm[[view.places[k] for k in known]]
+        if len(target.faces) > 1 or np.abs(mm[:, 2]).max() > FLAT * target.board.square_mm:
+            mm = np.array([(*own[target.numbers[view.places[k]]], 0.0) for k in known])
+        sigma = float(np.sqrt((view.sigmas[known] ** 2).mean()))
+        found.append(Seen(view.picture, mm, view.pixels[known], sigma))
+    return found
 
 
 def fitted(kept: Kept, size: tuple[int, int], model: str, name: str) -> tuple[Camera, dict[str, Any], list[str]]:

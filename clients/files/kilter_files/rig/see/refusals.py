@@ -18,6 +18,7 @@ REMEDIES = {
     "print_mirrored": "Print the board without mirroring, or switch off the camera's mirror.",
     "board_twice": "Cover one of the boards, or print one with other numbers (kilter board --first-id).",
     "too_few_corners": "Show more of the board: 12 corners make a good view, 4 are the least.",
+    "arm_moving": "Let the arm rest at every pose, longer than a few frames.",
     "detectors_differ": "Look at that corner: glare, a shadow, or ink that has run moves it. Take the picture again.",
     "joints_missing": "Add its row to the joint log, or leave the picture out.",
 }

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TextIO
 
+import numpy as np
+
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.see.camera import Camera
 from kilter_files.rig.see.finder import LARGE, Finder, Markers
@@ -21,6 +23,7 @@ from kilter_files.rig.see.table import Rows
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import FEW_CORNERS, View, view_of
 
+MOST_MOVED_PX, MOST_FRAME_S = 0.2, 0.25  # between frames of a video
 MOST_SEARCHES = 20  # pictures without a board that are searched for what they show instead; later ones are like these
 Told = Callable[[int], None]
 
@@ -52,6 +55,7 @@ class Looker:
     lens: str | None = None
     second: Second | None = None
     finder: Finder = field(default_factory=Finder)
+    before: dict[str, tuple[float, View]] = field(default_factory=dict)
     searches: int = 0
     kept: Kept = field(default_factory=Kept)
 
@@ -103,14 +107,32 @@ class Looker:
                 seen.refused.append(found)
                 continue
             target = next(target for target in self.targets if target.name == found.board)
-            if differs := self._compared(frame.grey, found, target):
-                seen.refused.append(differs)
+            if against := self._moving(frame, found) or self._compared(frame.grey, found, target):
+                seen.refused.append(against)
                 continue
             seen.size = size
             self.kept.offer(found, target)
             rows.write(found, row, number + 1)
             seen.corners += len(found.places)
             seen.views.append(_summary(found, row))
+
+    def _moving(self, frame: Frame, view: View) -> Refusal | None:
+        """Whether the board has moved since the frame before; a camera that reads line by line bends it then."""
+        if frame.video is None or frame.t_s is None:
+            return None
+        key = f"{frame.video} {view.board}"
+        before = self.before.get(key)
+        self.before[key] = frame.t_s, view
+        if before is None or frame.t_s - before[0] > MOST_FRAME_S:
+            return None
+        old = dict(zip(before[1].places, before[1].pixels, strict=True))
+        steps = [float(np.linalg.norm(p - old[k])) for k, p in zip(view.places, view.pixels, strict=True) if k in old]
+        moved = float(np.median(steps)) if steps else 0.0
+        limit = MOST_MOVED_PX + 3 * float(view.sigmas.mean())
+        if moved <= limit:
+            return None
+        what = f"{view.board} has moved by {moved:.1f} px since the frame before"
+        return Refusal(frame.name, "arm_moving", what, board=view.board)
 
     def _compared(self, grey: Grey, view: View, target: Target) -> Refusal | None:
         if self.second is None or target.board.kind != "apriltag":

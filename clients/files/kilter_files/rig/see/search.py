@@ -53,15 +53,17 @@ def _other_pattern(finder: Finder, grey: Grey, own: Markers, target: Target, pic
     board = target.board
     if board.kind != "charuco":
         return None
-    swapped = replace(target, board=replace(board, columns=board.rows, rows=board.columns))
+    board = max(target.faces, key=lambda face: len(own.of(set(face.markers())).numbers))
+    own = own.of(set(board.markers()))
+    swapped = replace(board, columns=board.rows, rows=board.columns)
+    other = f"it is a board of {board.rows} x {board.columns} squares, columns first"
     tries = [
-        ("columns_rows_swapped", swapped, f"it is a board of {board.rows} x {board.columns} squares, columns first"),
-        ("legacy_pattern", replace(target, legacy=not target.legacy), _legacy(target)),
-        ("columns_rows_swapped", replace(swapped, legacy=not target.legacy),
-         f"it is a board of {board.rows} x {board.columns} squares, columns first, and {_legacy(target)}"),
-    ]  # fmt: skip
-    for code, tried, what in tries:
-        if len(finder.chessboard(grey, own, tried)) >= 2:
+        ("columns_rows_swapped", swapped, target.legacy, other),
+        ("legacy_pattern", board, not target.legacy, _legacy(target)),
+        ("columns_rows_swapped", swapped, not target.legacy, f"{other}, and {_legacy(target)}"),
+    ]
+    for code, tried, legacy, what in tries:
+        if len(finder.chessboard(grey, own, tried, legacy)) >= 2:
             said = f"{len(own.numbers)} markers of {target.name} are seen and no corner: {what}"
             return Refusal(picture, code, said, board=target.name)
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -99,12 +100,15 @@ def second_of(targets: list[Target]) -> Second:
     return second
 
 
+@cache
 def _detector(family: str) -> Any:
+    """The detector of a family, one for the whole process: its own way to destroy itself frees the family's memory twice."""
     try:
         import pupil_apriltags  # type: ignore[import-untyped]
     except ImportError as error:
         raise MissingPackageError(
             f"The second detector needs {PACKAGE}. Install it with: pip install {PACKAGE}", package=PACKAGE
         ) from error
+    kind = type("Kept", (pupil_apriltags.Detector,), {"__del__": lambda _: None})
     # smaller pictures (quad_decimate above 1) would shift its corners
-    return pupil_apriltags.Detector(families=family, nthreads=2, quad_decimate=1.0, refine_edges=1)
+    return kind(families=family, nthreads=2, quad_decimate=1.0, refine_edges=1)

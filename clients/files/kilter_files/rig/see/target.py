@@ -1,10 +1,10 @@
-"""A board as its JSON file describes it: what a detector must know, and the corners in their order."""
+"""A board, or a cube of them, as its JSON file describes it: what a detector must know, and the corners in their order."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.faults import fault
-from kilter_files.rig.board.layout import Board, check_board
+from kilter_files.rig.board.layout import Board, Point, check_board
 
 MOST_BYTES = 1 << 24
 REMEDY = "Take the JSON that kilter board wrote, or write one anew with the board's sizes."
@@ -21,18 +21,32 @@ REMEDY = "Take the JSON that kilter board wrote, or write one anew with the boar
 
 @dataclass(frozen=True)
 class Target:
-    """A board to look for; ``corners_mm`` (n, 3) and ``numbers`` are in the order of its file."""
+    """What to look for; ``corners_mm`` (n, 3) and ``numbers`` are in the order of its file. A board has one face."""
 
     name: str
-    board: Board
+    faces: tuple[Board, ...]
     legacy: bool
     numbers: tuple[int, ...]
     corners_mm: Floats
 
     @property
+    def board(self) -> Board:
+        """The board, or that of the first face."""
+        return self.faces[0]
+
+    @property
     def marker_numbers(self) -> list[int]:
         """Numbers of its markers."""
-        return sorted(self.board.markers())
+        return sorted(number for face in self.faces for number in face.markers())
+
+    def first_corner(self, face: int) -> int:
+        """Return what is added to the numbers of a face's corners; those of tags are apart already."""
+        return 0 if self.board.kind == "apriltag" else face * len(self.board.corners())
+
+    def on_face(self, face: int) -> dict[int, Point]:
+        """Return where the corners of a face are on its own plane, by number."""
+        first = self.first_corner(face)
+        return {first + number: point for number, point in self.faces[face].corners().items()}
 
     def column_of(self) -> dict[int, int]:
         """Place of every corner's number in the order of the file, from 0."""
@@ -56,18 +70,47 @@ def read_target(path: Path) -> Target:
     if not isinstance(legacy, bool):
         raise fault(path, "legacy_pattern is neither true nor false", REMEDY)
     numbers, corners = _corners(path, document)
-    own = board.corners()
-    if sorted(numbers) != sorted(own):
+    name = str(document.get("name") or path.stem)
+    target = Target(name, _faces(path, document, board), legacy, numbers, corners)
+    wanted = [number for face in range(len(target.faces)) for number in target.on_face(face)]
+    if sorted(numbers) != sorted(wanted):
         what = (
             f"has {len(numbers)} corners, but {board.columns} x {board.rows} squares from {board.first_id} have others"
         )
         raise fault(path, what, REMEDY)
-    off = np.abs(corners[:, :2] - [own[number] for number in numbers]).max(axis=1)
-    if off.max() > 0.1 * board.square_mm:
-        worst = numbers[int(off.argmax())]
-        what = f"corner {worst} is {off.max():.3g} mm from where squares of {board.square_mm:g} mm put it"
+    for face in range(len(target.faces)):
+        _check_distances(path, target, face)
+    return target
+
+
+def _check_distances(path: Path, target: Target, face: int) -> None:
+    """Refuse corners whose distances are not those of the squares; where they are is free."""
+    own, column = target.on_face(face), target.column_of()
+    places = target.corners_mm[[column[number] for number in own]]
+    flat = np.array(list(own.values()))
+    off = np.abs(np.linalg.norm(places - places[0], axis=1) - np.linalg.norm(flat - flat[0], axis=1))
+    if off.max() > 0.1 * target.board.square_mm:
+        worst = list(own)[int(off.argmax())]
+        what = f"corner {worst} is {off.max():.3g} mm from where squares of {target.board.square_mm:g} mm put it"
         raise fault(path, what, REMEDY)
-    return Target(str(document.get("name") or path.stem), board, legacy, numbers, corners)
+
+
+def _faces(path: Path, document: dict[str, Any], board: Board) -> tuple[Board, ...]:
+    """Boards of all faces: the board itself, or those of a cube."""
+    given = document.get("faces")
+    if given is None:
+        return (board,)
+    if not isinstance(given, list) or not all(isinstance(face, dict) for face in given) or not 1 <= len(given) <= 20:
+        raise fault(path, "its faces are not a list of 1 to 20 objects", REMEDY)
+    firsts = [int(_number(path, face, "first_id", whole=True)) for face in given]
+    try:
+        faces = tuple(check_board(replace(board, first_id=first)) for first in firsts)
+    except UsageError as error:
+        raise fault(path, str(error).rstrip("."), REMEDY) from error
+    markers = [number for face in faces for number in face.markers()]
+    if len(set(markers)) != len(markers):
+        raise fault(path, "two of its faces have a marker in common", REMEDY)
+    return faces
 
 
 def check_apart(targets: list[Target]) -> None:

@@ -48,7 +48,7 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
     numbers, pixels, covariances, blur = _corners(finder, grey, own, target)
     if not numbers:
         return None
-    if (wide := usual_blur(blur.max(axis=-1))) > MOST_BLUR_PX:
+    if (wide := usual_blur(blur.max(axis=-1, initial=0.0))) > MOST_BLUR_PX:
         what = f"edges of {target.name} are blurred over {wide:.1f} px"
         return Refusal(picture, "picture_blurred", what, board=target.name)
     sure = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(pixels).all(axis=1)
@@ -65,20 +65,29 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
 def _corners(finder: Finder, grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floats, Floats, Floats]:
     if target.board.kind == "apriltag":
         return _tags(grey, markers, target)
-    rough = finder.chessboard(grey, markers, target)
-    if not rough:
-        return [], np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 1))
+    found = [_face(finder, grey, markers, target, face) for face in range(len(target.faces))]
+    numbers = [number for part in found for number in part[0]]
+    places, covariances, blur = (np.concatenate([part[k] for part in found]) for k in (1, 2, 3))
+    return numbers, places, covariances, blur
+
+
+def _face(
+    finder: Finder, grey: Grey, markers: Markers, target: Target, face: int
+) -> tuple[list[int], Floats, Floats, Floats]:
+    board, first = target.faces[face], target.first_corner(face)
+    rough = finder.chessboard(grey, markers.of(set(board.markers())), board, target.legacy)
     numbers = sorted(rough)
-    start = np.array([rough[number] for number in numbers])
-    board, on_board = target.board, target.board.corners()
-    mm = np.array([on_board[number] for number in numbers])
+    start = np.array([rough[number] for number in numbers]).reshape(-1, 2)
     if len(start) < LEAST_CORNERS:
-        return numbers, start, np.full((len(start), 2, 2), np.nan), np.zeros((0, 1))
+        nothing = np.full((len(start), 2, 2), np.nan)
+        return [first + number for number in numbers], start, nothing, np.full((len(start), 2), np.nan)
+    on_board = board.corners()
+    mm = np.array([on_board[number] for number in numbers])
     places, covariances, blur = chess_corners.corners_of(
         grey, start, mm, board.square_mm, board.marker_mm, noise_of(grey, start)
     )
     covariances[~(np.abs(places - start).max(axis=1) < MOST_MOVED_PX)] = np.nan
-    return numbers, places, covariances, blur
+    return [first + number for number in numbers], places, covariances, blur
 
 
 def _tags(grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floats, Floats, Floats]:

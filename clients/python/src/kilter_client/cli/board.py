@@ -9,6 +9,7 @@ import typer
 
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.output import emit, say
+from kilter_client.errors import UsageError
 
 
 def register(app: typer.Typer) -> None:
@@ -40,15 +41,27 @@ def board(
         Literal["a4", "a3", "a2", "a1", "a0", "letter"] | None,
         typer.Option(help="Paper; default: the smallest A page on which it fits."),
     ] = None,
+    cube: Annotated[
+        bool,
+        typer.Option("--cube", help="A cube with such a board on all faces, as a net; columns and rows are equal."),
+    ] = False,
+    edge_mm: Annotated[
+        float | None,
+        typer.Option("--edge-mm", help="Edge of the cube; default: the board and half a square of white around it."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a board to print for a camera, in true mm with rulers, and its description as JSON."""
+    from kilter_files.rig.board.cube import check_cube, save_cube
     from kilter_files.rig.board.drawing import save_board
     from kilter_files.rig.board.layout import USUAL, Board, check_board
 
     side = 0.75 * square_mm if marker_mm is None else marker_mm
-    made = check_board(Board(kind, columns, rows, square_mm, side, dictionary or USUAL[kind], first_id))
-    document = save_board(made, output, page)
+    made = Board(kind, columns, rows, square_mm, side, dictionary or USUAL[kind], first_id)
+    if edge_mm is not None and not cube:
+        raise UsageError("--edge-mm is the edge of a cube: give --cube too.")
+    solid = check_cube(made, edge_mm) if cube else None
+    document = save_cube(solid, output, page) if solid else save_board(check_board(made), output, page)
     files = {"file": str(output), "description": str(output.with_suffix(".json"))}
     emit(files | document, as_json, _show)
 

@@ -62,7 +62,7 @@ def test_the_legacy_pattern_is_named_both_ways() -> None:
     assert found.code == "legacy_pattern"
     assert "legacy_pattern true" in found.what
     plain = target_of(*EVEN)
-    legacy = Target(plain.name, plain.board, True, plain.numbers, plain.corners_mm)
+    legacy = Target(plain.name, plain.faces, True, plain.numbers, plain.corners_mm)
     assert isinstance(Looker([legacy]).boards(grey, "p")[0], View)
     [other] = Looker([legacy]).boards(taken(EVEN, small(centre_mm=(0.0, 0.0, 360.0))), "p")
     assert isinstance(other, Refusal)

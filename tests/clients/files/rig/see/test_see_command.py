@@ -152,6 +152,18 @@ def test_a_video_by_the_time_of_its_frames(tmp_path: Path, capsys: pytest.Captur
     assert any("rolling shutter" in text for text in document["warnings"])
 
 
+def test_frames_of_a_moving_arm_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "motion.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (SMALL.width, SMALL.height))
+    for x in (0.0, 0.0, 0.0, 2.0, 4.0, 6.0, 6.0, 6.0):
+        video.write(cv2.cvtColor(taken(CHARUCO, small(centre_mm=(x, 0.0, 330.0))), cv2.COLOR_GRAY2BGR))
+    video.release()
+    document = seen(tmp_path, capsys, str(path), "--board", own_board())
+    assert [(one["picture"][-1], one["code"]) for one in document["refused"]] == [(k, "arm_moving") for k in "456"]
+    assert "has moved by 3." in document["refused"][0]["detail"]
+    assert document["rows"] == 5
+
+
 def test_nothing_can_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = saved(tmp_path / "pictures", empty=np.full((360, 480), 90, np.uint8))
     document = seen(tmp_path, capsys, str(folder), "--board", own_board(), code=1)
