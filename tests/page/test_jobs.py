@@ -293,6 +293,7 @@ def test_run_waits_for_the_check_in_the_browser(
         page.wait_for_url("**/jobs/job_*")
         page.get_by_text("Waiting for a worker").wait_for()
         expect(page.locator("[data-stage]")).to_have_text(re.compile(r"^0 %"))
+        expect(page.locator("[data-elapsed]")).to_have_text(re.compile(r"^Waits since \d+:\d\d\.$"))
         page.get_by_role("button", name="Cancel").click()
         page.get_by_text("The job was cancelled").wait_for()
 

@@ -212,6 +212,9 @@ def test_rows_are_chosen_in_one_view_and_lit_in_all(there: Made, chromium: Brows
         assert lit.locator("th").inner_text() == "17"
 
         # A box around the last five rows.
+        plot.scroll_into_view_if_needed()
+        corner = plot.bounding_box()
+        assert corner is not None
         left, right = places[54:56, 0].mean(), places[59, 0] + 5
         page.mouse.move(corner["x"] + left, corner["y"] + 3)
         page.mouse.down()
@@ -258,7 +261,7 @@ def test_a_box_in_the_picture_chooses_what_is_seen_in_it(there: Made, chromium: 
         assert 15 <= count <= 31
         page.locator(".row-tray").get_by_text(f"{count} rows chosen").wait_for()
         before = np.asarray(canvas.screenshot())
-        page.get_by_label("Rows coloured by").select_option("q1_deg")
+        page.get_by_label("Shade of the rows").select_option("q1_deg")
         page.get_by_role("img", name="Colours from").wait_for()
         assert not np.array_equal(np.asarray(canvas.screenshot()), before)
         page.get_by_label("Plotted").select_option("joint:j1")

@@ -81,6 +81,7 @@ def test_the_form_works(server: httpx.Client, chromium: Browser, tmp_path: Path,
     with opened(chromium, server, size) as page:
         page.goto("/robots/arm")
         shapes = page.locator("#shapes")
+        shapes.get_by_text("The shapes of the links", exact=True).click()
         shapes.get_by_label("Link", exact=True).select_option("j2")
         shapes.get_by_label("STL or OBJ file").set_input_files(bad)
         shapes.get_by_role("button", name="Give the link").press("Enter")
@@ -93,4 +94,4 @@ def test_the_form_works(server: httpx.Client, chromium: Browser, tmp_path: Path,
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
         remove.press("Enter")
-        shapes.get_by_text("No link has a shape").wait_for()
+        shapes.get_by_text("No link has a shape").wait_for(state="attached")

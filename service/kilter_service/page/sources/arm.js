@@ -110,7 +110,7 @@ class Picture {
 
   fit() {
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, 0.85 * window.innerHeight));
+    const height = Math.round(Math.min(0.85 * width, Math.max(0.6 * window.innerHeight, 320)));
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

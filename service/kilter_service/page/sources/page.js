@@ -29,7 +29,32 @@ export function send(address, options = {}) {
 }
 window.kilter = { send, root, rows: rows.rows, ajax: (address, target) => htmx.ajax("GET", address, { target, swap: "innerHTML" }) };
 
+const LOST_MS = 4000; // without an answer
+
+/** How long ago something was, as a clock shows it. */
+function elapsed(since) {
+  const seconds = Math.max(0, Math.round((Date.now() - since) / 1000));
+  const two = (value) => String(value).padStart(2, "0");
+  return `${Math.floor(seconds / 3600) ? `${Math.floor(seconds / 3600)}:${two(Math.floor(seconds / 60) % 60)}` : Math.floor(seconds / 60)}:${two(seconds % 60)}`;
+}
+
+/** Say since when a job computes, or waits, and when it may be over: at the pace it had until now. */
+function clock(place) {
+  const told = place.querySelector("[data-elapsed]");
+  const since = Number(place.dataset.since) * 1000;
+  const tick = () => {
+    const done = place.querySelector("progress").value;
+    const spent = Date.now() - since;
+    const left = place.dataset.state === "running" && done > 0.05 && spent > 5000 ? `, about ${elapsed(Date.now() - (spent * (1 - done)) / done)} to go at this pace` : "";
+    told.textContent = `${place.dataset.state === "running" ? "Computes" : "Waits"} since ${elapsed(since)}${left}.`;
+  };
+  tick();
+  setInterval(tick, 1000);
+}
+
 function follow(place) {
+  const title = document.title;
+  if (place.dataset.since) clock(place);
   const source = new EventSource(`${root}/v1/jobs/${encodeURIComponent(place.dataset.follow)}/events`);
   const bar = place.querySelector("progress");
   const stage = place.querySelector("[data-stage]");
@@ -37,7 +62,18 @@ function follow(place) {
     const { state, progress: told } = JSON.parse(event.data);
     bar.value = told.fraction;
     stage.textContent = `${Math.round(100 * told.fraction)} % ${told.stage}`;
+    document.title = `${Math.round(100 * told.fraction)} % · ${title}`;
     if (state !== place.dataset.state) window.location.reload(); // a worker took it, or gave it back
+  });
+  let before = "";
+  source.addEventListener("error", () => setTimeout(() => {
+    if (source.readyState === EventSource.OPEN || before) return;
+    before = stage.textContent;
+    stage.textContent = "The server does not answer. This page asks again by itself.";
+  }, LOST_MS));
+  source.addEventListener("open", () => {
+    if (before) stage.textContent = before;
+    before = "";
   });
   source.addEventListener("end", () => {
     source.close();
