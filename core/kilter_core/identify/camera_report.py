@@ -8,11 +8,15 @@ from typing import Any
 import numpy as np
 
 from kilter_core.identify.cameras import rig_of
+from kilter_core.identify.kinds import shown_in
+from kilter_core.measurement.metrics import mm
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place, PlacedRig
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
+
+DEGREES = shown_in("rad")[1]
 
 
 def on_the_robot(calibration: Calibration) -> PlacedRig | None:
@@ -56,10 +60,10 @@ def pixels_document(found: ViewScatter) -> dict[str, Any]:
 
 def tool_document(found: ViewScatter) -> dict[str, float]:
     """How far off the tool is, with its 95 % interval."""
-    root = float(np.sqrt(3.0)) * 1e3
+    root = mm(float(np.sqrt(3.0)))
     return {
         "rms_mm": root * found.place, "low_mm": root * found.place_low, "high_mm": root * found.place_high,
-        "orientation_deg": float(np.degrees(np.sqrt(3.0) * found.turn)),
+        "orientation_deg": DEGREES * float(np.sqrt(3.0) * found.turn),
     }  # fmt: skip
 
 
@@ -69,15 +73,15 @@ def _frame(mount: str) -> str:
 
 def _pose(T: Floats) -> dict[str, float]:
     xyz, rpy = xyz_rpy_from_pose(T)
-    out = {f"{k}_mm": float(v) * 1e3 for k, v in zip("xyz", xyz, strict=True)}
-    return out | {f"r{k}_deg": float(np.degrees(v)) for k, v in zip("xyz", rpy, strict=True)}
+    out = {f"{k}_mm": mm(float(v)) for k, v in zip("xyz", xyz, strict=True)}
+    return out | {f"r{k}_deg": DEGREES * float(v) for k, v in zip("xyz", rpy, strict=True)}
 
 
 def _sigmas(what: str, name: str, known: Mapping[str, float]) -> dict[str, Any]:
     if not known:
         return {"sigma_mm": None, "sigma_deg": None}
-    place = [1e3 * known.get(f"{what}_{name}_{k}", 0.0) for k in "xyz"]
-    turn = [float(np.degrees(known.get(f"{what}_{name}_r{k}", 0.0))) for k in "xyz"]
+    place = [mm(known.get(f"{what}_{name}_{k}", 0.0)) for k in "xyz"]
+    turn = [DEGREES * known.get(f"{what}_{name}_r{k}", 0.0) for k in "xyz"]
     return {"sigma_mm": place, "sigma_deg": turn}
 
 

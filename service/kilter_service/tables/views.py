@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations.rig import Board, Camera, Rig
+from kilter_service.wire import to_metres
 
 Floats = NDArray[np.float64]
 
-MM, PERCENT = 1e-3, 1e-2
+PERCENT = 1e-2
 
 
 def rig_of(conditions: Mapping[str, Any]) -> Rig | None:
@@ -37,7 +38,7 @@ def _camera(one: Mapping[str, Any]) -> Camera:
 
 
 def _board(one: Mapping[str, Any]) -> Board:
-    corners = tuple((x * MM, y * MM, z * MM) for x, y, z in one["corners_mm"])
+    corners = tuple((to_metres(x), to_metres(y), to_metres(z)) for x, y, z in one["corners_mm"])
     return Board(one["name"], one["mount"], corners, PERCENT * (one.get("scale_sigma_percent") or 0.0))
 
 
