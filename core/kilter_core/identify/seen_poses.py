@@ -46,6 +46,31 @@ def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple
                  for one in (rows, *others))  # fmt: skip
 
 
+def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observations, float | None]:
+    """Views as places of the tool by the cameras of a version, and their noise (m) along the axis that views tell worst.
+
+    Rows that have no pixels alone are as they are, and nothing is said of their noise.
+
+    Raises:
+        ObservationError: ``camera_unknown``, a camera or board that the version was not made with.
+
+    """
+    if rows.pixels is None or rows.position is not None or rows.markers is not None:
+        return rows, None
+    assert rows.rig is not None
+    if calibration.rig is None or not calibration.rig.has(rows.rig):
+        named = ", ".join([*(c.name for c in rows.rig.cameras), *(b.name for b in rows.rig.boards)])
+        raise ObservationError(
+            f"The version was not made with all of {named}: only a camera and a board that stand where they stood show whether "
+            "the arm has moved. Check against a version that was identified with them.",
+            code="camera_unknown",
+        )
+    seen = replace(_seen(calibration, rows), rotation=None)
+    assert seen.sigma is not None
+    worst = float(np.sqrt(np.mean(seen.sigma.max(axis=1) ** 2)))
+    return replace(seen, sigma=None), worst
+
+
 def _seen(known: Calibration, rows: Observations) -> Observations:
     views = Measurement.of(rows, held=True).pixels
     assert views is not None

@@ -16,6 +16,7 @@ from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.estimate import refitted
 from kilter_core.identify.plausibility.believable import reach
+from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -135,6 +136,8 @@ def check(
     if anew is None:
         raise OptionError(f'new_setup is {list(new_setup)}: give [], ["base"] or ["base", "tool"].', option="new_setup")
     calibration = absorbed(calibration)
+    rows, seen = as_seen_places(calibration, rows)
+    noise = seen if noise is None else noise
     innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     if anew:
         calibration = absorbed(refitted(calibration, innovation.measurement, anew))

@@ -16,6 +16,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
 from kilter_core.measurement.hand_eye import solve_axzb
+from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
@@ -77,7 +78,7 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
             f"Camera and arm agree to {1e3 * given:.3g} mm, shuffled rows to {1e3 * shuffled:.3g} mm: the joint readings do "
             "not belong to the pictures. Join them by their times again; check that robot, mounts and board are right.",
             code="foreign_observations",
-            shuffled_mm=1e3 * shuffled,
+            shuffled_mm=mm(shuffled),
         )
     return tuple(_alike(sample, reversed_, given))
 
