@@ -10,7 +10,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.see.camera import Camera
+from kilter_files.rig.camera.camera import Camera
 from kilter_files.rig.see.finder import LARGE, Finder, Markers
 from kilter_files.rig.see.intrinsics import Kept, check_known, fitted
 from kilter_files.rig.see.pictures import Grey
