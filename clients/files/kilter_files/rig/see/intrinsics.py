@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.rig.see.camera import Camera
-from kilter_files.rig.see.coverage import gates_of
-from kilter_files.rig.see.intrinsics_fit import LEAST_CORNERS, Seen, fit_intrinsics, left_by
+from kilter_files.rig.see.optics.camera import Camera
+from kilter_files.rig.see.optics.coverage import gates_of
+from kilter_files.rig.see.optics.intrinsics_fit import LEAST_CORNERS, Seen, fit_intrinsics, left_by
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import View
 

@@ -10,9 +10,9 @@ from typing import Any, TextIO
 import numpy as np
 
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.see.camera import Camera
 from kilter_files.rig.see.finder import LARGE, Finder, Markers
 from kilter_files.rig.see.intrinsics import Kept, check_known, fitted
+from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.poses import Poses
 from kilter_files.rig.see.refusals import REMEDIES, Refusal

@@ -80,7 +80,7 @@ def see(
         raise UsageError(f"--output {output}: end it in .csv.")
     if camera is not None and intrinsics is not None:
         raise UsageError("Give --camera, or --intrinsics to find them, not both.")
-    from kilter_files.rig.see.intrinsics_file import read_camera
+    from kilter_files.rig.see.optics.intrinsics_file import read_camera
     from kilter_files.rig.see.poses import read_poses
     from kilter_files.rig.see.run import Looker
     from kilter_files.rig.see.second import second_of

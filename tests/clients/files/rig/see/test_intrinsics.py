@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from kilter_client.cli import run
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.see.coverage import gates_of
-from kilter_files.rig.see.intrinsics_file import read_camera
-from kilter_files.rig.see.intrinsics_fit import Seen, fit_intrinsics, left_by
+from kilter_files.rig.see.optics.coverage import gates_of
+from kilter_files.rig.see.optics.intrinsics_file import read_camera
+from kilter_files.rig.see.optics.intrinsics_fit import Seen, fit_intrinsics, left_by
 from tests.clients.files.rig.see.boards import board
 from tests.clients.files.rig.see.raycaster import Lens
 
@@ -64,7 +64,7 @@ def test_a_known_camera_is_found_within_its_intervals(model: str) -> None:
     assert all(gate.met for gate in gates_of(seen, fit))
     # what matters of a lens: where it puts things, all over the picture
     corners = np.array([[x, y, 1.0] for x in (-0.45, 0, 0.45) for y in (-0.35, 0, 0.35)])
-    from kilter_files.rig.see.lens import projected
+    from kilter_files.rig.see.optics.lens import projected
 
     values = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
     assert np.abs(projected(corners, values, model) - lens.pixels(corners)).max() < 0.5

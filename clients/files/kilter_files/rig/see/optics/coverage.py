@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.see.intrinsics_fit import Fit, Seen
+from kilter_files.rig.see.optics.intrinsics_fit import Fit, Seen
 
 CELLS = (5, 4)  # across and down
 TILT_DEG = 12.0

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.board.opencv import dictionary
-from kilter_files.rig.see.camera import Camera
-from kilter_files.rig.see.lens import FREE, projected
+from kilter_files.rig.see.optics.camera import Camera
+from kilter_files.rig.see.optics.lens import FREE, projected
 
 Indices = NDArray[np.int64]
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, missing_package
-from kilter_files.rig.see.camera import FOCAL, REMEDY, Camera, checked_camera, read_own
+from kilter_files.rig.see.optics.camera import FOCAL, REMEDY, Camera, checked_camera, read_own
 
 MOST_BYTES = 1 << 22
 ROS_MODELS = {"plumb_bob": "brown", "rational_polynomial": "rational", "equidistant": "fisheye", "fisheye": "fisheye"}

@@ -1,0 +1,1 @@
+"""The camera: its intrinsics from files, from views, and what its lens does."""
