@@ -1,6 +1,6 @@
 """What the last fit says, the one that a version stores: how far its noise is widened, its amounts, their covariance.
 
-Scores of a search project the geometry off, without its priors. Where the base rotated by an effect no longer imitates the
+Scores of a search project the geometry off, without its priors. Where the base moved by an effect no longer imitates the
 first joint's zero, that leaves a direction free which the priors hold: a station that moved by 5 mm was told with 0.35 mm
 along x, while the version held 4.5 mm. So nothing that is told of a named effect comes from scores.
 """
