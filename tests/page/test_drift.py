@@ -89,6 +89,9 @@ def test_the_fleet_has_those_that_moved_first(server: httpx.Client) -> None:
         r"Checks moved moved: .*zero of joint 3 .* Checked on 2026-09-11, \d+ days ago; 2 checks of this version",
         cards[0],
     )
+    assert [("more than chance explains: the arm" in card) for card in cards].count(
+        True
+    ) == 1  # and none that a check clears
     assert "Checks as its version says Checked on 2026-09-01" in " ".join(cards)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from kilter_service.contract.fits import Metrics, StageErrors
@@ -68,14 +68,16 @@ def _uncorrected(robot: str, searched: SearchToday | None) -> Today:
 
 
 def _today(
-    robot: str, version: Active, campaigns: Campaigns, evaluated: Iterable[Evaluated], searched: SearchToday | None
+    robot: str, version: Active, campaigns: Campaigns, evaluated: Sequence[Evaluated], searched: SearchToday | None
 ) -> Today:
     own = _own(version, campaigns)
     candidates = [one for one in _evaluations(version, campaigns, evaluated) if one.errors.identified is not None]
     if own is not None and own.source == "held_out":
         candidates.append(own)
     newest = max(candidates, key=_age, default=own)
-    more = None if own is None or newest is None or newest is own else _larger(newest, own)
+    agreeing = {one.job_id for one in evaluated if one.agrees}  # a few poses are judged by their check
+    alike = own is None or newest is None or newest is own or newest.job_id in agreeing
+    more = None if alike or newest is None or own is None else _larger(newest, own)
     found = Today(
         robot=robot,
         version_id=version.id,

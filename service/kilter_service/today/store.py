@@ -48,6 +48,7 @@ class Evaluated:
     version_id: str
     metrics: Mapping[str, Any]
     refit: list[str]
+    agrees: bool = False  # of a check: what the version does not know of itself, and the noise, explain the errors
 
 
 @dataclass(frozen=True)
@@ -120,14 +121,23 @@ def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluat
     row = JobRow
     version = row.result["version_id"].as_string()
     query = (
-        select(row.kind, row.id, row.finished_at, version, row.result["metrics"], row.result["refit"])
+        select(
+            row.kind,
+            row.id,
+            row.finished_at,
+            version,
+            row.result["metrics"],
+            row.result["refit"],
+            row.result["verdict"],
+        )
         .where(row.kind.in_(("evaluate", "drift")), row.state == "succeeded", version.in_(of))
         .order_by(row.created_at, row.id)
     )
     out: dict[str, list[Evaluated]] = {}
-    for kind, key, at, evaluated, metrics, refit in session.execute(query):
+    for kind, key, at, evaluated, metrics, refit, verdict in session.execute(query):
         if metrics:
-            out.setdefault(evaluated, []).append(Evaluated(kind, key, at, evaluated, metrics, refit or []))
+            one = Evaluated(kind, key, at, evaluated, metrics, refit or [], verdict == "ok")
+            out.setdefault(evaluated, []).append(one)
     return out
 
 
