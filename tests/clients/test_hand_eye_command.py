@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -35,6 +36,12 @@ def test_a_camera_on_the_flange_is_found_and_exported(kilter: Kilter, command: C
     said = ("--base-link", "arm_base", "--flange-link", "arm_flange")
     job = command.json("hand-eye", "handy", "--campaign", "views", "--validation", "0.25", "--ros", ros, *said)
     assert job["result"]["parameters"] == []
+    words = command("jobs", "show", job["id"])
+    noise = re.search(r"noise of a corner: (\S+) px", words)
+    assert noise is not None
+    assert float(noise[1]) == pytest.approx(0.1, rel=0.1)
+    assert "the tool in views held out is off by" in words
+    assert "noise of a coordinate" not in words
     camera = job["result"]["cameras"][0]
     true = SCENE.drawn.tool * SCENE.eyes[0].pose
     place = np.array([camera[f"{k}_mm"] for k in "xyz"])

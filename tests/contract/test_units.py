@@ -52,7 +52,7 @@ STILL = {
     "core/kilter_core/identify/uncertainty/predictive.py": 2,
     "core/kilter_core/identify/report.py": 2,
     "core/kilter_core/identify/uncertainty/workspace_uncertainty.py": 2,
-    "core/kilter_core/identify/run.py": 6,
+    "core/kilter_core/identify/run.py": 4,
     "core/kilter_core/identify/measurement_of_rows.py": 1,
     "core/kilter_core/identify/setups.py": 1,
     "core/kilter_core/identify/plausibility/orientation_mix_ups.py": 1,

@@ -79,6 +79,7 @@ def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -
     assert found["state"] == "succeeded", found["error"]
     result = found["result"]
     assert result["pixels"]["noise_px"] == pytest.approx(0.1, rel=0.1)
+    assert result["noise_mm"] is None  # a corner's noise is of pixels, and no length
     assert result["pixels"]["validation"]["rms_mm"] < 0.05
     assert result["metrics"]["validation"]["identified"]["mean_mm"] < 0.05
     camera = result["cameras"][0]

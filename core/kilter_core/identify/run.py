@@ -43,7 +43,7 @@ from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.view_report import predictive_of, too_large_to_deploy, views_said, with_held, with_own_scatter
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors, metrics_document
+from kilter_core.measurement.metrics import Errors, metrics_document, mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
@@ -111,16 +111,19 @@ class Identification:
 
     def to_document(self) -> dict[str, Any]:
         """The identify result of the contract: mm, degrees, names, units."""
+        by_views = (
+            "pixels" in self.views
+        )  # which say their noise in px; the fit weighs them by a length without meaning
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
             "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
             "set_aside": self.set_aside,
             "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
-            "noise_mm": self.noise_m * 1e3,
-            "noise_source": self.noise_source,
+            "noise_mm": None if by_views else mm(self.noise_m),
+            "noise_source": None if by_views else self.noise_source,
             "noise": {
-                "residuals_mm": left_of(self.fit) * 1e3,
+                "residuals_mm": None if by_views else mm(left_of(self.fit)),
                 "inadequacy_mm": self.predictive.inadequacy * 1e3,
                 **self.repeats.to_document(),
             },

@@ -108,6 +108,17 @@ def show_result(result: Mapping[str, Any]) -> None:
     if result.get("noise_mm") is not None:
         source = f" (from {result['noise_source']})" if result.get("noise_source") else ""
         say(f"noise of a coordinate: {number(result['noise_mm'])} mm{source}")
+    if result.get("pixels"):
+        _pixels(result["pixels"])
+
+
+def _pixels(pixels: Mapping[str, Any]) -> None:
+    say(f"noise of a corner: {number(pixels['noise_px'])} px (within views)")
+    for name, where in (("train", "views that were fitted"), ("validation", "views held out")):
+        if tool := pixels.get(name):
+            low, high = number(tool["low_mm"]), number(tool["high_mm"])
+            off = f"{number(tool['rms_mm'])} mm rms (95 %: {low} to {high} mm)"
+            say(f"the tool in {where} is off by {off}, the noise of the views taken off")
 
 
 def _stage(job: Mapping[str, Any]) -> str:
