@@ -25,7 +25,7 @@ from kilter_service.page.gap.bins import Point, binned, branches, student
 from kilter_service.page.gap.called import named
 from kilter_service.page.gap.claim import GATES
 from kilter_service.page.gap.curves import curves
-from kilter_service.page.gap.own_curves import own_curves
+from kilter_service.page.gap.own_curves import own_curves, without
 from kilter_service.page.words import mm, number, of_joints
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
@@ -218,6 +218,15 @@ def test_an_earlier_result_has_its_residuals_only(hunted: Hunted) -> None:
     earlier = GapResult.model_validate({**hunted.closed["result"], "effect_curves": None})
     assert own_curves(earlier.effect_curves) == []
     assert [one.joint for one in curves(earlier.figures, "mm")] == [1]
+
+
+def test_residuals_are_unfolded_where_an_effect_has_no_curve_of_its_own(hunted: Hunted) -> None:
+    result = hunted.closed["result"]
+    assert not without(GapResult.model_validate(result))
+    bending = {**result["effects"][0], "id": "link_bending"}
+    assert without(GapResult.model_validate({**result, "effects": [*result["effects"], bending]}))
+    body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
+    assert "<details><summary>The residuals as the instrument saw them" in body
 
 
 def test_the_gap_closes_in_steps(hunted: Hunted) -> None:

@@ -147,7 +147,8 @@ def _visits(search: SearchResult, joint: int) -> Visits:
     """Weighted least squares of each visit's residual along what the joint moves there."""
     problem, settings = search.problem, search.problem.settings
     moved = settings.source.joint_columns(problem.values)(joint)
-    moved = np.where(np.isfinite(moved), moved, 0.0)
+    seen = np.isfinite(moved) & np.isfinite(settings.source.residual(problem.values))
+    moved = np.where(seen, moved, 0.0)
     D = settings.whitening.columns(moved[:, :, None]).reshape(len(settings.used), -1)
     r = problem.raw.reshape(len(settings.used), -1)
     known = np.sum(D * D, axis=1)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kilter_service.contract.effect_curves import CurveSide, CurveVisits, EffectCurve
+from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, THIN, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.gap.called import called, named
@@ -31,6 +32,12 @@ class OwnCurve:
 def own_curves(curves: Sequence[EffectCurve] | None) -> list[OwnCurve]:
     """Draw every curve of a result; none of an earlier one."""
     return [OwnCurve(_called(curve), _plot(curve), tuple(_said(curve))) for curve in curves or []]
+
+
+def without(result: GapResult) -> bool:
+    """Whether an effect was named that no curve shows, as it does more than move joints."""
+    shown = {(curve.id, tuple(curve.joints or ())) for curve in result.effect_curves or []}
+    return any((effect.id, tuple(effect.joints or ())) not in shown for effect in result.effects or [])
 
 
 def _called(curve: EffectCurve) -> str:

@@ -63,6 +63,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "candidates": tested.candidates(result, job.options, unit),
         "untestable": tested.untestable(result.not_testable or []),
         "own_curves": own_curves.own_curves(result.effect_curves),
+        "others_moved": own_curves.without(result),
         "curves": curves.curves(result.figures, unit),
         "steps": None if read is None else steps.plot(read),
         "steps_said": "" if read is None else steps.said(read),
