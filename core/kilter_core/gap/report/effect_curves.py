@@ -24,6 +24,7 @@ from kilter_core.identify.report import on_wire
 from kilter_core.types import Bools, Floats
 
 MOST_VISITS = 400
+LOOKED_AT = 500  # visits, more or less, on which the quantity that an effect follows is found
 FEWEST_POINTS, MOST_POINTS = 121, 1500  # of a curve
 A_WAVE = 16  # points of a curve for each of its waves
 SAME = 1e-6  # of an effect, what it may differ by where only what it follows is the same
@@ -106,6 +107,7 @@ def _curve(search: SearchResult, place: int, joint: int, alike: set[str]) -> dic
 
 def _followed(candidate: Candidate, batch: Batch, joint: int, search: SearchResult) -> Iterator[Follows]:
     """Quantities that tell what the candidate does at the joint, all else as in the first row."""
+    batch = batch.part(slice(None, None, max(1, len(batch) // LOOKED_AT)))
     actual = _signals(search, candidate, batch, joint)
     if actual is None or not np.any(actual):
         return
