@@ -19,9 +19,13 @@ from scipy.stats import t as student_t
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.contract.gap_details import Evidence, Gates
+from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.db import Database
 from kilter_service.page.gap.bins import Point, binned, branches, student
+from kilter_service.page.gap.called import named
 from kilter_service.page.gap.claim import GATES
+from kilter_service.page.gap.curves import curves
+from kilter_service.page.gap.own_curves import own_curves, without
 from kilter_service.page.words import mm, number, of_joints
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
@@ -185,6 +189,46 @@ def test_the_curve_goes_through_the_binned_residuals(hunted: Hunted) -> None:
     assert curve.min() < 0 < curve.max()  # the two sides of a backlash
 
 
+def test_an_effect_is_drawn_over_what_it_follows(hunted: Hunted) -> None:
+    result = hunted.closed["result"]
+    (curve,) = result["effect_curves"]
+    (effect,) = result["effects"]
+    (amount,) = effect["parameters"]
+    assert (curve["id"], curve["joint"], curve["follows"], curve["unit"]) == ("backlash", 1, "q", "deg")
+    distance = curve["distance"]
+    assert distance["value"] == pytest.approx(amount["value"], rel=1e-6)
+    assert amount["interval_low"] == pytest.approx(distance["low"], rel=0.02)
+    body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
+    figure = body.partition("<title>Backlash of joint 1 over angle of joint 1</title>")[2].partition("</svg>")[0]
+    assert f">{number(abs(distance['value']))} deg</text>" in figure  # between the two sides
+    assert figure.count("<polygon") == 2  # a band of each side
+    assert figure.count("<circle") + figure.count('<rect x="') > len(curve["visits"]["x"])
+    assert ">angle of joint 1, deg<" in figure
+    assert ">what joint 1 rotates by, deg<" in figure
+    said, visits = story(hunted, hunted.closed), curve["visits"]
+    near = sum(abs(y - c) <= h for y, c, h in zip(visits["y"], visits["curve"], visits["half"], strict=True))
+    assert near > 0.85 * len(visits["x"])
+    assert f"within the 95 % interval of {near} of {len(visits['x'])} visits" in said
+    assert f"joint 1 stands {number(abs(distance['value']))} deg" in said
+    assert f"leaves {number(curve['rival']['times'])} times the squares" in said
+    assert f"refused: {named(curve['rival']['id'], curve['rival']['joints'])}" in figure
+
+
+def test_an_earlier_result_has_its_residuals_only(hunted: Hunted) -> None:
+    earlier = GapResult.model_validate({**hunted.closed["result"], "effect_curves": None})
+    assert own_curves(earlier.effect_curves) == []
+    assert [one.joint for one in curves(earlier.figures, "mm")] == [1]
+
+
+def test_residuals_are_unfolded_where_an_effect_has_no_curve_of_its_own(hunted: Hunted) -> None:
+    result = hunted.closed["result"]
+    assert not without(GapResult.model_validate(result))
+    bending = {**result["effects"][0], "id": "link_bending"}
+    assert without(GapResult.model_validate({**result, "effects": [*result["effects"], bending]}))
+    body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
+    assert "<details><summary>The residuals as the instrument saw them" in body
+
+
 def test_the_gap_closes_in_steps(hunted: Hunted) -> None:
     bars = hunted.closed["result"]["figures"]["gap_bar"]["data"]
     body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
@@ -334,3 +378,20 @@ def test_nothing_stands_in_the_way_of_anybody(hunted: Hunted, chromium: Browser,
         page.get_by_label("as a confirmation").check()
         page.get_by_role("button", name="Search again with it").click()
         page.wait_for_url(re.compile(r"/jobs/job_[0-9a-f]{16}$"))
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_curve_can_be_read(hunted: Hunted, chromium: Browser, theme: str, width: int) -> None:
+    folder = Path(__file__).parents[2] / "build" / "page-screenshots"
+    folder.mkdir(parents=True, exist_ok=True)
+    with opened(chromium, hunted.client) as page:
+        page.set_viewport_size({"width": width, "height": 900})
+        page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+        page.goto(f"/jobs/{hunted.closed['id']}")
+        effects = page.locator("section#effects")
+        effects.screenshot(path=folder / f"effect-{width}-{theme}.png")
+        assert effects.evaluate("e => e.scrollWidth <= e.clientWidth")
+        assert effects.locator("svg text").first.evaluate("e => e.getBoundingClientRect().height") >= 9
+        found = Axe().run(page, context="#effects")
+        assert found.violations_count == 0, found.generate_report()

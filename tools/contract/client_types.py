@@ -31,6 +31,7 @@ MODULES: Mapping[str, Sequence[str]] = {
         "Gates",
         "Amplitude",
     ),
+    "effect_curves": ("EffectCurve",),
     "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),

@@ -45,6 +45,7 @@ from kilter_core.gap.evidence.when import event_warnings, events, settled
 from kilter_core.gap.evidence.widened import widened
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import rows_aside
+from kilter_core.gap.report.effect_curves import effect_curves
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
@@ -237,7 +238,8 @@ class _Run:
                     {j.evidence.place for j in effects if j.verdict == "provisional" or j.claim.followed},
                 ),
             ),
-            figures=figures(found, rows, gap, held), library=prepared.library,
+            figures=figures(found, rows, gap, held), effect_curves=effect_curves(found, effects),
+            library=prepared.library,
             **self._aside(kept, held, gap),
         )  # fmt: skip
 

@@ -75,6 +75,7 @@ class GapReport:
     noise: dict[str, Any]
     warnings: tuple[dict[str, Any], ...]
     figures: dict[str, Any]
+    effect_curves: list[dict[str, Any]]
     library: Library
     unseen: UnseenFit | None = (
         None  # how rows that no choice saw agree; None: none were held out, or nothing to judge by
@@ -130,6 +131,7 @@ class GapReport:
             "set_aside": list(self.set_aside),
             "held_aside": list(self.held_aside),
             "figures": self.figures,
+            "effect_curves": self.effect_curves,
             "load_model": self.stored.load_model(),
             "reference": self.stored.reference(),
         }

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from kilter_service.contract.effect_curves import EffectCurve
 from kilter_service.contract.figures import GapFigures
 from kilter_service.contract.fits import LoadNumber, Reference, SetAside
 from kilter_service.contract.gap_details import (
@@ -102,6 +103,10 @@ class GapResult(MadeVersion):
     negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")
     alias_matrix: AliasMatrix | None = Field(None, description="How well signatures correlate in these rows.")
     figures: GapFigures | None = Field(None, description="Figures by name.")
+    effect_curves: list[EffectCurve] | None = Field(
+        None,
+        description="Each named effect that moves a joint, over the quantity that it follows; null: earlier results.",
+    )
     set_aside: list[SetAside] | None = Field(None, description="Rows that the search set aside, held out or not.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")

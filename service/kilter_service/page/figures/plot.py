@@ -15,6 +15,7 @@ GREY, BLUE, GREEN, ORANGE, RED, PURPLE = "#808080", "#0072b2", "#009e73", "#e69f
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
 DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
+LINE, THIN = 1.8, 1.0  # width of a stroke, pixels
 LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
 SLANT_DEG = 45  # of names that have no room side by side
 ACROSS, DOWN = math.cos(math.pi / 4), math.sin(math.pi / 4)  # of a slanted name one pixel long
@@ -39,10 +40,11 @@ class Plot:
     _legend: list[tuple[str, str]] = field(default_factory=list)
 
     def line(
-        self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = ""
-    ) -> Plot:
+        self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = "",
+        width: float = LINE,
+    ) -> Plot:  # fmt: skip
         """Draw a line through points; a value that is not finite leaves a gap."""
-        style = _stroke(colour or COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)])
+        style = _stroke(colour or COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)], width)
         self._key(label, f'<line x1="0" y1="6" x2="22" y2="6" {style}/>')
         for run in _runs(xs, ys):
             where = " ".join(f"{self._px(x)},{self._py(y)}" for x, y in run)
@@ -91,6 +93,17 @@ class Plot:
         there = [f"{self._px(x)},{self._py(y)}" for x, y in zip(xs, high, strict=True)]
         back = [f"{self._px(x)},{self._py(y)}" for x, y in zip(xs, low, strict=True)]
         self._drawn.append(f'<polygon points="{" ".join(there + back[::-1])}" {fill}/>')
+        return self
+
+    def distance(self, x: float, low: float, high: float, text: str) -> Plot:
+        """Mark how far two values are apart at a place, with the distance in words beside it."""
+        place, ends = self._px(x), (self._py(low), self._py(high))
+        self._whisker(place, *ends)
+        left = x > (self.x.low + self.x.high) / 2
+        # Not in the middle: what has one side runs there.
+        where = f'x="{place - 7 if left else place + 7}" y="{0.75 * ends[0] + 0.25 * ends[1] + 4:.1f}"'
+        anchor = "end" if left else "start"
+        self._drawn.append(f'<text {where} text-anchor="{anchor}" font-weight="600">{escape(text)}</text>')
         return self
 
     def level(self, y: float, label: str) -> Plot:
@@ -216,9 +229,9 @@ class Plot:
         return DOWN * LETTER * min(longest, self._letters())
 
 
-def _stroke(colour: str, dash: str) -> str:
+def _stroke(colour: str, dash: str, width: float = LINE) -> str:
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
-    return f'stroke="{colour}" stroke-width="1.8"{dashes}'
+    return f'stroke="{colour}" stroke-width="{width}"{dashes}'
 
 
 def _mark(x: float, y: float, fill: str, number: int, name: str = "", row: str = "") -> str:

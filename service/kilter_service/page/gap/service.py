@@ -12,7 +12,7 @@ from kilter_service.contract.jobs.job import GapJob
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
-from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
+from kilter_service.page.gap import answers, claim, curves, own_curves, rivals, tested, where
 from kilter_service.page.gap.called import claimed
 from kilter_service.page.shared import steps
 from kilter_service.paging import Page
@@ -62,6 +62,8 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "effects": [(claimed(effect), effect) for effect in result.effects or []],
         "candidates": tested.candidates(result, job.options, unit),
         "untestable": tested.untestable(result.not_testable or []),
+        "own_curves": own_curves.own_curves(result.effect_curves),
+        "others_moved": own_curves.without(result),
         "curves": curves.curves(result.figures, unit),
         "steps": None if read is None else steps.plot(read),
         "steps_said": "" if read is None else steps.said(read),

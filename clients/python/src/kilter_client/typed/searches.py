@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownSearch
+from kilter_client.typed.effect_curves import EffectCurve
 from kilter_client.typed.fits import Figure, LoadNumber, Objection, Reference, Remark
 from kilter_client.typed.identifications import SetAside
 from kilter_client.typed.search_numbers import (
@@ -299,6 +300,8 @@ class GapResult(ShownSearch, Record):
     """Whether the model now agrees with the rows."""
     alias_matrix: AliasMatrix | None
     """How well signatures correlate in these rows."""
+    effect_curves: Records[EffectCurve]
+    """Each named effect that moves a joint, over the quantity that it follows; None: earlier results."""
     effects: Records[NamedEffect]
     """Effects that were named."""
     figures: Mapping[str, Figure]
