@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_client import Kilter
+from kilter_client import FileError, Kilter, UsageError, connect, connect_async
 from kilter_client.cli import run
 
 from .answered import document
@@ -134,3 +135,33 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     assert document(capsys, "filter", path, "--robot", arm, code=2)["code"] == "usage"
     (tmp_path / "w.ls").write_bytes(fanuc(TAUGHT))
     assert "--fanuc-j3" in document(capsys, "filter", tmp_path / "w.ls", "--robot", arm, "-o", output, code=2)["detail"]
+
+
+def test_the_library_gives_what_the_command_writes(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = tmp_path / "w.src", tmp_path / "out.src"
+    path.write_bytes(krl(TAUGHT).replace(b"END\r\n", b"LIN {X 1,Y 2,Z 3}\r\nEND\r\n"))
+    told = document(capsys, "filter", path, "--robot", arm, "-o", output, "--diff", "--signs=+,-,+")
+    with connect() as k:
+        done = k.filter(arm, path, signs=(1, -1, 1))
+        assert done.text.encode("latin-1") == output.read_bytes()
+        assert done.save(tmp_path / "saved.src").read_bytes() == output.read_bytes()
+        assert {key: told[key] for key in done if key != "text"} == {
+            k: v for k, v in done.document.items() if k != "text"
+        }
+        assert repr(done).startswith("KRL: targets: 3, largest change 0.")
+        assert repr(done).endswith("; lines left as they are: 6")
+        with pytest.raises(FileError, match=r"line 6: a pose.* leave strict= out"):
+            k.filter(arm, path, strict=True)
+        with pytest.raises(UsageError, match=r"signs= \+,-: give \+ or - for each of the 3 joints"):
+            k.filter(arm, path, signs="+,-")
+        (tmp_path / "w.ls").write_bytes(fanuc(TAUGHT))
+        with pytest.raises(UsageError, match='fanuc_j3="same" or fanuc_j3="coupled"'):
+            k.filter(arm, tmp_path / "w.ls")
+
+    async def awaited() -> str:
+        async with connect_async() as k:
+            return (await k.filter(arm, path, signs="+,-,+")).text
+
+    assert asyncio.run(awaited()) == done.text
