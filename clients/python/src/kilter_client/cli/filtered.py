@@ -52,6 +52,8 @@ def filtered(
 ) -> None:
     """Correct the joint targets of a robot program: KRL, RAPID, URScript, FANUC LS or CSV.
 
+    A KRL program is read with its other file (.src or .dat) where that stands beside it; both are corrected, and the other is
+    written beside --output.
     Cartesian targets are not rewritten: they are named with their lines and left, or refused with --strict.
     Comments, speeds, logic, white space, line ends and external axes stay as they are.
     """
@@ -65,10 +67,12 @@ def filtered(
         )
     if output is not None:
         done.save(output)
-    document = {key: value for key, value in done.document.items() if key != "text"}
+    document = {key: value for key, value in done.document.items() if key != "texts"}
     document |= {"robot": robot, "output": output and str(output), "diff": done.diff if diff else None}
+    document["written"] = [str(path) for path in done.paths(output)] if output is not None else []
     for line in done.left:
-        note(f"Warning: line {line['line']} is left as it is: {line['what']}.", as_json)
+        place = f"{line['file']}, line {line['line']}" if len(done.texts) > 1 else f"line {line['line']}"
+        note(f"Warning: {place} is left as it is: {line['what']}.", as_json)
     for remark in done.notes:
         note(f"Note: {remark}", as_json)
     emit(document, as_json, _show)
@@ -77,7 +81,9 @@ def filtered(
 def _show(document: dict[str, Any]) -> None:
     if document["diff"]:
         say(document["diff"])
-    change = f"{document['largest_change_deg']:.3g} deg (line {document['largest_change_line']})"
-    say(f"{document['output'] or 'Nothing written'}: {document['targets']} targets, largest change {change}")
+    worst = f"{document['largest_change_file']}, line {document['largest_change_line']}"
+    change = f"{document['largest_change_deg']:.3g} deg ({worst})"
+    written = " and ".join(document["written"]) or "Nothing written"
+    say(f"{written}: {document['targets']} targets, largest change {change}")
     for held in document["not_ok"]:
-        say(f"  line {held['line']}: {held['name']} is {held['status']}")
+        say(f"  {held['file']}, line {held['line']}: {held['name']} is {held['status']}")

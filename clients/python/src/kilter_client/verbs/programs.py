@@ -14,11 +14,13 @@ from kilter_client.steps import Document, Steps
 from kilter_client.verbs.things import Thing, reference
 from kilter_client.verbs.versions import correct
 from kilter_files.formats.programs.found import JointTarget, Program
+from kilter_files.formats.programs.reading import read_programs, visited
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
 
 ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # targets that have numbers
+Place = tuple[Program, JointTarget]
 FANUC_J3 = ("same", "coupled")
 SHOWN = 20
 
@@ -34,6 +36,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
 ) -> Steps[FilteredProgram]:
     """Correct the joint targets of a robot program: KRL, RAPID, URScript, FANUC LS or CSV; nothing is written.
 
+    A KRL program is read with its other file (.src or .dat) where that stands beside it, and both are corrected.
     Cartesian targets are not rewritten: ``left`` names them with their lines. Comments, speeds, logic, white space, line
     ends and external axes stay as they are.
 
@@ -52,22 +55,24 @@ def filter(  # noqa: A001 - a verb, as the command is called
 
     """
     from kilter_client.results.program import FilteredProgram
-    from kilter_files.formats.programs.reading import read_program
 
-    found = read_program(Path(fspath(program)))
-    coupled = _coupled(found, fanuc_j3)
+    programs = read_programs(Path(fspath(program)))
+    places = visited(programs)
+    coupled = _coupled(programs[0], fanuc_j3)
     if strict:
-        _refuse(found, found.left, "is not rewritten")
-    directions = _signs(signs, len(found.targets[0].joints_deg))
+        _refuse([(one, line, what) for one in programs for line, what in one.left], programs, "is not rewritten")
+    directions = _signs(signs, len(places[0][1].joints_deg))
     name = reference("robot", robot)
-    yield from _refuse_other_robot(found, name)
-    joints, status, notes = yield from _corrected(found, name, version, directions, coupled)
+    yield from _refuse_other_robot(places[0], name)
+    joints, status, notes = yield from _corrected(places, name, version, directions, coupled)
     wanted = {"OK"} if strict else ANSWERED
-    wrong = [(t.line, f"{t.name}: {s}") for t, s in zip(found.targets, status, strict=True) if s not in wanted]
-    _refuse(found, wrong, "is not corrected")
-    text = found.rewritten(joints)
-    told = {"text": text, "notes": list(notes), "diff": _diff(found.text, text, found.path)}
-    return FilteredProgram.read(_report(found, joints, status) | told)
+    wrong = [(one, t.line, f"{t.name}: {s}") for (one, t), s in zip(places, status, strict=True) if s not in wanted]
+    _refuse(wrong, programs, "is not corrected")
+    row = {id(target): q for (_, target), q in zip(places, joints, strict=True)}
+    texts = {one.path.name: one.rewritten([row[id(target)] for target in one.targets]) for one in programs}
+    diffs = [_diff(one, texts[one.path.name]) for one in programs]
+    told = {"texts": texts, "notes": list(notes), "diff": "\n".join(diff for diff in diffs if diff)}
+    return FilteredProgram.read(_report(programs, places, joints, status) | told)
 
 
 def _coupled(found: Program, fanuc_j3: str | None) -> bool:
@@ -89,20 +94,20 @@ def _signs(given: Sequence[float] | str | None, count: int) -> list[float]:
     return [known[part] for part in parts]
 
 
-def _refuse_other_robot(found: Program, robot: str) -> Steps[None]:
+def _refuse_other_robot(place: Place, robot: str) -> Steps[None]:
     expected = len((yield from robots.one(robot))["joints"])
-    target = found.targets[0]
+    program, target = place
     if expected != len(target.joints_deg):
         what = f"{target.name} has {len(target.joints_deg)} joints, {robot} has {expected}"
-        said = f"{found.path}, line {target.line}: {what}. Name the robot of this program."
-        raise FileError(said, file=str(found.path), line=target.line)
+        said = f"{program.path}, line {target.line}: {what}. Name the robot of this program."
+        raise FileError(said, file=str(program.path), line=target.line)
 
 
 def _corrected(
-    found: Program, robot: str, version: Thing | None, signs: Sequence[float], coupled: bool
+    places: Sequence[Place], robot: str, version: Thing | None, signs: Sequence[float], coupled: bool
 ) -> Steps[tuple[list[list[float]], list[str], tuple[str, ...]]]:
     """Correct all targets in one call: joints of the program in deg, a status for each, and what the server says of it."""
-    rows = [[*target.joints_deg] for target in found.targets]
+    rows = [[*target.joints_deg] for _, target in places]
     if coupled:
         rows = [[*q[:2], q[2] + q[1], *q[3:]] for q in rows]
     names = [f"q{k}_deg" for k in range(1, len(signs) + 1)]
@@ -117,7 +122,7 @@ def _corrected(
     return [[*q[:2], q[2] - q[1], *q[3:]] if coupled else q for q in joints], status, content.notes
 
 
-def _refuse(found: Program, places: Sequence[tuple[int, str]], what: str) -> None:
+def _refuse(places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str) -> None:
     """Refuse a program for these places.
 
     Raises:
@@ -125,30 +130,38 @@ def _refuse(found: Program, places: Sequence[tuple[int, str]], what: str) -> Non
 
     """
     if places:
-        named = "; ".join(f"line {line}: {said}" for line, said in places[:SHOWN])
+        several = len(programs) > 1
+        named = "; ".join(
+            f"{f'{one.path.name}, ' if several else ''}line {line}: {said}" for one, line, said in places[:SHOWN]
+        )
         more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
         remedy = (
             "Nothing is written. Store these targets as joints within reach, or leave --strict out where it was given."
         )
-        lines = [line for line, _ in places]
-        raise FileError(f"{found.path}: {what}: {named}{more}. {remedy}", file=str(found.path), lines=lines)
+        path = programs[0].path
+        at = [{"file": str(one.path), "line": line} for one, line, _ in places]
+        context = {"places": at} if several else {"lines": [line for _, line, _ in places]}
+        raise FileError(f"{path}: {what}: {named}{more}. {remedy}", file=str(path), **context)
 
 
-def _report(found: Program, joints: Sequence[Sequence[float]], status: Sequence[str]) -> Document:
-    changes = [_change(target, q) for target, q in zip(found.targets, joints, strict=True)]
-    worst = max(range(len(changes)), key=changes.__getitem__)
+def _report(
+    programs: Sequence[Program], places: Sequence[Place], joints: Sequence[Sequence[float]], status: Sequence[str]
+) -> Document:
+    changes = [_change(target, q) for (_, target), q in zip(places, joints, strict=True)]
+    worst, target = places[max(range(len(changes)), key=changes.__getitem__)]
     held: list[dict[str, Any]] = [
-        {"line": target.line, "name": target.name, "status": word}
-        for target, word in zip(found.targets, status, strict=True)
+        {"file": program.path.name, "line": target.line, "name": target.name, "status": word}
+        for (program, target), word in zip(places, status, strict=True)
         if word != "OK"
     ]
     return {
-        "dialect": found.dialect,
-        "targets": len(found.targets),
-        "largest_change_deg": changes[worst],
-        "largest_change_line": found.targets[worst].line,
+        "dialect": programs[0].dialect,
+        "targets": len(places),
+        "largest_change_deg": max(changes),
+        "largest_change_file": worst.path.name,
+        "largest_change_line": target.line,
         "not_ok": held,
-        "left": [{"line": line, "what": what} for line, what in found.left],
+        "left": [{"file": one.path.name, "line": line, "what": what} for one in programs for line, what in one.left],
     }
 
 
@@ -156,6 +169,7 @@ def _change(target: JointTarget, joints: Sequence[float]) -> float:
     return max(abs(new - old) for new, old in zip(joints, target.joints_deg, strict=True))
 
 
-def _diff(old: str, new: str, path: Path) -> str:
-    lines = difflib.unified_diff(old.split("\n"), new.split("\n"), str(path), "corrected", lineterm="", n=1)
+def _diff(program: Program, new: str) -> str:
+    old = program.text.split("\n")
+    lines = difflib.unified_diff(old, new.split("\n"), str(program.path), "corrected", lineterm="", n=1)
     return "\n".join(line.rstrip("\r") for line in lines)
