@@ -150,7 +150,8 @@ KEPT_LINES = [
     "TRIGGER WHEN DISTANCE=0 DELAY=0 DO $OUT[1]=TRUE", "WAIT SEC 0.5", "XP3={A1 7.0,A2 7.0,E1 0.0}",
 ]  # fmt: skip
 NAMED_LINES = [
-    "XP1.A1=XP1.A1+5", "xp2 = $AXIS_ACT", "XP2=XP1", "PTP XP9", "PTP_REL {A1 5}", "SPLINE", "SPL XP1", "LIN {X 1,Y 2,Z 3}",
+    "XP1.A1=XP1.A1+5", "xp2 = $AXIS_ACT", "XP2=XP1", "PTP XP9", "PTP_REL {A1 5}", "PTP_REL{A1 5,A2 1}", "SPLINE",
+    "SPL XP1", "LIN {X 1,Y 2,Z 3}",
     "ASYPTP {E1 5}", "@@@", "IF $IN[1] THEN PTP XP1", "PTP XP[i]", "TRIGGER WHEN PATH=0 DELAY=0 DO PTP XP1",
 ]  # fmt: skip
 
@@ -159,12 +160,12 @@ def test_each_line_of_two_files_is_rewritten_kept_or_named(tmp_path: Path) -> No
     rng = random.Random(5)
     for _ in range(40):
         named = rng.sample(NAMED_LINES, 4)
-        moving = [*named, *rng.sample(KEPT_LINES, 8), "PTP XP1", "PTP {A1 9,A2 9}"]
+        moving = [*named, *rng.sample(KEPT_LINES, 8), "PTP XP1", "PTP {A1 9,A2 9}", "PTP{A1 8,A2 8}"]
         rng.shuffle(moving)
         moves, declares = read_programs(pair(tmp_path, moving, DECLARED))
         assert {moving[line - 2] for line, _ in moves.left} == set(named)
         assert declares.left == []
-        rewritten = [line for line in moving if line.startswith(("PTP {A1", "XP3={A1"))]
+        rewritten = [line for line in moving if line.startswith(("PTP {A1", "PTP{A1", "XP3={A1"))]
         assert sorted(moving[target.line - 2] for target in moves.targets) == sorted(rewritten)
 
 

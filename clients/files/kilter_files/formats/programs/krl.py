@@ -18,7 +18,7 @@ POSE = re.compile(
     r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}[XYZ]\s[^{}\n]{0,500}\}",
     re.I,
 )
-MOVE = re.compile(r"^[ \t]*(S?(?:PTP|LIN|CIRC)(?:_REL)?)[ \t]+([^\r\n]+)", re.I | re.M)
+MOVE = re.compile(r"^[ \t]*(S?(?:PTP|LIN|CIRC)(?:_REL)?)(?:[ \t]+|(?=\{))([^\r\n]+)", re.I | re.M)
 
 
 def find(program: Program) -> None:
@@ -47,8 +47,7 @@ def find(program: Program) -> None:
     for match in MOVE.finditer(text):
         _follow(program, match, known, written, poses)
     inside = {at + 1 for match in AXES.finditer(text) for at in _line_ends(text, *match.span())}
-    for at, what in not_kept(text, known, inside):
-        program.leave(at, what)
+    program.left += not_kept(text, known, inside)
 
 
 def _line_ends(text: str, start: int, end: int) -> list[int]:

@@ -26,19 +26,19 @@ LIST = re.compile(r"\s{0,9}\{")
 
 
 def not_kept(text: str, targets: Collection[str], within: Collection[int]) -> Iterator[tuple[int, str]]:
-    """Yield place and reason for each line that may move the arm elsewhere and is not a motion to a target.
+    """Yield line number and reason for each line that may move the arm elsewhere and is not a motion to a target.
 
     ``text`` has its comments blanked; ``targets`` are names of joint targets in capitals, ``within`` the starts of lines
     that are the inside of a list of axes.
     """
     bases = {name.partition("[")[0] for name in targets}
     at = 0
-    for line in text.split("\n"):
+    for number, line in enumerate(text.split("\n"), 1):
         said = line.strip()
         if said and at not in within:
             why = _changes_target(said, bases) or _not_understood(said)
             if why:
-                yield at, f"{said[:40]}: {why}"
+                yield number, f"{said[:40]}: {why}"
         at += len(line) + 1
 
 
