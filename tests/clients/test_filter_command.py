@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_client import Kilter
+from kilter_client import FileError, Kilter, UsageError, connect, connect_async
 from kilter_client.cli import run
 
 from .answered import document
@@ -122,7 +123,7 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     assert "line 6: a pose" in told["detail"]
     assert not output.exists()
     told = document(capsys, "filter", path, "--robot", arm, "-o", output)
-    assert told["left"] == [{"line": 6, "what": "a pose"}]
+    assert told["left"] == [{"file": "w.src", "line": 6, "what": "a pose"}]
     assert b"LIN {X 1,Y 2,Z 3}\r\n" in output.read_bytes()
     output.unlink()
     path.write_bytes(krl(np.array([[0.0, 30, 40], [999, 0, 0]])))
@@ -134,3 +135,107 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     assert document(capsys, "filter", path, "--robot", arm, code=2)["code"] == "usage"
     (tmp_path / "w.ls").write_bytes(fanuc(TAUGHT))
     assert "--fanuc-j3" in document(capsys, "filter", tmp_path / "w.ls", "--robot", arm, "-o", output, code=2)["detail"]
+
+
+def test_the_library_gives_what_the_command_writes(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = tmp_path / "w.src", tmp_path / "out.src"
+    path.write_bytes(krl(TAUGHT).replace(b"END\r\n", b"LIN {X 1,Y 2,Z 3}\r\nEND\r\n"))
+    told = document(capsys, "filter", path, "--robot", arm, "-o", output, "--diff", "--signs=+,-,+")
+    with connect() as k:
+        done = k.filter(arm, path, signs=(1, -1, 1))
+        assert done.text.encode("latin-1") == output.read_bytes()
+        assert done.save(tmp_path / "saved.src").read_bytes() == output.read_bytes()
+        assert {key: told[key] for key in done if key != "texts"} == {key: done[key] for key in done if key != "texts"}
+        assert repr(done).startswith("KRL: targets: 3, largest change 0.")
+        assert repr(done).endswith("; left as they are: line 6")
+        with pytest.raises(FileError, match=r"line 6: a pose.* leave strict= out"):
+            k.filter(arm, path, strict=True)
+        with pytest.raises(UsageError, match=r"signs= \+,-: give \+ or - for each of the 3 joints"):
+            k.filter(arm, path, signs="+,-")
+        (tmp_path / "w.ls").write_bytes(fanuc(TAUGHT))
+        with pytest.raises(UsageError, match='fanuc_j3="same" or fanuc_j3="coupled"'):
+            k.filter(arm, tmp_path / "w.ls")
+
+    async def awaited() -> str:
+        async with connect_async() as k:
+            return (await k.filter(arm, path, signs="+,-,+")).text
+
+    assert asyncio.run(awaited()) == done.text
+
+
+SRC = """DEF weld( )
+DECL INT N
+BAS(#INITMOV,0 )
+PTP XP2 C_PTP ; {A1 9}
+{inline}
+LIN XP3
+PTP XP1
+END
+"""
+DAT = """DEFDAT WELD PUBLIC
+DECL E6AXIS XP1={A1 0.0,A2 30.0,A3 40.0,E1 0.0}
+DECL E6AXIS XP2={A1 50.0,A2 20.0,A3 -30.0,E1 0.0} ; {A1 7}
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}
+DECL E6POS XP3={X 100.0,Y 0.0,Z 5.0,A 0.0,B 0.0,C 0.0,S 2,T 35}
+ENDDAT
+"""
+INLINE = "PTP {A1 -40.0,A2 45.0,A3 60.0}"
+
+
+@pytest.mark.parametrize("given", ["weld.src", "weld.DAT"])
+def test_both_files_of_a_krl_program_are_rewritten_together(
+    arm: str, tmp_path: Path, given: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts = {"weld.src": SRC.replace("{inline}", INLINE), "weld.DAT": DAT}
+    for name, text in texts.items():
+        (tmp_path / name).write_bytes(text.encode())
+    (tmp_path / "out").mkdir()
+    output = tmp_path / "out" / f"new{given[4:]}"
+    told = document(capsys, "filter", tmp_path / given, "--robot", arm, "-o", output, "--diff")
+    other = tmp_path / "out" / ("new.DAT" if given == "weld.src" else "new.src")
+    assert told["written"] == [str(output), str(other)]
+    assert told["targets"] == 3
+    assert sorted((one["file"], one["line"], one["what"]) for one in told["left"]) == [
+        ("weld.DAT", 5, "a pose"), ("weld.src", 6, "LIN XP3: a pose"),
+    ]  # fmt: skip
+    after = {name: (tmp_path / "out" / f"new{name[4:]}").read_text().split("\n") for name in texts}
+    changed = {
+        (name, k): after[name][k] for name, text in texts.items() for k, line in enumerate(text.split("\n"))
+        if line != after[name][k]
+    }  # fmt: skip
+    assert [*changed] == [("weld.src", 4), ("weld.DAT", 1), ("weld.DAT", 2)]
+    assert all(len(after[name]) == len(text.split("\n")) for name, text in texts.items())
+    assert told["diff"].count("\n+") == 5  # two headings and three lines
+    assert changed["weld.DAT", 2].endswith(",E1 0.0} ; {A1 7}")
+    back = np.array([[float(v) for v in NUMBERS.findall(line.partition(";")[0])] for line in changed.values()])
+    taught = TAUGHT[[2, 0, 1]]
+    before_mm = np.linalg.norm(tip_mm(taught + OFF_DEG, REAL_MM) - tip_mm(taught), axis=1)
+    after_mm = np.linalg.norm(tip_mm(back + OFF_DEG, REAL_MM) - tip_mm(taught), axis=1)
+    assert before_mm.min() > 0.3
+    assert after_mm.max() < 0.01
+    refused = document(capsys, "filter", tmp_path / given, "--robot", arm, "-o", output, "--strict", code=1)
+    assert "weld.DAT, line 5: a pose" in refused["detail"]
+    assert "weld.src, line 6: LIN XP3: a pose" in refused["detail"]
+    with connect() as k, pytest.raises(FileError) as caught:
+        k.filter(arm, tmp_path / given, strict=True)
+    places = {(Path(one["file"]).name, one["line"]) for one in caught.value.context["places"]}
+    assert places == {("weld.DAT", 5), ("weld.src", 6)}
+
+
+def test_the_second_file_is_named_before_it_is_written(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "weld.src").write_text(SRC.replace("{inline}", INLINE))
+    (tmp_path / "weld.dat").write_text(DAT)
+    assert run(["filter", str(tmp_path / "weld.src"), "--robot", arm, "-o", str(tmp_path / "new.txt")]) == 2
+    assert "weld.dat is written beside it, so name a file that ends in .src" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.glob("new*")) == []
+    (tmp_path / "weld.dat").write_text(DAT.replace("A1 50.0", "A1 999.0"))
+    detail = document(capsys, "filter", tmp_path / "weld.src", "--robot", arm, "--diff", code=1)["detail"]
+    assert "weld.dat, line 3: XP2: " in detail
+    (tmp_path / "weld.dat").write_text(DAT)
+    own = ["filter", str(tmp_path / "weld.src"), "--robot", arm, "-o", str(tmp_path / "weld.src"), "--overwrite"]
+    assert run(own) == 0
+    assert (tmp_path / "weld.dat").read_text() != DAT

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import kilter
-from kilter_client.results import corrected, dry_run, record, rows, shown, shown_jobs, tables
+from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs, tables
 from kilter_client.typed.names import MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
@@ -62,7 +62,7 @@ GROUPS = {
         "residuals",
         "export",
     ),
-    "Correction": ("correct",),
+    "Correction": ("correct", "filter"),
     "Keeping": ("change", "retire", "restore", "purge", "tombstones"),
     "Server": ("resolve", "health"),
     "Access": ("whoami", "add_token", "tokens", "revoke_token", "audit", "verify_audit"),
@@ -79,6 +79,7 @@ BEHAVIOUR = {
     "Figures": (shown.ShownFigure,),
     "Rows": (rows.Rows,),
     "Corrected trajectories": (corrected.Corrected,),
+    "Corrected programs": (program.FilteredProgram,),
 }
 SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
 # What the signatures mean by these.

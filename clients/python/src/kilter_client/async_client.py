@@ -11,7 +11,7 @@ from kilter_client.locate import locate
 from kilter_client.running import awaited
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
-from kilter_client.verbs import drifts, keeping
+from kilter_client.verbs import drifts, keeping, programs
 from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import instruments as gauges
 from kilter_client.verbs import jobs as computed
@@ -101,6 +101,7 @@ class AsyncKilter:
     residuals = awaited(made.residuals)
     export = awaited(made.export)
     correct = awaited(made.correct)
+    filter = awaited(programs.filter)
     versions = awaited(made.versions)
     change = awaited(keeping.change)
     retire = awaited(keeping.retire)

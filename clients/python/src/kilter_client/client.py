@@ -12,7 +12,7 @@ from kilter_client.locate import locate
 from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
-from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, robots, versions
+from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, programs, robots, versions
 from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import meshes as shapes
 
@@ -113,6 +113,7 @@ class Kilter:
     residuals = waiting(versions.residuals)
     export = waiting(versions.export)
     correct = waiting(versions.correct)
+    filter = waiting(programs.filter)
     change = waiting(keeping.change)
     retire = waiting(keeping.retire)
     restore = waiting(keeping.restore)

@@ -31,7 +31,9 @@ REWORDED: Sequence[tuple[str, str]] = (
     (r"kilter (upload|identify|gap|evaluate|plan|activate|correct|export|jobs)\b", r"k.\1"),
 )
 PLACE = re.compile(r"\b(?:options|body|query)\.(\w+)")
-OPTION = re.compile(r"--([a-z]+(?:-[a-z]+)*)(?: (\w+\.toml|(?:cmp|ver|job)_\w+|confirmation|validation|train))?")
+OPTION = re.compile(
+    r"--([a-z]+(?:-[a-z0-9]+)*)(?: (\w+\.toml|(?:cmp|ver|job)_\w+|confirmation|validation|train|same|coupled))?"
+)
 COMMANDS = re.compile(r"(`kilterd? (?:inspect|serve)[^`]*`)")  # they are for a terminal here too
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.programs.reading import read_program
+from kilter_files.formats.programs.reading import read_program, read_programs, visited
 from kilter_files.ground.errors import FileError
 
 OTHER = {
@@ -122,3 +122,76 @@ def test_bad_input_is_refused_with_its_place(tmp_path: Path, name: str, text: st
     with pytest.raises(FileError) as caught:
         read_program(tmp_path / name)
     assert said in caught.value.detail
+
+
+def pair(folder: Path, moving: list[str], declaring: list[str]) -> Path:
+    (folder / "w.dat").write_text("\n".join(["DEFDAT W", *declaring, "ENDDAT", ""]))
+    (folder / "w.src").write_text("\n".join(["DEF w()", *moving, "END", ""]))
+    return folder / "w.src"
+
+
+DECLARED = [f"DECL E6AXIS XP{k}={{A1 {k}.0,A2 2.5,E1 0.0}}" for k in (1, 2, 3)]
+
+
+def test_targets_of_two_files_come_as_the_program_moves_to_them(tmp_path: Path) -> None:
+    path = pair(tmp_path, ["PTP XP3", "PTP {A1 9,A2 9}", "PTP XP1", "PTP XP3 C_PTP"], DECLARED)
+    for given in (path, path.with_suffix(".dat")):
+        programs = read_programs(given)
+        assert programs[0].path == given
+        assert [program.left for program in programs] == [[], []]
+        order = [(program.path.suffix, target.joints_deg[0]) for program, target in visited(programs)]
+        assert order == [(".dat", 3), (".src", 9), (".dat", 1), (".dat", 2)]
+
+
+KEPT_LINES = [
+    "&ACCESS RVP", ";FOLD PTP P1 CONT Vel=100 % PDAT1", "DECL INT n", "INT i", "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS DO IR()",
+    "INTERRUPT ON 3", "BAS (#VEL_PTP,100)", "FDAT_ACT=FPOINT1", "$VEL.CP=0.2", "$TOOL=TOOL_DATA[1]", "XP1.E1=5.0",
+    "IF XP1.A1 == 3 THEN", "ENDIF", "FOR i=1 TO 5", "again:", "GOTO again", "gripper(TRUE)", "n = n + 1",
+    "TRIGGER WHEN DISTANCE=0 DELAY=0 DO $OUT[1]=TRUE", "WAIT SEC 0.5", "XP3={A1 7.0,A2 7.0,E1 0.0}",
+]  # fmt: skip
+NAMED_LINES = [
+    "XP1.A1=XP1.A1+5", "xp2 = $AXIS_ACT", "XP2=XP1", "PTP XP9", "PTP_REL {A1 5}", "PTP_REL{A1 5,A2 1}", "SPLINE",
+    "SPL XP1", "LIN {X 1,Y 2,Z 3}",
+    "ASYPTP {E1 5}", "@@@", "IF $IN[1] THEN PTP XP1", "PTP XP[i]", "TRIGGER WHEN PATH=0 DELAY=0 DO PTP XP1",
+]  # fmt: skip
+
+
+def test_each_line_of_two_files_is_rewritten_kept_or_named(tmp_path: Path) -> None:
+    rng = random.Random(5)
+    for _ in range(40):
+        named = rng.sample(NAMED_LINES, 4)
+        moving = [*named, *rng.sample(KEPT_LINES, 8), "PTP XP1", "PTP {A1 9,A2 9}", "PTP{A1 8,A2 8}"]
+        rng.shuffle(moving)
+        moves, declares = read_programs(pair(tmp_path, moving, DECLARED))
+        assert {moving[line - 2] for line, _ in moves.left} == set(named)
+        assert declares.left == []
+        rewritten = [line for line in moving if line.startswith(("PTP {A1", "PTP{A1", "XP3={A1"))]
+        assert sorted(moving[target.line - 2] for target in moves.targets) == sorted(rewritten)
+
+
+@pytest.mark.parametrize(
+    ("moving", "declaring", "said"),
+    [
+        (["PTP XP1"], ["DECL E6AXIS XP1={A1 1,A2 x}"], "w.dat, line 2: XP1 is not A1"),
+        (["PTP {A1 1,A2 2}"], ["DECL E6AXIS XP1={A1 1,A2 2,A3 3}"], "w.dat, line 2: XP1 has 3 joints, the first target 2"),
+        (["PTP XP1"], ["DECL E6POS XP1={X 1,Y 2,Z 3}"], "Line 2 of w.src: PTP XP1: a pose. Line 2 of w.dat: a pose."),
+        (["PTP XP1"], ["ENDDAT", "DEFDAT other"], None),
+    ],
+)  # fmt: skip
+def test_damage_in_either_file_is_named(tmp_path: Path, moving: list[str], declaring: list[str], said: str) -> None:
+    path = pair(tmp_path, moving, declaring)
+    if said is None:
+        path.with_suffix(".dat").write_text("\nDEFDAT OTHER\nENDDAT\n")
+        said = "w.dat, line 2: DEFDAT OTHER is not of the program beside it (w.src)"
+    with pytest.raises(FileError) as caught:
+        read_programs(path)
+    assert said in caught.value.detail
+
+
+def test_two_files_that_may_belong_to_it_are_refused(tmp_path: Path) -> None:
+    path = pair(tmp_path, ["PTP XP1"], DECLARED)
+    (tmp_path / "W.DAT").write_text("DEFDAT w\nENDDAT\n")
+    if len([*tmp_path.glob("*")]) == 2:
+        pytest.skip("this file system does not tell capitals from small letters")
+    with pytest.raises(FileError, match=r"W\.DAT and w\.dat stand beside it"):
+        read_programs(path)

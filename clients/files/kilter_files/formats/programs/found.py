@@ -36,7 +36,7 @@ class Program:
 
     ``moves`` are the targets in the order in which the program moves to them, None where that is to a target which the
     text does not hold; ``poses`` are targets without joints, by name and line. ``unknown`` are moves that make the list of
-    joints incomplete: line, what is wrong, and the remedy.
+    joints incomplete: line, what is wrong, and the remedy. ``beside`` is a second file, which declares targets of this one.
     """
 
     path: Path
@@ -50,6 +50,7 @@ class Program:
     unknown: list[tuple[int, str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    beside: Program | None = None
 
     def add(
         self, name: str, numbers: Sequence[tuple[str, Span]], radians: Sequence[bool] = (), line: int | None = None
@@ -98,7 +99,8 @@ class Dialect:
 
     ``remedy`` is how joints of poses become known. ``closed`` are patterns of a first and a last line, and what the last one
     is called: a program with the one and without the other is cut. Only a ``complete`` list of joints is taken, without
-    poses; targets of an ``ordered`` dialect stand where the program moves to them.
+    poses; targets of an ``ordered`` dialect stand where the program moves to them. A ``pair`` has two files of one name: the
+    ending of the one that moves, and of the one that declares its targets.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Dialect:
     closed: tuple[str, str, str] | None = None
     complete: bool = False
     ordered: bool = False
+    pair: tuple[str, str] | None = None
 
     def refuse_cut(self, program: Program) -> None:
         """Refuse a program that ends in the middle.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, JointTarget, Program, blanked, line_at, sign
+from kilter_files.formats.programs.krl_lines import not_kept
 
 NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
 AXES = re.compile(
@@ -17,11 +18,11 @@ POSE = re.compile(
     r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}[XYZ]\s[^{}\n]{0,500}\}",
     re.I,
 )
-MOVE = re.compile(r"^[ \t]*(S?(?:PTP|LIN|CIRC)(?:_REL)?)[ \t]+([^\r\n]+)", re.I | re.M)
+MOVE = re.compile(r"^[ \t]*(S?(?:PTP|LIN|CIRC)(?:_REL)?)(?:[ \t]+|(?=\{))([^\r\n]+)", re.I | re.M)
 
 
 def find(program: Program) -> None:
-    """Find the axis targets.
+    """Find the axis targets, and name the lines that may move the arm otherwise.
 
     Raises:
         FileError: one that lacks axes, has other than numbers, or is cut.
@@ -29,7 +30,8 @@ def find(program: Program) -> None:
     """
     text = blanked(program.text, ";")
     relative = [match.span() for match in MOVE.finditer(text) if match[1].upper().endswith("_REL")]
-    known: dict[str, JointTarget] = {}
+    declared = program.beside
+    known = {} if declared is None else {target.name.upper(): target for target in declared.targets}
     written: dict[int, JointTarget] = {}
     for match in AXES.finditer(text):
         if not any(start <= match.start() < end for start, end in relative):
@@ -41,9 +43,15 @@ def find(program: Program) -> None:
             program.leave_pose(match.start(), match[1] or "a move", "a pose")
         else:
             program.leave(match.start(), "a pose")
-    poses = {name.upper() for name, _ in program.poses}
+    poses = {name.upper() for one in (program, declared) if one is not None for name, _ in one.poses}
     for match in MOVE.finditer(text):
         _follow(program, match, known, written, poses)
+    inside = {at + 1 for match in AXES.finditer(text) for at in _line_ends(text, *match.span())}
+    program.left += not_kept(text, known, inside)
+
+
+def _line_ends(text: str, start: int, end: int) -> list[int]:
+    return [start + found.start() for found in re.finditer(r"\n", text[start:end])]
 
 
 def _follow(
@@ -56,7 +64,9 @@ def _follow(
     goal = match[2].split()[0].rstrip(",").upper()
     target = written.get(match.start(2)) if goal[0] == "{" else known.get(goal)
     if match[1].upper().endswith("_REL") or (goal[0] != "{" and target is None):
-        program.leave(match.start(), f"{match[1]} {match[2].strip()[:40]}: not an axis target of this file")
+        why = "a pose" if goal in poses else "not an axis target of this file"
+        where = " or of its .dat" if program.beside is not None and goal not in poses else ""
+        program.leave(match.start(), f"{match[1]} {match[2].strip()[:40]}: {why}{where}")
     if target is not None or (goal[0] != "{" and goal not in poses):
         program.moves.append(target)
 
@@ -81,4 +91,5 @@ DIALECT = Dialect(
     find,
     "Store E6AXIS: $AXIS_ACT holds the joints where the arm stands",
     (r"^\s*DEFDAT\b", r"^\s*ENDDAT\b", "ENDDAT"),
+    pair=(".src", ".dat"),
 )

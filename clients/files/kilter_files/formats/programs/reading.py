@@ -1,50 +1,119 @@
-"""Reads a program that is to be rewritten."""
+"""Reads a program that is to be rewritten, with the second file of it where it has two."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from kilter_files.formats.programs.dialects import DIALECTS
-from kilter_files.formats.programs.found import Program
+from kilter_files.formats.programs.found import Dialect, JointTarget, Program, line_at
 from kilter_files.ground.faults import fault, head_of
 
 MOST_BYTES = 16 << 20
+MOVING = re.compile(r"^[ \t]{0,99}(?:GLOBAL[ \t]{1,9})?DEF(?:FCT[ \t]{1,9}\w{1,64})?[ \t]{1,9}(\w{1,64})", re.I | re.M)
+DECLARING = re.compile(r"^[ \t]{0,99}DEFDAT[ \t]{1,9}(\w{1,64})", re.I | re.M)
 
 
 def read_program(path: Path) -> Program:
-    """Find the joint targets of a program, byte for byte as Latin-1, and name the targets that stay as they are.
+    """Find the joint targets of one file, byte for byte as Latin-1, and name the targets that stay as they are.
 
     Raises:
         FileError: an unknown dialect, no joint targets, damaged ones, or ones of different arms.
 
     """
+    program = _found(path, _dialect(path))
+    _refuse_unusable([program])
+    return program
+
+
+def read_programs(path: Path) -> list[Program]:
+    """Find the joint targets of a program: of this file, and of the one that belongs to it where that stands beside it.
+
+    Raises:
+        FileError: as ``read_program``, of either file, or they are not of one program.
+
+    """
+    dialect = _dialect(path)
+    other = None if dialect.pair is None else _beside(path, dialect.pair)
+    if dialect.pair is None or other is None:
+        return [read_program(path)]
+    moving, declaring = (path, other) if path.suffix.lower() == dialect.pair[0] else (other, path)
+    declares = _found(declaring, dialect)
+    moves = _found(moving, dialect, declares)
+    _refuse_other_names(moves, declares)
+    programs = [moves, declares] if moving == path else [declares, moves]
+    _refuse_unusable(programs)
+    return programs
+
+
+def visited(programs: Sequence[Program]) -> list[tuple[Program, JointTarget]]:
+    """Return all targets: those of one file as it has them, those of two as the program first moves to them."""
+    owners = [(program, target) for program in programs for target in program.targets]
+    if len(programs) == 1:
+        return owners
+    first: dict[int, int] = {}
+    for program in programs:
+        for move in program.moves:
+            first.setdefault(id(move), len(first))
+    return sorted(owners, key=lambda one: first.get(id(one[1]), len(first)))
+
+
+def _dialect(path: Path) -> Dialect:
     by_ending = {ending: dialect for dialect in DIALECTS.values() for ending in dialect.endings}
     dialect = by_ending.get(path.suffix.lower())
     if dialect is None:
         raise fault(path, f"the ending {path.suffix!r} is of no known dialect", f"Known are {', '.join(by_ending)}.")
+    return dialect
+
+
+def _beside(path: Path, pair: tuple[str, str]) -> Path | None:
+    """The other file of a program; a controller does not tell capitals from small letters."""
+    ending = pair[path.suffix.lower() == pair[0]]
+    wanted = f"{path.stem}{ending}".casefold()
+    try:
+        found = sorted(one for one in path.parent.iterdir() if one.name.casefold() == wanted and one.is_file())
+    except OSError:
+        return None
+    if len(found) > 1:
+        named = " and ".join(one.name for one in found)
+        raise fault(path, f"{named} stand beside it", "Leave the one that belongs to it.")
+    return found[0] if found else None
+
+
+def _found(path: Path, dialect: Dialect, beside: Program | None = None) -> Program:
     content = head_of(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES or b"\0" in content:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB or not text of 8 bits", "Export it as plain text.")
-    program = Program(path, content.decode("latin-1"), dialect.name)
+    program = Program(path, content.decode("latin-1"), dialect.name, beside=beside)
     dialect.refuse_cut(program)
     dialect.find(program)
     program.left = sorted(set(program.left))
-    if not program.targets:
-        where = "".join(f" Line {line}: {what}." for line, what in program.left[:5])
-        raise fault(path, "holds no joint targets", f"Store its targets as joints.{where}")
-    refuse_other_arms(program)
     return program
 
 
-def refuse_other_arms(program: Program) -> None:
-    """Refuse targets with different numbers of joints.
+def _refuse_other_names(moves: Program, declares: Program) -> None:
+    names = {name.upper() for name in MOVING.findall(moves.text)}
+    named = DECLARING.search(declares.text)
+    if named is not None and names and named[1].upper() not in names:
+        what = f"DEFDAT {named[1]} is not of the program beside it ({moves.path.name})"
+        raise fault(declares.path, what, "Keep other programs elsewhere.", line=line_at(declares.text, named.start(1)))
 
-    Raises:
-        FileError: there are some.
 
-    """
-    count = len(program.targets[0].joints_deg)
-    for target in program.targets:
+def _refuse_unusable(programs: Sequence[Program]) -> None:
+    """Refuse files without targets, or with targets of different numbers of joints."""
+    targets = [(program, target) for program in programs for target in program.targets]
+    if not targets:
+        where = "".join(
+            f" Line {line}{_of(program, programs)}: {what}." for program in programs for line, what in program.left[:5]
+        )
+        raise fault(programs[0].path, "holds no joint targets", f"Store its targets as joints.{where}")
+    count = len(targets[0][1].joints_deg)
+    for program, target in targets:
         if len(target.joints_deg) != count:
             what = f"{target.name} has {len(target.joints_deg)} joints, the first target {count}"
             raise fault(program.path, what, "Give the targets of one arm.", line=target.line)
+
+
+def _of(program: Program, programs: Sequence[Program]) -> str:
+    return f" of {program.path.name}" if len(programs) > 1 else ""

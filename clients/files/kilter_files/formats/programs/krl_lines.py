@@ -1,0 +1,60 @@
+"""Lines of KRL: which are known to leave joint targets alone; every other is named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+
+STATEMENTS = """
+DEF DEFFCT DEFDAT END ENDFCT ENDDAT GLOBAL PUBLIC DECL CONST EXT EXTFCT EXTP EXTFCTP IMPORT STRUC ENUM SIGNAL
+INT REAL BOOL CHAR POS E6POS AXIS E6AXIS FRAME IF ELSE ENDIF FOR ENDFOR WHILE ENDWHILE REPEAT UNTIL LOOP ENDLOOP
+SWITCH CASE DEFAULT ENDSWITCH EXIT GOTO RETURN CONTINUE HALT WAIT INTERRUPT BRAKE RESUME TRIGGER PULSE ANIN ANOUT
+COPEN CCLOSE CREAD CWRITE SREAD SWRITE
+"""
+KEPT = frozenset(STATEMENTS.split())
+WORD = re.compile(r"&|\w{1,64}")
+LABEL = re.compile(r"\w{1,64}\s{0,9}:\s{0,9}")
+CALL = re.compile(r"\w{1,64}\s{0,9}\(.{0,1000}\)\s{0,9}")
+PLACE = re.compile(
+    r"(?:DECL\s{1,9}|GLOBAL\s{1,9}|(?:E6)?AXIS\s{1,9}){0,3}(\$?\w{1,64})(\s{0,9}[\w.\[\],+\- ]{0,100}?)\s{0,9}=(?!=)",
+    re.I,
+)
+MOTION = re.compile(r"S?(?:PTP|LIN|CIRC)(?:_REL)?", re.I)
+INNER = re.compile(r"(?<![\w#$.])(?:S?(?:PTP|LIN|CIRC)(?:_REL)?|SPL)\s{1,9}[\w{]", re.I)
+AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
+LIST = re.compile(r"\s{0,9}\{")
+
+
+def not_kept(text: str, targets: Collection[str], within: Collection[int]) -> Iterator[tuple[int, str]]:
+    """Yield line number and reason for each line that may move the arm elsewhere and is not a motion to a target.
+
+    ``text`` has its comments blanked; ``targets`` are names of joint targets in capitals, ``within`` the starts of lines
+    that are the inside of a list of axes.
+    """
+    bases = {name.partition("[")[0] for name in targets}
+    at = 0
+    for number, line in enumerate(text.split("\n"), 1):
+        said = line.strip()
+        if said and at not in within:
+            why = _changes_target(said, bases) or _not_understood(said)
+            if why:
+                yield number, f"{said[:40]}: {why}"
+        at += len(line) + 1
+
+
+def _changes_target(said: str, bases: Collection[str]) -> str:
+    found = PLACE.match(said)
+    if found is None or found[1].upper() not in bases:
+        return ""
+    whole = "." not in found[2]
+    listed = LIST.match(said, found.end()) is not None
+    return f"changes the axis target {found[1]}" if (whole and not listed) or AXIS_PART.search(found[2]) else ""
+
+
+def _not_understood(said: str) -> str:
+    word = WORD.match(said)
+    first = word[0].upper() if word else ""
+    if MOTION.fullmatch(first):  # the target says whether it is rewritten
+        return ""
+    known = first == "&" or first in KEPT or any(form.fullmatch(said) for form in (LABEL, CALL)) or PLACE.match(said)
+    return "" if known and not INNER.search(said) else "is not understood"
