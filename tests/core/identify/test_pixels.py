@@ -93,8 +93,8 @@ def test_joints_of_other_pictures_are_refused(scene) -> None:  # type: ignore[no
         refuse_unrelated_views(begin, replace(rows, q=turned))
 
 
-def test_a_joint_that_fits_both_ways_is_named() -> None:
-    """With the other joints at rest the last one may move either way: the camera would stand elsewhere."""
+def test_rotations_about_one_axis_are_refused() -> None:
+    """With the other joints at rest the last one does not tell where the camera is along its axis."""
     scene = eye_to_hand({}, STIFF)
     rng = np.random.default_rng(6)
     q = np.tile(HOME, (16, 1))
@@ -104,6 +104,20 @@ def test_a_joint_that_fits_both_ways_is_named() -> None:
     with pytest.raises(ObservationError) as refused:
         identify(begin.robot, rows, None, IdentifyOptions(level=1))
     assert refused.value.code == "hand_eye_undetermined"
+
+
+@pytest.mark.parametrize(
+    ("moving", "both_ways"), [((4, 5), ["j5", "j6"]), ((0, 1), ["j1", "j2"]), ((3, 4, 5), []), ((1, 5), [])]
+)
+def test_joints_that_fit_both_ways_are_named(moving: tuple[int, ...], both_ways: list[str]) -> None:
+    """Two axes that meet at right angles, as of a pan-tilt head, look alike from behind; a third one tells."""
+    scene = eye_to_hand({}, STIFF)
+    rng = np.random.default_rng(6)
+    q = np.tile(HOME, (40, 1))
+    q[:, moving] += rng.uniform(-0.5, 0.5, (40, len(moving)))
+    begin = Calibration.nominal(robot_from_document(scene.drawn.document()))
+    told = refuse_unrelated_views(begin, scene.observed(q, rng))
+    assert [(one["code"], one["joint"]) for one in told] == [("mirrored_sense", name) for name in both_ways]
 
 
 def test_a_fit_that_leaves_too_much_says_so() -> None:

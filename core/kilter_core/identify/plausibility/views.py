@@ -91,7 +91,7 @@ def _alike(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterat
             yield {
                 "code": "mirrored_sense", "joint": name,
                 "message": f"Joint {name} fits these pictures as well with the opposite sense: camera and board would stand "
-                "elsewhere. Move that joint alone while the camera looks, and see which way the board goes.",
+                "elsewhere. Add views in which further joints move, or move that joint alone and see which way the board goes.",
             }  # fmt: skip
 
 
