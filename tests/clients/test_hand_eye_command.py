@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -70,6 +71,8 @@ def test_poses_are_planned_for_a_camera(kilter: Kilter, command: Command, tmp_pa
     q = np.radians(np.loadtxt(poses, delimiter=",", skiprows=1)[:, :6])
     assert len(q) == 8
     assert not np.isnan(SCENE.pixels(q, SCENE.eyes[0], SCENE.sheets[0])).any()
+    said = command("identify", "planned", "--campaign", "views", "--option", "level=1")
+    assert re.search(r"camera and arm agree to [\d.]+ mm, with shuffled joints to \d{2,4}", said)
     assert "name a version that was identified" in command("plan", "poses", "planned", "--views", code=1)
 
 

@@ -80,6 +80,8 @@ def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -
     result = found["result"]
     assert result["pixels"]["noise_px"] == pytest.approx(0.1, rel=0.1)
     assert result["pixels"]["validation"]["rms_mm"] < 0.05
+    assert 0.1 < result["pixels"]["given_mm"] < 20.0
+    assert result["pixels"]["shuffled_mm"] > 100.0
     assert result["metrics"]["validation"]["identified"]["mean_mm"] < 0.05
     camera = result["cameras"][0]
     assert camera["frame"] == "base"
