@@ -66,6 +66,22 @@ def test_a_camera_on_the_flange_is_found_and_exported(kilter: Kilter, command: C
     assert "--frame-id arm_base --child-frame-id wall_board" in shell
 
 
+def test_poses_are_planned_for_a_camera(kilter: Kilter, command: Command, tmp_path: Path) -> None:
+    kilter.add_robot(SCENE.drawn.document() | {"name": "planned"})
+    rng = np.random.default_rng(2)
+    views, rig, poses = tmp_path / "views.csv", tmp_path / "views.json", tmp_path / "poses.csv"
+    views.write_text(csv(columns(SCENE.observed(SCENE.poses(15, rng), rng, 0.1))))
+    rig.write_text(json.dumps(described(SCENE)))
+    command("upload", "planned", views, "--cameras", rig, "--name", "views")
+    command("plan", "poses", "planned", "--campaign", "views", "--views", "--count", "8", "-o", poses)
+    q = np.radians(np.loadtxt(poses, delimiter=",", skiprows=1)[:, :6])
+    assert len(q) == 8
+    assert not np.isnan(SCENE.pixels(q, SCENE.eyes[0], SCENE.sheets[0])).any()
+    said = command("identify", "planned", "--campaign", "views", "--option", "level=1")
+    assert re.search(r"camera and arm agree to [\d.]+ mm, with shuffled joints to \d{2,4}", said)
+    assert "name a version that was identified" in command("plan", "poses", "planned", "--views", code=1)
+
+
 def test_what_is_no_rig_is_refused(server: Path, command: Command, tmp_path: Path) -> None:
     rows, rig = tmp_path / "views.csv", tmp_path / "rig.json"
     rows.write_text("q1_deg,u1_px,v1_px\n1,2,3\n")

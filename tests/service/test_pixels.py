@@ -81,6 +81,8 @@ def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -
     assert result["pixels"]["noise_px"] == pytest.approx(0.1, rel=0.1)
     assert result["noise_mm"] is None  # a corner's noise is of pixels, and no length
     assert result["pixels"]["validation"]["rms_mm"] < 0.05
+    assert 0.1 < result["pixels"]["given_mm"] < 20.0
+    assert result["pixels"]["shuffled_mm"] > 100.0
     assert result["metrics"]["validation"]["identified"]["mean_mm"] < 0.05
     camera = result["cameras"][0]
     assert camera["frame"] == "base"
@@ -100,6 +102,33 @@ def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -
     assert found["state"] == "succeeded", found["error"]
     errors = found["result"]["metrics"][other]
     assert errors["identified"]["mean_mm"] < 0.05 < errors["registration_only"]["mean_mm"]
+
+
+def test_poses_are_planned_for_the_cameras_of_a_campaign_or_a_version(
+    client: httpx.Client, worker: Any, until: Any
+) -> None:
+    made = campaign(client, described(SCENE))
+    send(client, made, csv(columns(seen(40)))).raise_for_status()
+    worker.start()
+
+    def ended(kind: str, campaigns: list[str], **options: Any) -> dict[str, Any]:
+        asked = {"kind": kind, "robot": "watched", "campaigns": campaigns, "options": options}
+        job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+        until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+        return dict(client.get(f"/v1/jobs/{job}").json())
+
+    def all_in_sight(plan: dict[str, Any]) -> bool:
+        q = np.radians([[pose[f"q{j}_deg"] for j in range(1, 7)] for pose in plan["result"]["poses"]])
+        return len(q) == 12 and not np.isnan(SCENE.pixels(q, SCENE.eyes[0], SCENE.sheets[0])).any()
+
+    asked = {"purpose": "identify", "method": "views", "count": 12}
+    assert all_in_sight(ended("plan", [made], **asked))
+    version = ended("identify", [made], effects=["axial_compliance"])["result"]["version_id"]
+    assert all_in_sight(ended("plan", [], version=version, within="limits", effects=["backlash"], **asked))
+    refused = ended("plan", [], **asked)
+    assert (refused["state"], refused["error"]["code"]) == ("failed", "cameras_missing")
+    assert "name a version that was identified" in refused["error"]["message"]
+    assert all_in_sight(ended("plan", [], purpose="identify", count=12)) is False
 
 
 @pytest.mark.parametrize(

@@ -104,6 +104,7 @@ def _determines(plan: dict[str, Any]) -> float:
         {"purpose": "identify", "effects": ["ghost"]},
         {"purpose": "identify", "noise_mm": 0},
         {"purpose": "identify", "method": "five_poses"},
+        {"purpose": "iso9283", "method": "views"},
         {"purpose": "identify", "box_mm": [[0, 0, 0], [0, 1, 1]]},
         {"purpose": "iso9283", "within": "reach"},
         {"purpose": "iso9283", "floor_mm": "low"},

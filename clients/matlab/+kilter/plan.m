@@ -5,13 +5,15 @@ function job = plan(robot, campaigns, varargin)
 %     purpose              iso9283: cube and planes of the standard; identify: poses that determine the parameters
 %                          best; separate: poses that tell two effects apart; check: the few poses that best show
 %                          whether the arm has moved.
-%     method               Of identify: d_optimal or the poses of iso9283; of iso9283: five_poses or two_poses for
-%                          its cycles.
+%     method               Of identify: d_optimal, views (the same of what cameras see of boards, which version or
+%                          campaigns know) or the poses of iso9283; of iso9283: five_poses or two_poses for its
+%                          cycles.
 %     count                Poses, 1 to 2000, or cycles; left out: 118, 60, 12 or 5 poses by purpose, 30 cycles.
 %     effects              Of identify: effects to see; of separate: the two, or one to tell from geometry; left out:
 %                          what the gap search that made the version left undecided.
 %     seed                 Seed of the choice, 0 or more.
-%     noise_mm             Standard deviation of a coordinate, mm, above 0; left out: that of the repeats, else 0.05.
+%     noise_mm             Standard deviation of a coordinate, or at the board of a corner that a camera sees, mm,
+%                          above 0; left out: that of the repeats, else 0.05.
 %     version              Id of the version to plan with; left out: the nominal robot.
 %     box_mm               Lowest and highest corner, mm, of a box the tool stays in, in the frame of the
 %                          measurements.

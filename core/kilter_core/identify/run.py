@@ -41,7 +41,14 @@ from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, pro
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
-from kilter_core.identify.view_report import predictive_of, too_large_to_deploy, views_said, with_held, with_own_scatter
+from kilter_core.identify.view_report import (
+    predictive_of,
+    too_large_to_deploy,
+    views_said,
+    with_control,
+    with_held,
+    with_own_scatter,
+)
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document, mm
 from kilter_core.model import Calibration
@@ -203,8 +210,8 @@ def identify(
     said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
-        result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row,
-        fitted_kinds=errors_of(stages, measurement), held_kinds=kinds, **_views(result, said, validation, measurement, held),
+        result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds,
+        fitted_kinds=errors_of(stages, measurement), **_views(result, said, validation, measurement, held, begin),
     )  # fmt: skip
 
 
@@ -226,10 +233,11 @@ def _fitted(
 
 def _views(
     result: Identification, warnings: tuple[dict[str, Any], ...], validation: Validation, measurement: Measurement,
-    held: dict[str, Errors],
+    held: dict[str, Errors], begin: Calibration,
 ) -> dict[str, Any]:  # fmt: skip
-    """What views say, of those held out too, and the warnings with theirs."""
-    views = with_held(result.views, result.calibration, validation, measurement)
+    """What views say, of those held out and of shuffled joints too, and the warnings with theirs."""
+    views = with_control(result.views, begin, measurement.observations)
+    views = with_held(views, result.calibration, validation, measurement)
     registered = held["registration_only"].to_document()["rms_mm"] if held else None
     return {"views": views, "warnings": (*warnings, *too_large_to_deploy(views, registered))}
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from kilter_core.identify.camera_report import cameras_document, pixels_document, tool_document
 from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.plausibility.views import shuffled_control
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.predictive import Predictive
@@ -61,6 +62,13 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
         f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
         "picture, add points of a tracker, or look for what is missing with `kilter gap`.",
     }  # fmt: skip
+
+
+def with_control(said: dict[str, Any], begin: Calibration, train: Observations) -> dict[str, Any]:
+    """The same with what shuffled joints leave, where views alone were fitted."""
+    if "pixels" not in said:
+        return said
+    return {**said, "pixels": {**said["pixels"], **shuffled_control(begin, train)}}
 
 
 def with_held(said: dict[str, Any], identified: Calibration, validation: Any, train: Measurement) -> dict[str, Any]:

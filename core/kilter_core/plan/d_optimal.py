@@ -15,6 +15,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.plan.greedy import most_informative
 from kilter_core.types import Floats, Ints
 
 POOL = 600
@@ -43,25 +44,13 @@ def d_optimal_poses(
 
     """
     rng = np.random.default_rng(seed)
-    whole, values, free = _looked_for(start, effects)
+    whole, values, free = looked_for(start, effects)
     needs = frozenset[str]().union(*(e.needs for e in whole.effects))
-    pool = _conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
-    pool = _loaded(pool, needs, start.robot, payload_com)
-    J = whole.jacobian(_complete(pool, needs), values, free)[1][:, :3]
+    pool = conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
+    pool = loaded(pool, needs, start.robot, payload_com)
+    J = whole.jacobian(completed(pool, needs), values, free)[1][:, :3]
     X = J * np.array([whole.parameters[k].prior_sigma for k in free]) / noise
-    C = np.eye(X.shape[2])
-    picked: list[int] = []
-    for k in range(count):
-        XC = X @ C
-        S = np.eye(3) + XC @ X.transpose(0, 2, 1)
-        gain = np.linalg.slogdet(S)[1]
-        gain[picked] = -np.inf
-        best = int(np.argmax(gain))
-        picked.append(best)
-        C = C - XC[best].T @ np.linalg.solve(S[best], XC[best])
-        if progress is not None:
-            progress((k + 1) / count)
-    chosen = pool.select(np.array(picked))
+    chosen = pool.select(most_informative(X, count, progress))
     return chosen.select(driving_order(chosen.q, joint_ranges(start.robot)))
 
 
@@ -75,7 +64,7 @@ def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:
     return Region.of(Calibration.nominal(robot)).draw(count, rng)
 
 
-def _conditions(
+def conditions(
     q: Floats, needs: frozenset[str], payloads_kg: Sequence[float], rng: np.random.Generator
 ) -> Observations:
     """Rows at ``q``, from either side and under the payloads at hand where an effect feels them."""
@@ -87,7 +76,7 @@ def _conditions(
     )
 
 
-def _loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com: Sequence[float]) -> Observations:
+def loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com: Sequence[float]) -> Observations:
     """Rows with their loads where they hang, or under the robot's default load where loads matter and none is at hand."""
     if rows.payload_kg is not None and len(payload_com):
         return replace(rows, payload_com=np.tile(np.asarray(payload_com, dtype=np.float64), (len(rows), 1)))
@@ -96,7 +85,7 @@ def _loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com
     return rows.carrying(robot.load.mass, robot.load.com)
 
 
-def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
+def completed(rows: Observations, needs: frozenset[str]) -> Observations:
     """Rows with constants for what a pose cannot choose, so that the effects can be evaluated."""
     n = len(rows)
     made: dict[str, Any] = {
@@ -107,7 +96,7 @@ def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
     return replace(rows, **{name: made[name] for name in needs if name in made and getattr(rows, name) is None})
 
 
-def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, Ints]:
+def looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, Ints]:
     """The start's model with the effects it lacks, its values, and what an identification would free."""
     model, values = start.model.absorb_frame_increments(start.values)
     missing = tuple(effect for effect in effects if not _has(model, effect))

@@ -93,8 +93,8 @@ def test_joints_of_other_pictures_are_refused(scene) -> None:  # type: ignore[no
         refuse_unrelated_views(begin, replace(rows, q=turned))
 
 
-def test_a_joint_that_fits_both_ways_is_named() -> None:
-    """With the other joints at rest the last one may move either way: the camera would stand elsewhere."""
+def test_rotations_about_one_axis_are_refused() -> None:
+    """With the other joints at rest the last one does not tell where the camera is along its axis."""
     scene = eye_to_hand({}, STIFF)
     rng = np.random.default_rng(6)
     q = np.tile(HOME, (16, 1))
@@ -104,6 +104,40 @@ def test_a_joint_that_fits_both_ways_is_named() -> None:
     with pytest.raises(ObservationError) as refused:
         identify(begin.robot, rows, None, IdentifyOptions(level=1))
     assert refused.value.code == "hand_eye_undetermined"
+
+
+def test_a_result_says_what_shuffled_joints_leave() -> None:
+    """Far more than those given, which leave about what the arm as built is off by."""
+    scene = eye_in_hand()
+    rng = np.random.default_rng(7)
+    rows = scene.observed(scene.poses(30, rng), rng)
+    robot = robot_from_document(scene.drawn.document())
+    pixels = identify(robot, rows, None, ASKED).to_document()["pixels"]
+    eye, wall = scene.eyes[0].pose, scene.sheets[0].pose
+    left = []
+    for p, R, q in zip(*scene.tools(rows.q), rows.q, strict=True):
+        p0, R0 = (one[0] for one in scene.drawn.poses(q[None]))
+        true, drawn = ((pin.SE3(R_, p_) * eye).actInv(wall) for p_, R_ in ((p, R), (p0, R0)))
+        left.append(1e3 * np.linalg.norm(true.translation - drawn.translation))
+    assert 0.05 * np.median(left) < pixels["given_mm"] < 2 * np.median(left)
+    assert pixels["shuffled_mm"] > 20 * pixels["given_mm"]
+    assert pixels["shuffled_mm"] > 100.0
+    few = identify(robot, rows.select(np.arange(7)), None, IdentifyOptions(free=("theta_offset_*",)))
+    assert few.views["pixels"]["given_mm"] is None
+
+
+@pytest.mark.parametrize(
+    ("moving", "both_ways"), [((4, 5), ["j5", "j6"]), ((0, 1), ["j1", "j2"]), ((3, 4, 5), []), ((1, 5), [])]
+)
+def test_joints_that_fit_both_ways_are_named(moving: tuple[int, ...], both_ways: list[str]) -> None:
+    """Two axes that meet at right angles, as of a pan-tilt head, look alike from behind; a third one tells."""
+    scene = eye_to_hand({}, STIFF)
+    rng = np.random.default_rng(6)
+    q = np.tile(HOME, (40, 1))
+    q[:, moving] += rng.uniform(-0.5, 0.5, (40, len(moving)))
+    begin = Calibration.nominal(robot_from_document(scene.drawn.document()))
+    told = refuse_unrelated_views(begin, scene.observed(q, rng))
+    assert [(one["code"], one["joint"]) for one in told] == [("mirrored_sense", name) for name in both_ways]
 
 
 def test_a_fit_that_leaves_too_much_says_so() -> None:

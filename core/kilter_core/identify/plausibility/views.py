@@ -39,6 +39,11 @@ class _Sample:
     position: Floats
     rotation: Floats
 
+    def shuffled(self) -> float:
+        """What hand-eye leaves (m) where the joints belong to other rows: the median of some shuffles."""
+        rng, q = np.random.default_rng(0), self.rows.q
+        return float(np.median([self.left(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)]))
+
     def left(self, q: Floats) -> float:
         """What hand-eye leaves (m, median) with these joint readings; inf where it tells nothing."""
         found = self.begin.predict(replace(self.rows, q=q))
@@ -61,8 +66,7 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
         return ()
     q = sample.rows.q
     given = sample.left(q)
-    rng = np.random.default_rng(0)
-    shuffled = float(np.median([sample.left(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)]))
+    shuffled = sample.shuffled()
     reversed_ = {j: sample.left(np.where(np.arange(q.shape[1]) == j, -q, q)) for j in range(q.shape[1])}
     best = min(reversed_, key=lambda j: (reversed_[j], j))
     name = begin.robot.joints[best].name
@@ -83,6 +87,17 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
     return tuple(_alike(sample, reversed_, given))
 
 
+def shuffled_control(begin: Calibration, rows: Observations) -> dict[str, float | None]:
+    """The negative control of views: what hand-eye leaves with the joints as given, and with those of other rows.
+
+    Both are None where too few views tell a pose, or hand-eye finds nothing.
+    """
+    sample = _sample(begin, rows)
+    left = (np.inf, np.inf) if sample is None else (sample.left(sample.rows.q), sample.shuffled())
+    given, shuffled = (mm(one) if np.isfinite(one) else None for one in left)
+    return {"given_mm": given, "shuffled_mm": shuffled}
+
+
 def _alike(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterator[dict[str, Any]]:
     """Say which joints fit as well reversed: no view tells in which sense they move."""
     for j, left in reversed_.items():
@@ -91,7 +106,7 @@ def _alike(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterat
             yield {
                 "code": "mirrored_sense", "joint": name,
                 "message": f"Joint {name} fits these pictures as well with the opposite sense: camera and board would stand "
-                "elsewhere. Move that joint alone while the camera looks, and see which way the board goes.",
+                "elsewhere. Add views in which further joints move, or move that joint alone and see which way the board goes.",
             }  # fmt: skip
 
 

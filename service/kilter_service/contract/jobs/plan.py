@@ -25,10 +25,10 @@ class PlanOptions(Asked):
         description="`iso9283`: cube and planes of the standard; `identify`: poses that determine the parameters best; "
         "`separate`: poses that tell two effects apart; `check`: the few poses that best show whether the arm has moved."
     )
-    method: Literal["d_optimal", "iso9283", "five_poses", "two_poses"] = Field(
+    method: Literal["d_optimal", "views", "iso9283", "five_poses", "two_poses"] = Field(
         "d_optimal",
-        description="Of `identify`: `d_optimal` or the poses of `iso9283`; of `iso9283`: `five_poses` or `two_poses` for "
-        "its cycles.",
+        description="Of `identify`: `d_optimal`, `views` (the same of what cameras see of boards, which version or campaigns "
+        "know) or the poses of `iso9283`; of `iso9283`: `five_poses` or `two_poses` for its cycles.",
     )
     count: Annotated[int, Field(ge=1, le=MAX_POSES)] | None = Field(
         None, description="Poses, 1 to 2000, or cycles; null: 118, 60, 12 or 5 poses by purpose, 30 cycles."
@@ -40,7 +40,9 @@ class PlanOptions(Asked):
     )
     seed: Seed = Field(0, description="Seed of the choice, 0 or more.")
     noise_mm: NoiseMm | None = Field(
-        None, description="Standard deviation of a coordinate, mm, above 0; null: that of the repeats, else 0.05."
+        None,
+        description="Standard deviation of a coordinate, or at the board of a corner that a camera sees, mm, above 0; null: "
+        "that of the repeats, else 0.05.",
     )
     version: Version = Field(None, description="Id of the version to plan with; null: the nominal robot.")
     box_mm: Annotated[tuple[Corner, Corner], Field(strict=False)] | None = Field(

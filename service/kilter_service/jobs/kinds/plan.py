@@ -66,6 +66,8 @@ def check(options: PlanOptions) -> None:
         raise OptionError(
             f"options.method is {options.method!r}: it is a cycle of ISO 9283, give purpose iso9283.", option="method"
         )
+    if options.method == "views" and options.purpose != "identify":
+        raise OptionError("options.method is 'views': it goes with purpose identify.", option="method")
     if options.purpose == "separate":
         named_effects(options)
         if len(options.effects) > 2:
@@ -180,19 +182,33 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method == "iso9283":
         return _iso(job, progress)
     from kilter_core.plan.d_optimal import d_optimal_poses
+    from kilter_core.plan.view_poses import view_poses
 
-    rows = d_optimal_poses(
-        _begin(job),
-        _count(job),
-        _made(job),
-        to_metres(job.options.noise_mm or NOISE_MM),
-        job.options.seed,
-        lambda fraction: progress(fraction, "choosing poses"),
-        _region(job),
-        job.options.payloads_kg,
-        [to_metres(value) for value in job.options.payload_com_mm or ()],
-    )
+    given: dict[str, Any] = {
+        "count": _count(job),
+        "effects": _made(job),
+        "noise": to_metres(job.options.noise_mm or NOISE_MM),
+        "seed": job.options.seed,
+        "progress": lambda fraction: progress(fraction, "choosing poses"),
+        "region": _region(job),
+        "payloads_kg": job.options.payloads_kg,
+        "payload_com": [to_metres(value) for value in job.options.payload_com_mm or ()],
+    }
+    if job.options.method == "views":
+        rows = view_poses(_with_cameras(job), driven=job.driven, **given)
+    else:
+        rows = d_optimal_poses(_begin(job), **given)
     return document_of(job.robot, poses_of(rows))
+
+
+def _with_cameras(job: JobInput) -> Calibration:
+    """What is planned with, and where its cameras and boards stand."""
+    from kilter_core.observations import Observations
+    from kilter_core.plan.view_poses import placed_by_views
+    from kilter_service.campaigns.store import numbered
+
+    seen = [rows for rows in numbered(job.campaigns.values()) if rows.pixels is not None]
+    return placed_by_views(_begin(job), Observations.concatenate(seen) if seen else None)
 
 
 def _begin(job: JobInput) -> Calibration:

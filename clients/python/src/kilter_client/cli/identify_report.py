@@ -48,12 +48,21 @@ def _set_aside(rows: list[Mapping[str, Any]]) -> Iterator[str]:
         yield f"{len(rows)} rows count less than half: {', '.join(named)}{more}; see kilter suspicious"
 
 
+def _views(pixels: Mapping[str, Any]) -> Iterator[str]:
+    if pixels.get("given_mm") is not None and pixels.get("shuffled_mm") is not None:
+        yield (
+            f"before the fit camera and arm agree to {number(pixels['given_mm'])} mm, "
+            f"with shuffled joints to {number(pixels['shuffled_mm'])} mm"
+        )
+
+
 def _lines(result: Mapping[str, Any]) -> Iterator[str]:
     method = result.get("method") or {}
     if method:
         more = ", ".join(f"{k.replace('_', ' ')} {_short(v)}" for k, v in method.items() if k != "name")
         yield f"method {method['name']}" + (f": {more}" if more else "")
     yield from _set_aside(result.get("set_aside") or [])
+    yield from _views(result.get("pixels") or {})
     if result.get("intervals"):
         yield f"95 % intervals by {result['intervals']}"
     learned = result.get("learned") or {}

@@ -21,6 +21,10 @@ KeepOut = Annotated[list[str] | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=P
 Anywhere = Annotated[
     bool, typer.Option("--anywhere", help="Also where the robot was never driven: only its limits count.")
 ]
+Views = Annotated[
+    bool,
+    typer.Option("--views", help="Poses for cameras: at each a board is whole in a picture."),
+]
 Output = Annotated[
     Path | None,
     typer.Option(
@@ -66,6 +70,7 @@ def poses(
     box: Box = None,
     keep_out: KeepOut = None,
     anywhere: Anywhere = False,
+    views: Views = False,
     payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
     payload_com_mm: PayloadCentre = None,
     output: Output = None,
@@ -78,7 +83,8 @@ def poses(
     needs_result(no_wait, output=output)
     chosen = arguments.options(
         option,
-        purpose=purpose,
+        purpose=purpose or ("identify" if views else None),
+        method="views" if views else None,
         count=count,
         effects=arguments.effects(effects),
         seed=seed,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from kilter_files.rig.see.sources import Source
 
 CONVENTION = "the centre of the upper left pixel is (0, 0), u to the right, v down"
+PARQUET = ".parquet"
 SHOWN = 8
 Joints = Annotated[
     Path | None,
@@ -56,7 +57,10 @@ def see(
         typer.Option(help="JSON of the board, from kilter board; repeat for more.", exists=True, dir_okay=False),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="views.csv; cameras and boards beside it, as JSON.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="views.csv or views.parquet; cameras and boards beside it, as JSON."
+        ),
     ],
     joints: Joints = None,
     camera: CameraFile = None,
@@ -76,8 +80,7 @@ def see(
 ) -> None:
     """Find boards in pictures: pixels of their corners with their standard deviations, row by row with the joints."""
     check_numpy()
-    if output.suffix.lower() != ".csv":
-        raise UsageError(f"--output {output}: end it in .csv.")
+    _check_output(output)
     if camera is not None and intrinsics is not None:
         raise UsageError("Give --camera, or --intrinsics to find them, not both.")
     from kilter_files.rig.see.optics.intrinsics_file import read_camera
@@ -101,18 +104,34 @@ def see(
     emit({"file": str(output), "description": str(beside)} | document, as_json, _show)
 
 
+def _check_output(output: Path) -> None:
+    from kilter_files.rig.see.as_parquet import check_pyarrow
+
+    if output.suffix.lower() not in (".csv", PARQUET):
+        raise UsageError(f"--output {output}: end it in .csv or {PARQUET}.")
+    if output.suffix.lower() == PARQUET:
+        check_pyarrow(output)
+
+
 def _looked(looker: Looker, source: Source, output: Path, camera_name: str | None, as_json: bool) -> Seen:
     """Write beside the file first: what was there stays until all is well."""
-    part = output.with_name(output.name + ".part")
+    from kilter_files.rig.see.as_parquet import write_parquet
+
+    part, whole = (output.with_name(output.name + ending) for ending in (".part", ".whole"))
     total = source.count()
     try:
         with upload_bar(f"{total} pictures", as_json) as told, part.open("w", encoding="utf-8", newline="") as stream:
             seen = looker.look(source, stream, camera_name, lambda done: told(done, total))
-        part.replace(output)
+        if output.suffix.lower() == PARQUET:
+            write_parquet(part, whole)
+            whole.replace(output)
+        else:
+            part.replace(output)
     except OSError as error:
         raise FileError(f"{output}: cannot be written: {error.strerror or error}.", file=str(output)) from error
     finally:
-        part.unlink(missing_ok=True)
+        for left in (part, whole):
+            left.unlink(missing_ok=True)
     return seen
 
 

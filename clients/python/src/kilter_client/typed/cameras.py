@@ -105,8 +105,12 @@ class PixelsFound(Record):
 
     between_views: float
     """Variance between views over what their corners explain: 1 where the model lacks nothing."""
+    given_mm: float | None
+    """What hand-eye of the arm as it began leaves in the views that were fitted, mm: median, a rotation counted 0.3 m off; None: too few views."""
     noise_px: float
     """Standard deviation of a corner, px, from within views: no model enters."""
+    shuffled_mm: float | None
+    """The same with joints that belong to other views, mm: the negative control."""
     train: ToolScatter
     """The tool in the views that were fitted."""
     validation: ToolScatter | None

@@ -156,10 +156,10 @@ class PlanOptions(TypedDict, total=False):
     """Height in the robot's base frame, mm, that no joint and no tool point goes below."""
     keep_out_mm: Sequence[Sequence[Sequence[float]]]
     """Lowest and highest corners, mm, of boxes that no line between joints and tool enters, in the frame of the measurements."""
-    method: Literal["d_optimal", "iso9283", "five_poses", "two_poses"]
-    """Of `identify`: `d_optimal` or the poses of `iso9283`; of `iso9283`: `five_poses` or `two_poses` for its cycles."""
+    method: Literal["d_optimal", "views", "iso9283", "five_poses", "two_poses"]
+    """Of `identify`: `d_optimal`, `views` (the same of what cameras see of boards, which version or campaigns know) or the poses of `iso9283`; of `iso9283`: `five_poses` or `two_poses` for its cycles."""
     noise_mm: float | None
-    """Standard deviation of a coordinate, mm, above 0; None: that of the repeats, else 0.05."""
+    """Standard deviation of a coordinate, or at the board of a corner that a camera sees, mm, above 0; None: that of the repeats, else 0.05."""
     payload_com_mm: Sequence[float] | None
     """Centre of these loads in the tool frame, mm; None: the tool point."""
     payloads_kg: Sequence[float]

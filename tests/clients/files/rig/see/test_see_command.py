@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from kilter_client.cli import run
 from tests.clients.files.rig.see.boards import CHARUCO, SMALL, board, saved, small, taken
@@ -110,6 +112,43 @@ def test_two_boards_in_one_picture_and_a_named_camera(tmp_path: Path, capsys: py
     assert float(table[1]["u1_px"]) - float(table[0]["u1_px"]) == pytest.approx(480, abs=0.2)
     assert document["refused"] == []
     assert [one["mount"] for one in document["boards"]] == ["fixed", "fixed"]
+
+
+def test_parquet_holds_what_the_csv_file_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small_view = small(centre_mm=(60.0, 0.0, 300.0))  # some corners are outside the picture
+    folder = saved(tmp_path / "pictures", whole=taken(CHARUCO, small()), part=taken(CHARUCO, small_view))
+    joints = tmp_path / "joints.csv"
+    joints.write_text("picture,q1_deg\nwhole,1\npart,2.5\n")
+    given = [str(folder), "--board", own_board(), "--joints", str(joints), "--camera-name", "left"]
+    document = seen(tmp_path, capsys, *given)
+    capsys.readouterr()
+    output = tmp_path / "columns.parquet"
+    assert run(["see", *given, "-o", str(output), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["views"] == document["views"]
+    table = parquet.read_table(output)
+    text = rows(tmp_path)
+    assert table.column_names == list(text[0])
+    for name in table.column_names:
+        cells = [row[name] for row in text]
+        wanted = cells if name == "camera" else [float(cell) if cell else None for cell in cells]
+        assert table[name].to_pylist() == wanted
+    assert any(column.null_count for column in table.columns)
+    assert json.loads((tmp_path / "columns.json").read_text())["views"] == document["views"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "columns.json", "columns.parquet", "joints.csv", "pictures", "views.csv", "views.json",
+    ]  # fmt: skip
+
+
+def test_parquet_needs_pyarrow(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    output = tmp_path / "views.parquet"
+    assert run(["see", str(pictures), "--board", own_board(), "-o", str(output), "--json"]) != 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["code"] == "package_missing"
+    assert "pip install pyarrow" in document["detail"]
+    assert not list(tmp_path.iterdir())
 
 
 def test_boards_that_cannot_be_told_apart(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
