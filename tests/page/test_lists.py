@@ -17,7 +17,7 @@ from sqlalchemy import insert, select
 from kilter_service.auth.policy import PAGE_RULES, RULES
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
-from kilter_service.page.audit.said import DONE
+from kilter_service.page.audit.action_words import DONE
 from kilter_service.page.jobs.form import by_role
 from kilter_service.page.jobs.options import given
 from kilter_service.page.shared.lists import Asked, part

@@ -11,7 +11,7 @@ from kilter_service.contract.audit import AuditEntry
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
-from kilter_service.page.audit.said import DONE, Said, said
+from kilter_service.page.audit.action_words import DONE, Said, said
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.paging import Page
 from kilter_service.versions import service as versions
