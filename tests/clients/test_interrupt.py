@@ -59,10 +59,10 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
     _, err = interrupted(process)
     assert f"job {job} continues at the server" in err
     assert f"`kilter jobs watch {job}` follows it, `kilter jobs cancel {job}` stops it." in err
-    # The interruption stopped nothing: the job goes on, or is over on a machine that was slow to end the command.
+    # The interruption stopped nothing: the job goes on, or is over on a machine that was slow to end the command, also while
+    # it is asked to stop.
     assert kilter.jobs.get(job)["state"] in ("queued", "running", "succeeded")
-    if kilter.jobs.get(job)["state"] != "succeeded":
-        assert run(["jobs", "cancel", job]) == 0
+    assert run(["jobs", "cancel", job]) == 0 or kilter.jobs.get(job)["state"] == "succeeded"
 
 
 def test_as_soon_as_the_job_is_known(

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -103,13 +104,13 @@ def test_one_that_has_not_spoken_since_the_server_began_is_starting(
     monkeypatch.setenv(service.BEGAN, str(time.monotonic() - 40.0))
     beat(database, "worker")
     beat(database, "corrector", "local", age_s=60.0)
-    assert "corrector: is starting, for 40 s" in why(client)
+    assert re.search(r"corrector: is starting, for 4\d s", why(client))
     beat(database, "corrector", "local", age_s=30.0)
-    assert "local last spoke 30 s ago" in why(client)
+    assert re.search(r"local last spoke 3\d s ago", why(client))
     with database.transaction() as session:
         store.silence(session, "worker", "here")
         store.silence(session, "corrector", "local")
-    assert "worker: is starting, for 40 s; corrector: is starting" in why(client)
+    assert re.search(r"worker: is starting, for 4\d s; corrector: is starting", why(client))
     monkeypatch.setenv(service.BEGAN, str(time.monotonic() - service.LONGEST_START_S - 1.0))
     assert "corrector: has not spoken yet" in why(client)
 

@@ -45,7 +45,7 @@ def rows_of(text: str) -> list[tuple[str, ...]]:
     found = []
     for table in re.findall(r'<table class="suspicious".*?</table>', text, re.DOTALL):
         head = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", table)
-        for line in re.findall(r"<tr><th scope=\"row\">.*?</tr>", table, re.DOTALL):
+        for line in re.findall(r"<tr[^>]*><th scope=\"row\">.*?</tr>", table, re.DOTALL):
             cells = [
                 html.unescape(re.sub(r"<[^>]*>", "", cell)).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", line)
             ]
