@@ -22,6 +22,7 @@ SIZES: Mapping[str, Mapping[str, float]] = {
     "torque": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
     "force": {"N": 1.0, "kN": 1e3},
     "mass": {"kg": 1.0, "g": 1e-3},
+    "pixels": {"px": 1.0},
 }
 
 KELVIN = 273.15
@@ -29,6 +30,7 @@ TIMESTAMP = "timestamp"  # the unit of a column of dates or clocks
 UNKNOWN = "?"  # what a draft writes where it could not tell
 JOINT = re.compile(r"q([1-9]\d?)_(deg|rad|mm|m)")
 
+NAMES = ("camera", "board")  # contract columns whose cells may be names
 # contract name -> the unit its ending states, in the spelling of SIZES; "" is a plain number
 CONTRACT: tuple[tuple[str, str], ...] = (
     (r"(?:q|link|cmd)\d+_(deg|rad|mm|m)", "{0}"),
@@ -47,11 +49,12 @@ CONTRACT: tuple[tuple[str, str], ...] = (
     (r"load\d+_f[xyz]_n", "N"),
     (r"load\d+_m[xyz]_nm", "Nm"),
     (r"temperature_c", "C"),
-    (r"base_tilt_[xy]_(deg|rad)", "{0}"),
+    (r"(?:base_tilt_[xy]|tilt\d+[xyz])_(deg|rad)", "{0}"),
+    (r"s?[uv]\d+_px", "px"),
     (r"(?:tip[xyz]|bar)_(mm|m)", "{0}"),
     (r"f[xyz]_n", "N"),
     (r"m[xyz]_nm", "Nm"),
-    (r"q[wxyz]|dir\d+|session|pose_id|socket_id|plane_id|bar_id", ""),
+    (r"q[wxyz]|dir\d+|row|session|pose_id|socket_id|plane_id|bar_id|camera|board", ""),
 )
 
 

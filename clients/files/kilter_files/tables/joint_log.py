@@ -13,7 +13,8 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.ground.units import JOINT
 
-MARKER = re.compile(r"m[1-9]\d?[xyz]_(mm|m)")
+# What need not be seen in every row: markers, points of a probe, readings of inclinometers, corners of boards.
+SELDOM = re.compile(r"(?:m[1-9]\d?|tip)[xyz]_(mm|m)|tilt\d+[xyz]_(deg|rad)|s?[uv]\d+_px")
 MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turns either way
 
 
@@ -61,7 +62,7 @@ def checked_log(path: Path, columns: dict[str, Floats], lines: list[int], rows: 
         remedy = "A joint log has q1_deg, q2_deg, ... without a gap; for other names use a column map."
         raise fault(path, f"its joints are {', '.join(name for _, name in numbered) or 'missing'}", remedy)
     for name, values in columns.items():
-        if np.isnan(values).any() and not MARKER.fullmatch(name):
+        if np.isnan(values).any() and not SELDOM.fullmatch(name):
             row = int(np.argmax(np.isnan(values)))
             raise fault(path, "is empty", "Fill it or leave the row out.", **{rows: _line(lines, row)}, column=name)
     _refuse_degrees(path, columns, lines, rows)

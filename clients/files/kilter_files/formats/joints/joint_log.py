@@ -15,7 +15,7 @@ from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, LogHints
 from kilter_files.formats.registry import recognised
 from kilter_files.ground.faults import fault
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import NAMES, unit_of
 from kilter_files.tables.joint_log import JointLog, checked_log
 from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource
@@ -35,7 +35,7 @@ def read_joint_log(path: Path, hints: LogHints = NO_LOG_HINTS) -> JointLog:
     if path.suffix.lower() != ".parquet" and recognised(path, "program"):
         return log_of_targets(path)
     source = open_source(path, "csv" if path.suffix.lower() == ".log" else None, Layout())
-    names = list(getattr(source, "names", []))
+    names = [name for name in getattr(source, "names", []) if name not in NAMES]
     unknown = [name for name in names if unit_of(name) is None]
     if unknown:
         what = "is not a contract column such as q1_deg or t_s"

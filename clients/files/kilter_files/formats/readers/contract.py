@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
@@ -9,7 +10,8 @@ from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.units import JOINT, unit_of
 from kilter_files.tables.table import CSV_TYPE, Prepared
 
-MEASURED = ("x_mm", "x_m", "m1x_mm", "m1x_m", "link1_deg", "link1_rad")
+# What an instrument reads: a point, markers, encoders and inclinometers on links, what holds the tool, or what a camera saw.
+MEASURED = re.compile(r"(?:m\d+)?x_mm?|link\d+_(?:deg|rad)|tilt\d+[xyz]_(?:deg|rad)|(?:socket|plane|bar)_id|u\d+_px")
 
 
 class Contract(Reader[Prepared]):
@@ -35,7 +37,7 @@ class Contract(Reader[Prepared]):
         from kilter_files.formats.joints.joint_log import read_joint_log
 
         found = describe_log(read_joint_log(head.path)) | shape
-        if not any(name in names for name in MEASURED):
+        if not any(MEASURED.fullmatch(name) for name in names):
             return found
         return found | {"kind": self.name, "notes": ["ready for kilter upload"], "ready": True}
 
