@@ -16,8 +16,11 @@ from pathlib import Path
 import httpx
 import pytest
 
+from kilter_service.db import Database
 from kilter_service.settings import Settings
 from kilter_service.supervisor import MOST_ENDS
+from tests.service.made_versions import store_version
+from tests.service.test_compensation import add
 from tests.service.test_serve import REPOSITORY, Server, children
 
 
@@ -103,9 +106,11 @@ def test_a_worker_that_ends_again_and_again_at_the_start_ends_nothing_else(setti
 
 
 def test_an_api_that_can_never_run_does_not_end_the_stream_that_an_arm_follows(
-    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    settings: Settings, client: httpx.Client, database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The server above the stream was killed and started again: its stream process went on alone meanwhile."""
+    add(client, "arm")  # a stream that corrects nobody does not go on
+    client.post(f"/v1/versions/{store_version(database, 'arm', 1)}/activate").raise_for_status()
     first = Server(settings)
     stream = json.loads(settings.corrector_file.read_text())["endpoints"]["stream"]
     first.process.kill()
