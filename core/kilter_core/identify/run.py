@@ -118,9 +118,7 @@ class Identification:
 
     def to_document(self) -> dict[str, Any]:
         """The identify result of the contract: mm, degrees, names, units."""
-        by_views = (
-            "pixels" in self.views
-        )  # which say their noise in px; the fit weighs them by a length without meaning
+        by_views = "pixels" in self.views  # their noise is in px: the length that weighs them means nothing
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
             "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
