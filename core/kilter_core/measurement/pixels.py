@@ -40,6 +40,18 @@ class ToolErrors:
     rest: float
     numbers: int
 
+    @staticmethod
+    def of(left: Floats, by_tool: Floats) -> ToolErrors:
+        """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``."""
+        told = ~np.isnan(left)
+        rows = np.flatnonzero(told.sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
+        A = (by_tool * told[..., None])[rows].reshape(len(rows), -1, 6)
+        flat = np.nan_to_num(left[rows]).reshape(len(rows), -1, 1)
+        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
+        e = C @ (A.transpose(0, 2, 1) @ flat)
+        count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
+        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+
     def scatter(self, used: float = 0.0, within: float = 0.0) -> ViewScatter:
         """How far off the tool is; ``used`` numbers between and ``within`` views went into a model fitted to them.
 
@@ -205,14 +217,7 @@ class Pixels(Kind):
         seen = sight(rig, self.views(prediction), self.pixels.shape[1], slopes=True)
         assert seen.by_tool is not None
         w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
-        r = w * (self.pixels - seen.pixels)
-        A = (seen.by_tool * (w * ~np.isnan(r))[..., None]).reshape(len(r), -1, 6)
-        rows = np.flatnonzero((~np.isnan(r)).sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
-        A, flat = A[rows], np.nan_to_num(r[rows]).reshape(len(rows), -1, 1)
-        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
-        e = C @ (A.transpose(0, 2, 1) @ flat)
-        count = int(np.count_nonzero(~np.isnan(r[rows]))) - 6 * len(rows)
-        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+        return ToolErrors.of(w * (self.pixels - seen.pixels), seen.by_tool * w[..., None])
 
     def _known(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
         """The rig of a calibration; where it has none, as it fits the anchor, or else these rows."""
