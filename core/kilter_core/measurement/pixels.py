@@ -16,7 +16,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
 from kilter_core.measurement.rig_fit import fit_rig, placed_by
 from kilter_core.measurement.view_scatter import ViewScatter, scatter_of, shrunk
-from kilter_core.measurement.views import Views, sight
+from kilter_core.measurement.views import Views, pairs_of, sight
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -107,8 +107,7 @@ class Pixels(Kind):
 
     def check(self) -> None:
         """Refuse views of a camera and a board that move together."""
-        camera, board = self._places
-        for c, b in sorted({(int(c), int(b)) for c, b in zip(camera, board, strict=True) if c >= 0}):
+        for c, b in pairs_of(*self._places):
             one, other = self.rig.cameras[c], self.rig.boards[b]
             if one.mount == other.mount:
                 raise ObservationError(

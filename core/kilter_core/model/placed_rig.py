@@ -117,6 +117,10 @@ class PlacedRig:
             parts[u.camera][u.place] = replace(old, **{name: array})
         return replace(self, cameras=tuple(parts[True]), boards=tuple(parts[False]))
 
+    def corners(self, k: int) -> Floats:
+        """Corners (M, 3) m of a board in its own frame, as large as it was found."""
+        return np.asarray((1.0 + self.boards[k].values[0]) * np.array(self.rig.boards[k].corners))
+
     def with_intrinsics(self, k: int, intrinsics: Floats) -> PlacedRig:
         """The same with other intrinsics of a camera."""
         cameras = list(self.cameras)
