@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.arm.frames import frame_parameters, increment
 from kilter_core.observations.rig import Camera, Rig
 from kilter_core.parameters import Parameter
-from kilter_core.transforms import inverse, rotation_along
+from kilter_core.transforms import rotation_along
 from kilter_core.types import Floats
 
 FREE_FOCAL = 0.1  # share of the focal length, of free intrinsics
@@ -179,11 +179,6 @@ class PlacedRig:
         cameras = [place(T, v) for T, v in zip(document["camera_poses"], document["camera_values"], strict=True)]
         boards = [place(T, [v]) for T, v in zip(document["board_poses"], document["board_scales"], strict=True)]
         return PlacedRig(rig, tuple(cameras), tuple(boards))
-
-
-def in_frame(rig: PlacedRig, T_base: Floats) -> PlacedRig:
-    """The rig with what stands in the room given in the frame of a base ``T_base (4, 4)``."""
-    return rig.moved(base=inverse(T_base))
 
 
 def _moved(place: Place, by: Floats | None) -> Place:
