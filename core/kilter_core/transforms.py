@@ -51,6 +51,12 @@ def inverse(T: Floats) -> Floats:
     return out
 
 
+def inverses(p: Floats, R: Floats) -> tuple[Floats, Floats]:
+    """Inverses of poses given as positions (N, 3) and rotations (N, 3, 3)."""
+    R = R.transpose(0, 2, 1)
+    return -np.einsum("nij,nj->ni", R, p), R
+
+
 def nearest_rotation(M: Floats) -> Floats:
     """Rotations (..., 3, 3) nearest to M in the Frobenius norm, never a reflection."""
     U, _, Vt = np.linalg.svd(M)

@@ -273,7 +273,7 @@ def _named(rows: Observations, band: float) -> Floats:
 
 def _stretches(calibration: Calibration, rows: Observations, options: CorrectionOptions) -> Stretches:
     """Rows under one load, temperature and tilt of the base, each stretch with its program."""
-    read = frozenset[str]().union(*(effect.needs for effect in calibration.model.effects))
+    read = calibration.model.needs
     tilts = (rows.base_tilt_x, rows.base_tilt_y) if "base_tilt_x" in read else (None, None)
     masses = rows.link_mass if "moments" in read and rows.link_mass is not None else np.zeros((len(rows), 0, 4))
     payload_com = np.zeros((len(rows), 3)) if rows.payload_com is None else rows.payload_com

@@ -56,9 +56,9 @@ def pixels_document(found: ViewScatter) -> dict[str, Any]:
 
 def tool_document(found: ViewScatter) -> dict[str, float]:
     """How far off the tool is, with its 95 % interval."""
-    root = math.sqrt(3.0)
+    root = math.sqrt(3.0)  # of the three coordinates of a point
     return {
-        "rms_mm": mm(root * found.place), "low_mm": mm(root * found.place_low), "high_mm": mm(root * found.place_high),
+        "rms_mm": mm(found.rms_m), "low_mm": mm(root * found.place_low), "high_mm": mm(root * found.place_high),
         "orientation_deg": degrees(root * found.turn),
     }  # fmt: skip
 

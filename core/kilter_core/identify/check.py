@@ -185,7 +185,7 @@ def _remedies(fit: Fit, options: IdentifyOptions) -> Iterator[tuple[str, Floats]
 def _conditions(fit: Fit, options: IdentifyOptions, own: Floats) -> Iterator[tuple[str, Floats]]:
     """The same poses under other conditions: where an effect reads them."""
     rows = fit.problem.measurement.observations
-    needs = frozenset[str]().union(*(effect.needs for effect in fit.problem.model.effects))
+    needs = fit.problem.model.needs
     if "moments" in needs:
         heavier = (np.zeros(len(rows)) if rows.payload_kg is None else rows.payload_kg) + SECOND_KG
         loaded = _measured(fit, replace(rows, payload_kg=heavier), options, turned=False)

@@ -19,7 +19,7 @@ from kilter_core.measurement.board_poses import board_poses
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
-from kilter_core.transforms import inverse
+from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 
 BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board", "rig"))
@@ -74,16 +74,13 @@ def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observ
 def _seen(known: Calibration, rows: Observations) -> Observations:
     views = Measurement.of(rows, held=True).pixels
     assert views is not None
-    assert rows.camera is not None
-    assert rows.board is not None
     errors = views.tool_errors(known)
     scatter = errors.scatter()
-    rig = known.rig.of(views.rig) if known.rig is not None and known.rig.has(views.rig) else None
-    rig = rig or views.placed(known.predict(rows))
+    prediction = known.predict(rows)
+    rig = views.placed(prediction)
     n = len(rows)
     p, R, told = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n, dtype=bool)
-    for c, b in sorted({(int(c), int(b)) for c, b in zip(rows.camera, rows.board, strict=True) if c >= 0}):
-        which = np.flatnonzero((rows.camera == c) & (rows.board == b))
+    for which, c, b in views.views(prediction).pairs():
         p[which], R[which], told[which] = _poses(rig, (c, b), views.pixels[which])
     sigma = np.full((n, 3), np.nan)
     deviations = np.sqrt(np.diagonal(errors.covariance, axis1=1, axis2=2)[:, :3])
@@ -98,15 +95,12 @@ def _poses(rig: PlacedRig, pair: tuple[int, int], pixels: Floats) -> tuple[Float
     """Tool poses (n, 3) and (n, 3, 3) of views of one camera and board, and which tell one."""
     c, b = pair
     camera, board, lens, sheet = rig.rig.cameras[c], rig.rig.boards[b], rig.cameras[c], rig.boards[b]
-    grown = (1.0 + float(sheet.values[0])) * np.array(board.corners)
+    grown = rig.corners(b)
     real = replace(board, corners=tuple(map(tuple, grown.tolist())))
     p, R, _, told = board_poses(camera, lens.values, real, pixels[:, : len(grown)])
+    fixed = camera.mount == "fixed"
     M = np.tile(np.eye(4), (len(p), 1, 1))
-    M[:, :3, :3], M[:, :3, 3] = R, p
-    if camera.mount == "fixed":
-        T = lens.pose @ M @ inverse(sheet.pose)
-    else:
-        M[:, :3, :3] = R.transpose(0, 2, 1)
-        M[:, :3, 3] = -np.einsum("nji,nj->ni", R, p)
-        T = sheet.pose @ M @ inverse(lens.pose)
+    M[:, :3, 3], M[:, :3, :3] = (p, R) if fixed else inverses(p, R)
+    room, tool = (lens, sheet) if fixed else (sheet, lens)
+    T = room.pose @ M @ inverse(tool.pose)
     return T[:, :3, 3], T[:, :3, :3], told

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from kilter_core.arm.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
+from kilter_core.arm.frames import frame_parameters, increment
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
@@ -43,66 +43,60 @@ ROUNDS = 3  # of registering base and tool in turn, for the start
 
 
 @dataclass(frozen=True)
-class SetupFrames(Effect):
-    """Base increments of each of the ``codes`` after the first. It is of the measurement and never part of a version."""
+class _OfSetups(Effect):
+    """Increments of a frame in each of the ``codes`` after the first, of the measurement: never part of a version."""
 
-    id = "setup_frames"
-    summary = "base frame of every set-up of the instrument"
-    source = "an instrument, or a sheet, that was set up anew"
     stage = "measurement"
     at_joints = False
+    frame: ClassVar[int]
+    stem: ClassVar[str]
 
     codes: tuple[int, ...] = ()
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Six increments per later set-up, m and rad, as wide as those of the base itself."""
-        return tuple(
-            Parameter(f"setup_{code}_{name}", "rad" if name[0] == "r" else "m", 0.0, sigma)
-            for code in self.codes[1:]
-            for name, sigma in zip(FRAME_NAMES, [FRAME_LENGTH_PRIOR_M] * 3 + [FRAME_ANGLE_PRIOR_RAD] * 3, strict=True)
-        )
-
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Twist of the base by the increments; rows without a set-up are of the first."""
-        if batch.setup is None:
-            return Local()
-        columns = [axis * (batch.setup == code)[:, None] for code in self.codes[1:] for axis in np.eye(6)]
-        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(columns)])
-
-
-@dataclass(frozen=True)
-class SetupTools(Effect):
-    """Twists of the tool in each of the ``codes`` after the first, without rotation unless ``turns``: in no version."""
-
-    id = "setup_tools"
-    summary = "tool of every set-up"
-    source = "a marker or a reflector that was mounted anew"
-    stage = "measurement"
-    at_joints = False
-
-    codes: tuple[int, ...] = ()
-    turns: bool = False
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Three or six numbers per later set-up, m and rad, as wide as those of the tool itself."""
-        wide = [FRAME_LENGTH_PRIOR_M] * 3 + [FRAME_ANGLE_PRIOR_RAD] * 3
-        return tuple(
-            Parameter(f"setup_tool_{code}_{name}", "rad" if name[0] == "r" else "m", 0.0, sigma)
-            for code in self.codes[1:]
-            for name, sigma in zip(FRAME_NAMES[: self.each], wide, strict=False)
-        )
 
     @property
     def each(self) -> int:
         """How many numbers a set-up has."""
-        return 6 if self.turns else 3
+        return 6
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Numbers of each later set-up, m and rad, as wide as those of the frame itself."""
+        return tuple(p for code in self.codes[1:] for p in frame_parameters(f"{self.stem}_{code}")[: self.each])
 
     def local(self, batch: Batch, values: Floats) -> Local:
-        """Twist of the tool; rows without a set-up are of the first."""
+        """Twist of the frame; rows without a set-up are of the first."""
         if batch.setup is None:
             return Local()
         columns = [axis * (batch.setup == code)[:, None] for code in self.codes[1:] for axis in np.eye(6)[: self.each]]
-        return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(columns)])
+        return linear(batch, values, [Derivative(k, self.frame, xi=xi) for k, xi in enumerate(columns)])
+
+
+@dataclass(frozen=True)
+class SetupFrames(_OfSetups):
+    """Bases of set-ups."""
+
+    id = "setup_frames"
+    summary = "base frame of every set-up of the instrument"
+    source = "an instrument, or a sheet, that was set up anew"
+    frame = BASE
+    stem = "setup"
+
+
+@dataclass(frozen=True)
+class SetupTools(_OfSetups):
+    """Tools of set-ups, which rotate against one another only with ``turns``."""
+
+    id = "setup_tools"
+    summary = "tool of every set-up"
+    source = "a marker or a reflector that was mounted anew"
+    frame = TOOL
+    stem = "setup_tool"
+
+    turns: bool = False
+
+    @property
+    def each(self) -> int:
+        """How many numbers a set-up has: three without rotation."""
+        return 6 if self.turns else 3
 
 
 OF_SETUPS = (SetupFrames, SetupTools, Cameras)  # effects that say how it was measured, and not how the arm is

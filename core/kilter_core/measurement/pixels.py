@@ -16,7 +16,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
 from kilter_core.measurement.rig_fit import fit_rig, placed_by
 from kilter_core.measurement.view_scatter import ViewScatter, scatter_of, shrunk
-from kilter_core.measurement.views import Views, sight
+from kilter_core.measurement.views import Views, pairs_of, sight
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -39,6 +39,18 @@ class ToolErrors:
     covariance: Floats
     rest: float
     numbers: int
+
+    @staticmethod
+    def of(left: Floats, by_tool: Floats) -> ToolErrors:
+        """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``."""
+        told = ~np.isnan(left)
+        rows = np.flatnonzero(told.sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
+        A = (by_tool * told[..., None])[rows].reshape(len(rows), -1, 6)
+        flat = np.nan_to_num(left[rows]).reshape(len(rows), -1, 1)
+        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
+        e = C @ (A.transpose(0, 2, 1) @ flat)
+        count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
+        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
 
     def scatter(self, used: float = 0.0, within: float = 0.0) -> ViewScatter:
         """How far off the tool is; ``used`` numbers between and ``within`` views went into a model fitted to them.
@@ -95,8 +107,7 @@ class Pixels(Kind):
 
     def check(self) -> None:
         """Refuse views of a camera and a board that move together."""
-        camera, board = self._places
-        for c, b in sorted({(int(c), int(b)) for c, b in zip(camera, board, strict=True) if c >= 0}):
+        for c, b in pairs_of(*self._places):
             one, other = self.rig.cameras[c], self.rig.boards[b]
             if one.mount == other.mount:
                 raise ObservationError(
@@ -205,14 +216,7 @@ class Pixels(Kind):
         seen = sight(rig, self.views(prediction), self.pixels.shape[1], slopes=True)
         assert seen.by_tool is not None
         w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
-        r = w * (self.pixels - seen.pixels)
-        A = (seen.by_tool * (w * ~np.isnan(r))[..., None]).reshape(len(r), -1, 6)
-        rows = np.flatnonzero((~np.isnan(r)).sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
-        A, flat = A[rows], np.nan_to_num(r[rows]).reshape(len(rows), -1, 1)
-        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
-        e = C @ (A.transpose(0, 2, 1) @ flat)
-        count = int(np.count_nonzero(~np.isnan(r[rows]))) - 6 * len(rows)
-        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+        return ToolErrors.of(w * (self.pixels - seen.pixels), seen.by_tool * w[..., None])
 
     def _known(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
         """The rig of a calibration; where it has none, as it fits the anchor, or else these rows."""

@@ -13,7 +13,7 @@ from kilter_core.measurement.hand_eye import HandEye, solve_axzb
 from kilter_core.measurement.views import Sight, Views, sight
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
-from kilter_core.transforms import inverse
+from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Floats, Ints
 
 STEPS = 40
@@ -77,8 +77,7 @@ def _pair(
     c, b = pair
     fixed = rig.cameras[c].mount == "fixed"
     if not fixed:  # what the tool carries is the camera: the board's pose is seen from there
-        R = R.transpose(0, 2, 1)
-        p = -np.einsum("nij,nj->ni", R, p)
+        p, R = inverses(p, R)
     T_p, T_R = views.position[which], views.rotation[which]
     if c not in cameras and b not in boards:
         return solve_axzb(T_p, T_R, p, R)

@@ -13,6 +13,11 @@ from kilter_core.transforms import skew
 from kilter_core.types import Floats, Ints
 
 
+def pairs_of(camera: Ints, board: Ints) -> list[tuple[int, int]]:
+    """Every camera (N,) with each board (N,) that it saw; rows that no camera saw have -1."""
+    return sorted({(int(c), int(b)) for c, b in zip(camera, board, strict=True) if c >= 0})
+
+
 @dataclass(frozen=True)
 class Views:
     """N views: which ``camera (N,)`` of the rig saw which ``board (N,)``, and the tool's ``position`` and ``rotation``."""
@@ -28,7 +33,7 @@ class Views:
 
     def pairs(self) -> Iterator[tuple[Ints, int, int]]:
         """Rows of each pair of a camera and a board."""
-        for c, b in sorted({(int(c), int(b)) for c, b in zip(self.camera, self.board, strict=True) if c >= 0}):
+        for c, b in pairs_of(self.camera, self.board):
             yield np.flatnonzero((self.camera == c) & (self.board == b)), c, b
 
 
@@ -75,7 +80,7 @@ class _Pair:
         self.outside = camera.mount == "fixed"
         self.X, Y = self.lens.pose, self.sheet.pose
         self.nominal = np.array(board.corners)
-        self.corners = (1.0 + self.sheet.values[0]) * self.nominal
+        self.corners = rig.corners(b)
         self.Y = Y[:3, :3]
         on_part = self.corners @ Y[:3, :3].T + Y[:3, 3]
         if self.outside:  # the board goes with the tool

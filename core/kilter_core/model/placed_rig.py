@@ -9,15 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.arm.frames import frame_parameters, increment
 from kilter_core.observations.rig import Camera, Rig
 from kilter_core.parameters import Parameter
-from kilter_core.transforms import inverse
+from kilter_core.transforms import rotation_along
 from kilter_core.types import Floats
 
-PLACE = ("x", "y", "z", "rx", "ry", "rz")
-# Places are found from scratch by the registration; these widths only keep an unobservable direction finite.
-LENGTH_PRIOR_M = 0.1
-ANGLE_PRIOR_RAD = 0.3
 FREE_FOCAL = 0.1  # share of the focal length, of free intrinsics
 FREE_CENTRE = 0.1  # share of the width
 FREE_DISTORTION = 0.5
@@ -47,14 +44,12 @@ class Place:
     @property
     def pose(self) -> Floats:
         """Pose (4, 4) of the part."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = _turn(self.six[3:]), self.six[:3]
-        return np.asarray(self.origin @ T)
+        return np.asarray(self.origin @ increment(self.six))
 
     @property
     def spin(self) -> Floats:
         """Columns (3, 3): how it rotates, in its own axes, with each of its three angles."""
-        _, ry, rz = (_axis(k, self.six[3 + k]) for k in range(3))
+        _, ry, rz = (rotation_along(k, self.six[3 + k]) for k in range(3))
         return np.column_stack([rz.T @ ry.T[:, 0], rz.T[:, 1], np.eye(3)[:, 2]])
 
 
@@ -122,6 +117,10 @@ class PlacedRig:
             parts[u.camera][u.place] = replace(old, **{name: array})
         return replace(self, cameras=tuple(parts[True]), boards=tuple(parts[False]))
 
+    def corners(self, k: int) -> Floats:
+        """Corners (M, 3) m of a board in its own frame, as large as it was found."""
+        return np.asarray((1.0 + self.boards[k].values[0]) * np.array(self.rig.boards[k].corners))
+
     def with_intrinsics(self, k: int, intrinsics: Floats) -> PlacedRig:
         """The same with other intrinsics of a camera."""
         cameras = list(self.cameras)
@@ -182,21 +181,12 @@ class PlacedRig:
         return PlacedRig(rig, tuple(cameras), tuple(boards))
 
 
-def in_frame(rig: PlacedRig, T_base: Floats) -> PlacedRig:
-    """The rig with what stands in the room given in the frame of a base ``T_base (4, 4)``."""
-    return rig.moved(base=inverse(T_base))
-
-
 def _moved(place: Place, by: Floats | None) -> Place:
     return place if by is None else replace(place, origin=by @ place.pose, six=np.zeros(6))
 
 
 def _pose_of(what: str, name: str, camera: bool, k: int) -> list[tuple[Unknown, Parameter]]:
-    sigmas = [LENGTH_PRIOR_M] * 3 + [ANGLE_PRIOR_RAD] * 3
-    return [
-        (Unknown(camera, k, "pose", i), Parameter(f"{what}_{name}_{axis}", "m" if i < 3 else "rad", 0.0, sigmas[i]))
-        for i, axis in enumerate(PLACE)
-    ]
+    return [(Unknown(camera, k, "pose", i), one) for i, one in enumerate(frame_parameters(f"{what}_{name}"))]
 
 
 def _sigmas(camera: Camera) -> tuple[float, ...]:
@@ -208,16 +198,3 @@ def _sigmas(camera: Camera) -> tuple[float, ...]:
         return camera.sigmas
     wide = (*(FREE_FOCAL * f for f in camera.focal), *(FREE_CENTRE * camera.size[0],) * 2)
     return (*wide, *(FREE_DISTORTION,) * len(camera.distortion))
-
-
-def _axis(k: int, angle: float) -> Floats:
-    c, s = np.cos(angle), np.sin(angle)
-    R = np.eye(3)
-    a, b = (k + 1) % 3, (k + 2) % 3
-    R[a, a] = R[b, b] = c
-    R[b, a], R[a, b] = s, -s
-    return R
-
-
-def _turn(angles: Floats) -> Floats:
-    return np.asarray(_axis(0, angles[0]) @ _axis(1, angles[1]) @ _axis(2, angles[2]))

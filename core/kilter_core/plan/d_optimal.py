@@ -45,7 +45,7 @@ def d_optimal_poses(
     """
     rng = np.random.default_rng(seed)
     whole, values, free = looked_for(start, effects)
-    needs = frozenset[str]().union(*(e.needs for e in whole.effects))
+    needs = whole.needs
     pool = conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
     pool = loaded(pool, needs, start.robot, payload_com)
     J = whole.jacobian(completed(pool, needs), values, free)[1][:, :3]

@@ -9,7 +9,7 @@ import numpy as np
 from kilter_core.measurement.camera_model import normalised, project
 from kilter_core.model import Prediction
 from kilter_core.model.placed_rig import PlacedRig
-from kilter_core.transforms import inverse
+from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 
 RIM = 0.02  # share of the picture left free at its edges
@@ -32,14 +32,13 @@ class Pair:
     @property
     def corners(self) -> Floats:
         """Corners (M, 3) m in the board's frame."""
-        return (1.0 + float(self.rig.boards[self.b].values[0])) * np.array(self.rig.rig.boards[self.b].corners)
+        return self.rig.corners(self.b)
 
     def poses(self, tool: Prediction) -> tuple[Floats, Floats]:
         """Board in the camera's frame, (N, 3) m and (N, 3, 3)."""
         p, R = tool.position, tool.rotation
         if self.rig.rig.cameras[self.c].mount == "flange":
-            R = R.transpose(0, 2, 1)
-            p = -np.einsum("nij,nj->ni", R, p)
+            p, R = inverses(p, R)
         X, Y = inverse(self.rig.cameras[self.c].pose), self.rig.boards[self.b].pose
         return (p + R @ Y[:3, 3]) @ X[:3, :3].T + X[:3, 3], X[:3, :3] @ R @ Y[:3, :3]
 

@@ -74,7 +74,7 @@ def view_poses(
     rng, told = np.random.default_rng(seed), progress or (lambda fraction: None)
     start = placed_by_views(start, None)
     model, values, free = _looked_for(start, effects)
-    needs = frozenset[str]().union(*(e.needs for e in model.effects))
+    needs = model.needs
     assert start.rig is not None
     before = None if driven is None or len(driven) < FEWEST_DRIVEN else _bare(start).predict(_at(driven))
     looking = pairs(start.rig, before)

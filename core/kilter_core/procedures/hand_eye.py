@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.errors import ObservationError
 from kilter_core.measurement.pixels import ToolErrors
 from kilter_core.measurement.rig_fit import fit_rig, placed_by
 from kilter_core.measurement.view_scatter import ViewScatter
@@ -18,8 +17,6 @@ from kilter_core.measurement.views import Views, sight
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
-
-FEWEST = 8  # numbers of a view that tells a pose
 
 
 @dataclass(frozen=True)
@@ -63,14 +60,5 @@ def hand_eye(
     r = pixels - seen.pixels
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sqrt(np.nansum(r**2, axis=(1, 2)) / np.sum(~np.isnan(r), axis=(1, 2)))
-    rows = np.flatnonzero(np.sum(~np.isnan(r), axis=(1, 2)) >= FEWEST)
-    if not len(rows):
-        raise ObservationError("No view shows four corners or more: none tells a pose.", code="no_view")
-    A = (seen.by_tool * ~np.isnan(r)[..., None])[rows].reshape(len(rows), -1, 6)
-    flat = np.nan_to_num(r[rows]).reshape(len(rows), -1, 1)
-    C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
-    e = C @ (A.transpose(0, 2, 1) @ flat)
-    count = int(np.count_nonzero(~np.isnan(r[rows]))) - 6 * len(rows)
-    errors = ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
-    scatter = errors.scatter(float(6 * (len(rig.cameras) + len(rig.boards))))
+    scatter = ToolErrors.of(r, seen.by_tool).scatter(float(6 * (len(rig.cameras) + len(rig.boards))))
     return HandEyeCalibration(fitted.rig, start, fitted.covariance, np.asarray(left), scatter)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -26,14 +26,7 @@ HIDDEN = [("backlash", (1,), (6e-4,)), ("eccentricity", (2,), (6e-4, 4e-4))]
 @pytest.fixture
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes one second at every look: what is cut short does not depend on the machine."""
-
-    def seconds() -> Iterator[float]:
-        now = 0.0
-        while True:
-            yield now
-            now += 1.0
-
-    monkeypatch.setattr(budget, "clock", seconds().__next__)
+    monkeypatch.setattr(budget, "clock", itertools.count(0.0).__next__)
 
 
 def searched(seconds: float | None) -> GapReport:

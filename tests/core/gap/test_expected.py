@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -20,14 +20,7 @@ ONE = Probe(begun=1.0, null=0.1, selected=0.02, again=0.01, fit=0.3, looked=0.2,
 @pytest.fixture
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes one second at every look: every piece of work takes one."""
-
-    def seconds() -> Iterator[float]:
-        now = 0.0
-        while True:
-            yield now
-            now += 1.0
-
-    monkeypatch.setattr(expected, "clock", seconds().__next__)
+    monkeypatch.setattr(expected, "clock", itertools.count(0.0).__next__)
 
 
 @pytest.mark.usefixtures("ticking")

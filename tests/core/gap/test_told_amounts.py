@@ -14,6 +14,7 @@ from kilter_core.gap.evidence import widened as module
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.evidence.widened import widened
 from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.search import renewal
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import linearize_at
 from tests.core.gap.sized_twins import LARGE, SMALL, Sized, sized
@@ -106,5 +107,5 @@ def test_what_the_rows_hardly_know_keeps_its_prior_and_no_fit_leaves_more(monkey
     assert widened(found) is found
     monkeypatch.setattr(module, "KNOWN", 0.7)
     far = found.problem.values + 1e-3
-    monkeypatch.setattr(module, "refit", lambda settings, *_: linearize_at(settings, far))  # one that ran away
+    monkeypatch.setattr(renewal, "refit", lambda settings, *_: linearize_at(settings, far))  # one that ran away
     assert widened(found) is found

@@ -37,7 +37,7 @@ def amounts_of(found: SearchResult) -> Amounts:
     values = source.library(problem.values)[columns]
     J, prior, covariance = of_all(found)
     away = np.concatenate([source.geometry(problem.values) - source.prior_mean, values])
-    grown = _grown(found)
+    grown = widening(found)
     B = J * (grown * prior)
     H = B.T @ B
     H.flat[:: len(H) + 1] += 1.0
@@ -50,7 +50,7 @@ def of_all(found: SearchResult) -> tuple[Floats, Floats, Floats]:
     """Whitened Jacobian (R, F), prior sigmas (F,) and covariance (F, F) of the geometry and the named effects."""
     problem, columns = found.problem, found.columns
     source = problem.settings.source
-    J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / _grown(found)
+    J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / widening(found)
     prior = np.concatenate([source.prior_sigma, source.library_sigma[columns]])
     H = (J * prior).T @ (J * prior)
     H.flat[:: len(H) + 1] += 1.0  # the priors
@@ -64,5 +64,6 @@ def inflation(search: SearchResult) -> float:
     return float(np.sqrt(max(1.0, ratio) if search.problem.settings.trusted else ratio))
 
 
-def _grown(found: SearchResult) -> float:
+def widening(found: SearchResult) -> float:
+    """The same, never zero: what residuals may be divided by."""
     return max(inflation(found), SMALLEST)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import binom
 
 from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_floor
-from kilter_core.gap.evidence.final_fit import SMALLEST, inflation
+from kilter_core.gap.evidence.final_fit import inflation, widening
 from kilter_core.gap.evidence.intervals import interval_width
 from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.evidence.predicted import surely_predicted
@@ -153,7 +153,7 @@ class HoldoutEvaluator:
         spread = self._spread()
         floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
         if spread is not None:
-            floor = _floor(spread[~spike] / max(inflation(self.search), SMALLEST) ** 2, self._lower())
+            floor = _floor(spread[~spike] / widening(self.search) ** 2, self._lower())
         floor -= 1.0 - self._left_share
         how = "validation observations"
         if self.moving and not problem.settings.source.observes_tool:

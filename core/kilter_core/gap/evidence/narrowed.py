@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from kilter_core.gap.evidence.final_fit import of_all
+from kilter_core.gap.evidence.fitted_again import fitted_again, repeated
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import refit
 from kilter_core.gap.search.masses import blurred
 
 CHANGED = 0.05  # of a blur: less moves no sign that matters
@@ -21,11 +19,7 @@ def narrowed(found: SearchResult) -> SearchResult:
     While it searches the blur is that of the priors, because what is not named yet would narrow
     nothing, or the wrong masses.
     """
-    for _ in range(PASSES):
-        before, found = found, _once(found)
-        if found is before:
-            break
-    return found
+    return repeated(_once, found, PASSES)
 
 
 def _once(found: SearchResult) -> SearchResult:
@@ -38,7 +32,4 @@ def _once(found: SearchResult) -> SearchResult:
     before = source.batch.blur
     if after.batch.blur is None or np.all(np.abs(after.batch.blur - before) <= CHANGED * before):
         return found
-    settings = replace(problem.settings, source=after)
-    problem.resting()
-    again = refit(settings, problem.values, found.columns)
-    return replace(found, problem=again, steps=found.stepped(again, found.chosen))
+    return fitted_again(found, after)

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap.evidence.final_fit import amounts_of
+from kilter_core.gap.evidence.fitted_again import fitted_again, repeated
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import refit
 
 LARGER = 1.5  # times the prior deviation, from which an amplitude has a prior of its own size
 KNOWN = 0.7  # of the prior deviation, the most that an amplitude may be uncertain by: the rows then say as much as the prior
@@ -26,11 +26,7 @@ def widened(found: SearchResult) -> SearchResult:
 
     A fit that leaves more than the one before is none.
     """
-    for _ in range(PASSES):
-        before, found = found, _once(found)
-        if found is before:
-            break
-    return found
+    return repeated(_once, found, PASSES)
 
 
 def _once(found: SearchResult) -> SearchResult:
@@ -45,9 +41,5 @@ def _once(found: SearchResult) -> SearchResult:
         return found
     sigma = prior.copy()
     sigma[np.array(columns)[far]] = size[far]
-    wider = replace(source, library_sigma=sigma)  # type: ignore[type-var]
-    problem.resting()
-    again = refit(replace(problem.settings, source=wider), problem.values, columns)
-    if again.chi2 > problem.chi2:
-        return found
-    return replace(found, problem=again, steps=found.stepped(again, found.chosen))
+    again = fitted_again(found, replace(source, library_sigma=sigma))  # type: ignore[type-var]
+    return found if again.problem.chi2 > problem.chi2 else again

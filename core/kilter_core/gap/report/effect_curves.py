@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.effects.base import NOT_OF_ROWS
-from kilter_core.gap.evidence.final_fit import amounts_of, inflation
+from kilter_core.gap.evidence.final_fit import Amounts, amounts_of, widening
 from kilter_core.gap.evidence.intervals import interval_width
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.search.candidates import JOINT, Candidate
@@ -83,17 +84,20 @@ class Visits:
 
 def effect_curves(search: SearchResult, effects: Sequence[Judged]) -> list[dict[str, Any]]:
     """A curve for each joint that a named effect rotates (or shifts) as one quantity tells; units as in a report."""
-    out = []
+    out: list[dict[str, Any]] = []
+    if not effects:
+        return out
+    fit = amounts_of(search)
     for judged in effects:
         place = judged.evidence.place
         alike = {alias.candidate.label for alias in judged.alias_set}
         for joint in search.selector.scorer.candidates[place].joints or ():
-            curve = _curve(search, place, joint, alike)
+            curve = _curve(search, fit, place, joint, alike)
             out += [] if curve is None else [curve]
     return out
 
 
-def _curve(search: SearchResult, place: int, joint: int, alike: set[str]) -> dict[str, Any] | None:
+def _curve(search: SearchResult, fit: Amounts, place: int, joint: int, alike: set[str]) -> dict[str, Any] | None:
     """The curve of a chosen candidate at a joint, None where no single quantity tells it."""
     candidate, source = search.selector.scorer.candidates[place], search.problem.settings.source
     found = next(_followed(candidate, source.batch, joint, search), None)
@@ -102,7 +106,7 @@ def _curve(search: SearchResult, place: int, joint: int, alike: set[str]) -> dic
     visits = _visits(search, joint)
     if not np.any(visits.used):
         return None
-    return _Drawn(search, candidate, joint, found, visits).document(alike)
+    return _Drawn(search, fit, candidate, joint, found, visits).document(alike)
 
 
 def _followed(candidate: Candidate, batch: Batch, joint: int, search: SearchResult) -> Iterator[Follows]:
@@ -156,7 +160,7 @@ def _visits(search: SearchResult, joint: int) -> Visits:
     known = np.sum(D * D, axis=1)
     used = settings.used & (known > 0.0)
     known = np.where(used, known, 1.0)
-    sigma = max(inflation(search), 1e-9) / np.sqrt(known)
+    sigma = widening(search) / np.sqrt(known)
     return Visits(used, np.sum(D * r, axis=1) / known, sigma)
 
 
@@ -165,6 +169,7 @@ class _Drawn:
     """A candidate at a joint over the quantity that it follows there."""
 
     search: SearchResult
+    fit: Amounts
     candidate: Candidate
     joint: int
     follows: Follows
@@ -229,10 +234,11 @@ class _Drawn:
 
     def _amounts(self) -> tuple[Floats, Floats]:
         """Amplitudes (d,) of the candidate as the version stores them, and their covariance (d, d)."""
-        fit, columns = amounts_of(self.search), self.search.columns
+        columns = self.search.columns
         own = [columns.index(k) for k in self.candidate.columns]
-        return fit.values[own], fit.covariance[np.ix_(own, own)]
+        return self.fit.values[own], self.fit.covariance[np.ix_(own, own)]
 
+    @cached_property
     def _own(self) -> Floats:
         """What the candidate moves the joint by in every visit (V,)."""
         signals = _signals(self.search, self.candidate, self._batch, self.joint)
@@ -241,7 +247,7 @@ class _Drawn:
 
     def _dots(self, begin: float, x_scale: float, scale: float, width: float) -> dict[str, Any]:
         """What each visit says that the effect does, half of its 95 % interval, the curve, and how many say too little."""
-        visits, own = self.visits, self._own()
+        visits, own = self.visits, self._own
         clear = visits.used & (visits.sigma <= FAINT * np.median(visits.sigma[visits.used]))
         shown = np.flatnonzero(clear)
         shown = shown[:: -(-len(shown) // MOST_VISITS) or 1]
@@ -270,6 +276,7 @@ class _Drawn:
         """
         visits, left = self.visits, self.visits.left / self.visits.sigma
         named = float(np.sum(left[visits.used] ** 2))
+        b = (self._own / visits.sigma + left)[visits.used]
         fits = []
         for other in self._others(alike):
             signals = _signals(self.search, other, self._batch, self.joint)
@@ -277,7 +284,6 @@ class _Drawn:
             A = np.column_stack([signals, np.ones(len(signals))])[visits.used] / visits.sigma[visits.used, None]
             size = np.linalg.norm(A, axis=0)
             size[size == 0.0] = 1.0
-            b = (self._own() / visits.sigma + left)[visits.used]
             amounts = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
             fits.append((float(np.sum((b - A @ amounts) ** 2)), other, amounts))
         if not fits or named == 0.0:

@@ -19,6 +19,7 @@ from kilter_core.measurement.hand_eye import solve_axzb
 from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.transforms import inverses
 from kilter_core.types import Floats
 
 MOST_VIEWS = 60
@@ -129,6 +130,5 @@ def _sample(begin: Calibration, rows: Observations) -> _Sample | None:
         return None
     p, R = p[usable], R[usable]
     if camera.mount == "flange":
-        R = R.transpose(0, 2, 1)
-        p = -np.einsum("nij,nj->ni", R, p)
+        p, R = inverses(p, R)
     return _Sample(begin, rows.select(which[usable]), p, R)
