@@ -17,6 +17,7 @@ from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.spread import evenly
 from kilter_service.contract.instruments import Instrument
 from kilter_service.instruments.permissible import permissible
 
@@ -72,9 +73,7 @@ def judged(
 
 def shown(found: Judged) -> tuple[Floats, Floats]:
     """Places (n, 3) m and errors (n,) m of some rows, evenly chosen, the worst among them."""
-    count = len(found.sizes)
-    some = np.linspace(0, count - 1, min(count, MOST_SHOWN)).round().astype(np.int64)
-    some = np.unique(np.append(some, found.sizes.argmax()))
+    some = np.union1d(evenly(len(found.sizes), MOST_SHOWN), found.sizes.argmax())
     return found.places[some], found.sizes[some]
 
 
