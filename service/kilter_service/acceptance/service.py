@@ -142,7 +142,7 @@ def _part(session: Session, key: str, found: Judged, used: Instrument | None, re
     campaign = JudgedCampaign(
         id=key, name=record.name, when=sentences.when(at, days, stated=record.measured_at is not None),
         instrument=used and used.name, rows=len(found.sizes), sha256=[one.sha256 for one in uploads], refit=[*refit],
-        before=Errors(**found.metrics["registration_only"]), after=Errors(**found.metrics["identified"]),
+        before=Errors(**found.before), after=Errors(**found.after),
         largest_mm=to_mm(float(found.sizes.max())), row=int(found.rows[worst.row]) + 1, error_mm=to_mm(worst.error),
         guard_band_mm=to_mm(worst.guard), provable_mm=to_mm(worst.needed), budget=found.budget,
         at_mm=to_mm(places).tolist(), error_at_mm=to_mm(sizes).tolist(),
