@@ -16,7 +16,7 @@ from kilter_service.contract.drift import (
     State,
 )
 from kilter_service.db import Database, Session
-from kilter_service.db.row import now
+from kilter_service.db.row import days_since
 from kilter_service.drift import store
 from kilter_service.drift import wire_history as wire
 from kilter_service.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
@@ -111,7 +111,7 @@ def _summary(
         sentence=sentence,
         checks=len(own),
         last=None if last is None else wire.check(last),
-        age_days=None if last is None else max((now() - last.at).days, 0),
+        age_days=None if last is None else days_since(last.at),
     )
 
 

@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 
 from kilter_service.contract.fits import stayed
 from kilter_service.db.row import now
+from kilter_service.texts import plural
 
 NONE = "–"
 DIGITS = 3  # of a number whose uncertainty is not known
@@ -102,8 +103,7 @@ def age(moment: datetime | None) -> str:
     seconds = (now() - moment).total_seconds()
     for size, name in ((DAY, "day"), (HOUR, "hour"), (MINUTE, "minute")):
         if seconds >= size:
-            count = int(seconds // size)
-            return f"{count} {name}{'s' if count > 1 else ''} ago"
+            return f"{plural(int(seconds // size), name)} ago"
     return "just now"
 
 
@@ -131,7 +131,7 @@ def count(value: int | None) -> str:
 
 def left_out(rows: int | None) -> str:
     """Say how many rows an error leaves out; nothing where that is not known."""
-    return "" if rows is None else "no row left out" if rows == 0 else f"{rows} row{'s' if rows > 1 else ''} left out"
+    return "" if rows is None else "no row left out" if rows == 0 else f"{plural(rows, 'row')} left out"
 
 
 def ticked(text: str) -> Markup:

@@ -12,6 +12,8 @@ from kilter_service.drift.wire import chance_words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
 from kilter_service.page.words import moment, number
+from kilter_service.texts import plural
+from kilter_service.today.sentences import ago
 
 DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read
@@ -51,8 +53,8 @@ def standing(found: DriftSummary) -> str:
     """Say when the last check was, after the sentence of the state."""
     if found.last is None or found.age_days is None:
         return ""
-    ago = "today" if found.age_days == 0 else f"{found.age_days} day{'s' if found.age_days > 1 else ''} ago"
-    return f"Checked on {found.last.at:%Y-%m-%d}, {ago}; {found.checks} check{'s' if found.checks > 1 else ''} of this version."
+    checks = plural(found.checks, "check")
+    return f"Checked on {found.last.at:%Y-%m-%d}, {ago(found.age_days)}; {checks} of this version."
 
 
 def watched(found: DriftHistory) -> Watched:
