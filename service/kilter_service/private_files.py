@@ -8,7 +8,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -48,6 +48,25 @@ def private_file(path: Path) -> None:
     with contextlib.suppress(OSError):  # whoever opens it next has the whole error
         os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
     keep_private(path)
+
+
+def secret_in(file: Path, what: str, least: int, others: int, unusable: Callable[[str], ServiceError]) -> bytes:
+    """Return ``what`` a file holds: at least so many bytes, and nobody may have the rights ``others``.
+
+    Raises:
+        ServiceError: what ``unusable`` makes of the reason.
+
+    """
+    try:
+        open_to_others = stat.S_IMODE(file.stat().st_mode) & others
+        content = file.read_bytes().strip()
+    except OSError as error:
+        raise unusable(f"cannot be read ({error.strerror}): give the file of the {what}") from error
+    if open_to_others:
+        raise unusable(f"can be read by others: run `chmod 600 {file}`")
+    if len(content) < least:
+        raise unusable(f"is too short: make one with `openssl rand -base64 48 > {file}`")
+    return content
 
 
 def keep_private(path: Path) -> None:

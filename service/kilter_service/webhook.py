@@ -9,7 +9,6 @@ import json
 import logging
 import queue
 import ssl
-import stat
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from kilter_service.errors import ServiceError
+from kilter_service.private_files import secret_in
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
@@ -129,16 +129,7 @@ def _target(url: SplitResult) -> str:
 
 
 def _secret_in(file: Path) -> bytes:
-    try:
-        open_to_others = stat.S_IMODE(file.stat().st_mode) & 0o007
-        content = file.read_bytes().strip()
-    except OSError as error:
-        raise _unusable(f"cannot be read ({error.strerror}): give the file of the secret") from error
-    if open_to_others:
-        raise _unusable(f"can be read by others: run `chmod 600 {file}`")
-    if len(content) < LEAST_SECRET:
-        raise _unusable(f"is too short: make one with `openssl rand -base64 48 > {file}`")
-    return content
+    return secret_in(file, "secret", LEAST_SECRET, 0o007, _unusable)
 
 
 def _unusable(what: str) -> ServiceError:

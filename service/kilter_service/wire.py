@@ -33,6 +33,16 @@ def to_metres(millimetres: T) -> T:
     return millimetres * METRE
 
 
+def to_metres_if_known(millimetres: float | None) -> float | None:
+    """Return a length in m, None where none is stated."""
+    return None if millimetres is None else to_metres(millimetres)
+
+
+def to_mm_if_known(metres: float | None) -> float | None:
+    """Return a length in mm, None where it is not known."""
+    return None if metres is None else to_mm(metres)
+
+
 def from_um(micrometres: float) -> float:
     """Return a length in m, or what an error grows by per length."""
     return micrometres * MICROMETRE

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.evaluate import evaluate, rows_of
+from kilter_core.evaluate import rows_of
 from kilter_core.evaluate.uncertainty import Budget, Conformity, judge
 from kilter_core.evaluate.uncertainty.budget import K
 from kilter_core.identify.estimate import refitted
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.spread import evenly
 from kilter_service.contract.instruments import Instrument
 from kilter_service.instruments.permissible import permissible
 
@@ -27,10 +29,14 @@ MOST_SHOWN = 500
 
 @dataclass(frozen=True)
 class Judged:
-    """Rows of a campaign: the conformity of the worst, ``metrics`` in mm, the budget, and places with errors (N,) m."""
+    """Rows of a campaign: the conformity of the worst, errors in mm, the budget, and places with errors (N,) m.
+
+    ``before`` are those of the nominal robot with both frames fitted.
+    """
 
     conformity: Conformity
-    metrics: dict[str, Any]
+    before: dict[str, float]
+    after: dict[str, float]
     budget: dict[str, Any]
     places: Floats
     sizes: Floats
@@ -65,16 +71,15 @@ def judged(
         return None
     sizes = np.linalg.norm(error[seen], axis=1)
     conformity = judge(sizes, K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
-    metrics = evaluate(calibration, rows, refit, known)
+    nominal = refitted(Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
+    before, after = (Errors.of(one, measurement).to_document() for one in (nominal, fitted))
     document = {"instrument": instrument and instrument.name, **budget.to_document()}
-    return Judged(conformity, metrics, document, _places(rows)[seen], sizes, numbers[seen])
+    return Judged(conformity, before, after, document, _places(rows)[seen], sizes, numbers[seen])
 
 
 def shown(found: Judged) -> tuple[Floats, Floats]:
     """Places (n, 3) m and errors (n,) m of some rows, evenly chosen, the worst among them."""
-    count = len(found.sizes)
-    some = np.linspace(0, count - 1, min(count, MOST_SHOWN)).round().astype(np.int64)
-    some = np.unique(np.append(some, found.sizes.argmax()))
+    some = np.union1d(evenly(len(found.sizes), MOST_SHOWN), found.sizes.argmax())
     return found.places[some], found.sizes[some]
 
 

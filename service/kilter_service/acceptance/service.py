@@ -10,7 +10,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors, Remark
 from kilter_service.db import Database, Session
-from kilter_service.db.row import now
+from kilter_service.db.row import days_since
 from kilter_service.errors import ServiceError
 from kilter_service.instruments import store as instruments
 from kilter_service.instruments.validity import remarks
@@ -136,13 +136,12 @@ def _part(session: Session, key: str, found: Judged, used: Instrument | None, re
 
     record, uploads = campaigns.get(session, key), campaigns.uploads_of(session, key)
     at = record.measured_at or max(one.created_at for one in uploads)
-    days = max((now() - at).days, 0)
     places, sizes = shown(found)
     worst = found.conformity
     campaign = JudgedCampaign(
-        id=key, name=record.name, when=sentences.when(at, days, stated=record.measured_at is not None),
+        id=key, name=record.name, when=sentences.when(at, days_since(at), stated=record.measured_at is not None),
         instrument=used and used.name, rows=len(found.sizes), sha256=[one.sha256 for one in uploads], refit=[*refit],
-        before=Errors(**found.metrics["registration_only"]), after=Errors(**found.metrics["identified"]),
+        before=Errors(**found.before), after=Errors(**found.after),
         largest_mm=to_mm(float(found.sizes.max())), row=int(found.rows[worst.row]) + 1, error_mm=to_mm(worst.error),
         guard_band_mm=to_mm(worst.guard), provable_mm=to_mm(worst.needed), budget=found.budget,
         at_mm=to_mm(places).tolist(), error_at_mm=to_mm(sizes).tolist(),

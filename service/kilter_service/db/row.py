@@ -16,6 +16,11 @@ def now() -> datetime:
     return datetime.now(UTC)
 
 
+def days_since(moment: datetime) -> int:
+    """Return the whole days since a time; 0 where a clock that is fast has it ahead."""
+    return max((now() - moment).days, 0)
+
+
 class Instant(TypeDecorator[datetime]):
     """A time in UTC; SQLite forgets the zone, this puts it back."""
 

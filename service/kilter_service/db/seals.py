@@ -7,7 +7,6 @@ stores them, so that a seal holds in either database and in a backup. docs/decis
 from __future__ import annotations
 
 import os
-import stat
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
@@ -21,6 +20,7 @@ from sqlalchemy.dialects import sqlite
 from kilter_service.db.row import Row
 from kilter_service.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, SealedTableRow, SealRow
 from kilter_service.errors import ServiceError
+from kilter_service.private_files import secret_in
 
 # The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but
 # a metric. Nor does anything on the progress of a job, which workers note beside each other, and the bytes of chunks and
@@ -74,16 +74,7 @@ def sealer() -> Sealer:
 
 
 def _key_in(file: Path) -> bytes:
-    try:
-        open_to_others = stat.S_IMODE(file.stat().st_mode) & 0o077 & ~_right_of_credential(file)
-        content = file.read_bytes().strip()
-    except OSError as error:
-        raise _unusable(f"cannot be read ({error.strerror}): give the file of the key") from error
-    if open_to_others:
-        raise _unusable(f"can be read by others: run `chmod 600 {file}`")
-    if len(content) < LEAST_KEY:
-        raise _unusable(f"is too short: make one with `openssl rand -base64 48 > {file}`")
-    return content
+    return secret_in(file, "key", LEAST_KEY, 0o077 & ~_right_of_credential(file), _unusable)
 
 
 def _right_of_credential(file: Path) -> int:

@@ -16,7 +16,7 @@ from kilter_service.contract.drift import (
     State,
 )
 from kilter_service.db import Database, Session
-from kilter_service.db.row import now
+from kilter_service.db.row import days_since
 from kilter_service.drift import store
 from kilter_service.drift import wire_history as wire
 from kilter_service.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
@@ -63,8 +63,7 @@ def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     """Return the last check of the active version of each robot, by name; reads few rows, for the metrics."""
     names = store.robots_seen(session, None)
     made, log = store.checks(session, names, MOST_OF_LAST), store.activations(session, names)
-    own = {key: [one for one in found if one.result.get("version_id") == _active(log.get(key, []))]
-           for key, found in made.items()}  # fmt: skip
+    own = {key: _of_active(found, log.get(key, [])) for key, found in made.items()}
     return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}
 
 
@@ -88,10 +87,14 @@ def _order(one: DriftSummary) -> tuple[int, float, str]:
     return WORST.index(one.state), chance, one.robot
 
 
+def _of_active(made: Sequence[StoredCheck], log: Sequence[Activated]) -> list[StoredCheck]:
+    active = _active(log)
+    return [one for one in made if active is not None and one.result.get("version_id") == active]
+
+
 def _own(made: Sequence[StoredCheck], log: Sequence[Activated]) -> tuple[list[StoredCheck], list[ControlChart]]:
     """The checks of the active version, and their charts."""
-    active = _active(log)
-    own = [one for one in made if active is not None and one.result.get("version_id") == active]
+    own = _of_active(made, log)
     return own, KEPT.of(own)
 
 
@@ -108,7 +111,7 @@ def _summary(
         sentence=sentence,
         checks=len(own),
         last=None if last is None else wire.check(last),
-        age_days=None if last is None else max((now() - last.at).days, 0),
+        age_days=None if last is None else days_since(last.at),
     )
 
 

@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 
 from kilter_service.contract.fits import stayed
 from kilter_service.db.row import now
+from kilter_service.texts import plural
 
 NONE = "–"
 DIGITS = 3  # of a number whose uncertainty is not known
@@ -41,8 +42,7 @@ def measured(value: float | None, sigma: float | None, unit: str = "") -> str:
     decimals = 1 - math.floor(math.log10(sigma))
     if decimals > 9:
         return f"{value:.3e} ± {sigma:.1e}{after}"
-    places = max(decimals, 0)
-    return f"{round(value, decimals) + 0.0:.{places}f} ± {round(sigma, decimals):.{places}f}{after}"  # no -0.0
+    return f"{_rounded(value, decimals)} ± {_rounded(sigma, decimals)}{after}"
 
 
 def fine(value: float | None, sigma: float | None) -> str:
@@ -58,8 +58,16 @@ def between(low: float | None, high: float | None, unit: str = "") -> str:
     decimals = 1 - math.floor(math.log10(high - low)) if high > low else DIGITS
     if decimals > 9:
         return f"{low:.3e} to {high:.3e}{after}"
-    places = max(decimals, 0)
-    return f"{round(low, decimals) + 0.0:.{places}f} to {round(high, decimals) + 0.0:.{places}f}{after}"
+    return f"{_rounded(low, decimals)} to {_rounded(high, decimals)}{after}"
+
+
+def _rounded(value: float, decimals: int) -> str:
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # no -0.0
+
+
+def _unit_of(length_mm: float) -> tuple[str, float]:
+    """The unit in which people read a length, and how many there are in a millimetre."""
+    return ("µm", 1e3) if abs(length_mm) < 0.1 else ("mm", 1.0)
 
 
 def mm(value: float | None) -> str:
@@ -75,9 +83,9 @@ def like(value: float | None, largest: float | None) -> str:
     """Write a length in mm in the unit of another one: numbers that are compared share it."""
     if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
         return NONE
-    unit, scale = ("µm", 1e3) if abs(largest) < 0.1 else ("mm", 1.0)
+    unit, scale = _unit_of(largest)
     digits = max(DIGITS - 1 - math.floor(math.log10(scale * abs(largest))), 0) if largest else 0
-    return f"{round(scale * value, digits) + 0.0:.{digits}f} {unit}"
+    return f"{_rounded(scale * value, digits)} {unit}"
 
 
 def chance(value: float) -> str:
@@ -89,9 +97,9 @@ def within(value: float, low: float | None, high: float | None) -> str:
     """Write a length in mm with its interval, all three in the unit of the length and to the second digit of the width."""
     if low is None or high is None or not high > low:
         return mm(value)
-    unit, scale = ("µm", 1e3) if abs(value) < 0.1 else ("mm", 1.0)
+    unit, scale = _unit_of(value)
     decimals = max(1 - math.floor(math.log10(scale * (high - low))), 0)
-    one, first, last = (f"{round(scale * end, decimals) + 0.0:.{decimals}f}" for end in (value, low, high))
+    one, first, last = (_rounded(scale * end, decimals) for end in (value, low, high))
     return f"{one} {unit} ({first} to {last})"
 
 
@@ -102,8 +110,7 @@ def age(moment: datetime | None) -> str:
     seconds = (now() - moment).total_seconds()
     for size, name in ((DAY, "day"), (HOUR, "hour"), (MINUTE, "minute")):
         if seconds >= size:
-            count = int(seconds // size)
-            return f"{count} {name}{'s' if count > 1 else ''} ago"
+            return f"{plural(int(seconds // size), name)} ago"
     return "just now"
 
 
@@ -131,7 +138,7 @@ def count(value: int | None) -> str:
 
 def left_out(rows: int | None) -> str:
     """Say how many rows an error leaves out; nothing where that is not known."""
-    return "" if rows is None else "no row left out" if rows == 0 else f"{rows} row{'s' if rows > 1 else ''} left out"
+    return "" if rows is None else "no row left out" if rows == 0 else f"{plural(rows, 'row')} left out"
 
 
 def ticked(text: str) -> Markup:

@@ -176,12 +176,9 @@ def _complete(columns: dict[tuple[str, int | None], Column], kinds: Sequence[str
 
 
 def _whole_corner(columns: dict[tuple[str, int | None], Column], corner: int) -> None:
-    for prefix in ("", "s"):
-        there = [axis for axis in "uv" if (f"pixel_{prefix}{axis}", corner) in columns]
-        if len(there) == 1 or (prefix and there and ("pixel_u", corner) not in columns):
-            absent = (
-                f"{prefix}{'v' if there == ['u'] else 'u'}{corner + 1}_px" if len(there) == 1 else f"u{corner + 1}_px"
-            )
+    for own, other in (("u", "v"), ("v", "u"), ("su", "sv"), ("sv", "su"), ("su", "u")):
+        if (f"pixel_{own}", corner) in columns and (f"pixel_{other}", corner) not in columns:
+            absent = f"{other}{corner + 1}_px"
             raise refuse(f"Column {absent!r} is missing: both coordinates of a corner belong together.", absent)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from datetime import datetime
 
 from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.texts import plural
 
 SOURCES = {
     "evaluation": "on rows that no fit used",
@@ -71,12 +72,16 @@ def where(found: ErrorsToday) -> str:
     return f"{named}; computed {found.at:%Y-%m-%d}"
 
 
+def ago(days: int) -> str:
+    """Say how many days ago something was."""
+    return "today" if days == 0 else f"{plural(days, 'day')} ago"
+
+
 def when(at: datetime, days: int, *, stated: bool) -> str:
     """Say when rows were measured, or that only their upload is known."""
-    ago = "today" if days == 0 else f"{days} day{'s' if days > 1 else ''} ago"
     if stated:
-        return f"measured on {at:%Y-%m-%d}, {ago}"
-    return f"sent on {at:%Y-%m-%d}, {ago} (when it was measured is not stated)"
+        return f"measured on {at:%Y-%m-%d}, {ago(days)}"
+    return f"sent on {at:%Y-%m-%d}, {ago(days)} (when it was measured is not stated)"
 
 
 def _job(today: Today, newest: ErrorsToday) -> str:

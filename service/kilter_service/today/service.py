@@ -10,7 +10,7 @@ from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, SearchT
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.written import as_written
 from kilter_service.db import Database, Session
-from kilter_service.db.row import now
+from kilter_service.db.row import days_since
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import compensation_in, sentence
 from kilter_service.today import missing, sentences, store
@@ -143,7 +143,7 @@ def _errors(
 
 
 def _campaign(found: Measured) -> MeasuredCampaign:
-    days = max((now() - found.measured_at).days, 0)
+    days = days_since(found.measured_at)
     return MeasuredCampaign(
         id=found.id, name=found.name, measured_at=found.measured_at, stated=found.stated, age_days=days,
         when=sentences.when(found.measured_at, days, stated=found.stated),

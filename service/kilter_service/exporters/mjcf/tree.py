@@ -44,27 +44,31 @@ def axes_of(calibration: Calibration, exported: ExportedEffects) -> Axes:
     """
     flange_screws(calibration).one_axis_per_joint()
     robot, form = calibration.robot, exported.form
-    elements, primary = flange_frames(calibration).elements, robot.chain.primary
+    flange = flange_frames(calibration)
+    elements, at = flange.elements, _joint_frames(calibration, flange.elements)
     still = elements[0]  # each frame moves by what the constant errors before it do
     moved = still @ twisted(form.base_shift, form.base_tilt) @ inverse(still)
     base, frames, bodies = moved @ still, [], []
-    for j, (k, frame) in enumerate(zip(primary, robot.chain.program.joint_frame, strict=True)):
-        here = elements[k + 1] @ _rotation(frame)
+    for j, here in enumerate(at):
         frames.append(moved @ here @ _along(robot.joints[j].kind, form.joints[j].offset))
         twist = form.joints[j].twist
         moved = frames[-1] @ twisted(twist[:3], twist[3:]) @ inverse(here)
     for link in exported.robot.links:
         if link.mass > 0.0:
-            j = sum(k <= link.element for k in primary) - 1
-            seen = elements[0] if j < 0 else elements[primary[j] + 1] @ _rotation(robot.chain.program.joint_frame[j])
+            j = sum(k <= link.element for k in robot.chain.primary) - 1
+            seen = elements[0] if j < 0 else at[j]
             bodies.append((j, moved_link(link, inverse(seen) @ elements[link.element + 1])))
-    return Axes(base, frames, moved @ elements[-1] @ flange_frames(calibration).end, bodies)
+    return Axes(base, frames, moved @ elements[-1] @ flange.end, bodies)
 
 
-def _rotation(R: Floats) -> Floats:
-    T = np.eye(4)
-    T[:3, :3] = R
-    return T
+def _joint_frames(calibration: Calibration, elements: Floats) -> list[Floats]:
+    """Poses (4, 4) of the joint frames, z along the axis of each, by those of the elements."""
+    chain, out = calibration.robot.chain, []
+    for k, rotation in zip(chain.primary, chain.program.joint_frame, strict=True):
+        T = np.eye(4)
+        T[:3, :3] = rotation
+        out.append(elements[k + 1] @ T)
+    return out
 
 
 def _along(kind: str, amount: float) -> Floats:
@@ -113,14 +117,9 @@ def _payload(tool: Element, exported: ExportedEffects) -> None:
 
 def nominal_frames(calibration: Calibration) -> str:
     """Where joint frames and tool nominally are at zero joints, seven numbers each: by them a model of others is found."""
-    robot, wanted = calibration.robot, calibration.wanted()
-    elements = flange_frames(wanted).elements
-    joints = [
-        elements[k + 1] @ _rotation(frame)
-        for k, frame in zip(robot.chain.primary, robot.chain.program.joint_frame, strict=True)
-    ]
-    flange = elements[-1] @ flange_frames(wanted).end
-    frames = (*joints, flange @ wanted_tool(calibration))
+    nominal = flange_frames(calibration.wanted())
+    tool = nominal.elements[-1] @ nominal.end @ wanted_tool(calibration)
+    frames = (*_joint_frames(calibration, nominal.elements), tool)
     return " ".join(f"{numbers(T[:3, 3])} {_quat(T)}" for T in frames)
 
 

@@ -10,7 +10,7 @@ from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.foresight import Foresight
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
-from kilter_service.wire import to_metres, to_mm
+from kilter_service.wire import to_metres_if_known, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
@@ -55,7 +55,7 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
 
     options: DriftOptions = job.options
     assert job.calibration is not None
-    noise = None if options.noise_mm is None else to_metres(options.noise_mm)
+    noise = to_metres_if_known(options.noise_mm)
     return check_arm(
         job.calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
     )

@@ -12,7 +12,7 @@ from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.poses import Pose, document_of, poses_of
-from kilter_service.wire import to_metres
+from kilter_service.wire import to_metres, to_metres_if_known
 
 if TYPE_CHECKING:
     import numpy as np
@@ -122,7 +122,7 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
     known = Predictive.from_document(job.covariance or {}, job.report)
     if known is None:
         known = Predictive((), np.zeros((0, 0)), 0.0, to_metres(NOISE_MM))
-    noise = None if options.noise_mm is None else to_metres(options.noise_mm)
+    noise = to_metres_if_known(options.noise_mm)
     if noise is None and known.noise == 0.0 and known.inadequacy == 0.0:
         noise = to_metres(NOISE_MM)
     plan = check_poses(
@@ -229,8 +229,7 @@ def _region(job: JobInput) -> Region:
     from kilter_core.model.region import Region
 
     region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
-    floor = job.options.floor_mm
-    region = region.above(None if floor is None else to_metres(floor)).within(_box(job.options))
+    region = region.above(to_metres_if_known(job.options.floor_mm)).within(_box(job.options))
     return region.outside(_keep_out(job.options))
 
 

@@ -13,7 +13,7 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, Ver
 from kilter_service.jobs.kinds.drift import known_of, rows_of
 from kilter_service.jobs.plain import plain
 from kilter_service.versions.guard import REZEROED
-from kilter_service.wire import to_metres
+from kilter_service.wire import to_metres_if_known
 
 if TYPE_CHECKING:
     from kilter_core.watch import Rezeroed
@@ -67,7 +67,7 @@ def _found(job: JobInput) -> Rezeroed:
     options: RezeroOptions = job.options
     rows, known = rows_of(job), known_of(job)
     assert job.calibration is not None
-    noise = None if options.noise_mm is None else to_metres(options.noise_mm)
+    noise = to_metres_if_known(options.noise_mm)
     return rezero(job.calibration, rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c)
 
 

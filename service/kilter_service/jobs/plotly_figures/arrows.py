@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.jobs.plotly_figures.layout import BLUE, GREY, LEGEND, RED, Document, Floats, evenly_spaced
+from kilter_core.observations.spread import evenly
+from kilter_service.jobs.plotly_figures.layout import BLUE, GREY, LEGEND, RED, Document, Floats
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def arrows(errors: RowErrors, kind: str) -> dict[str, Document]:
     left, at = left[seen], errors.at[seen]
     size = np.linalg.norm(left, axis=1)
     worst = np.argsort(-size, kind="stable")[:REDDEST]
-    some = np.union1d(evenly_spaced(len(left), MOST_ARROWS), worst)
+    some = np.union1d(evenly(len(left), MOST_ARROWS), worst)
     red = np.isin(some, worst) & (len(left) > 2 * REDDEST)
     span = float(np.ptp(at, axis=0).max()) or 1.0
     times = magnification(size, span)

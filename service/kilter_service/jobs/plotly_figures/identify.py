@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.observations.spread import evenly
 from kilter_service.jobs.plotly_figures.arrows import arrows
 from kilter_service.jobs.plotly_figures.layout import (
     BLUE,
@@ -15,7 +16,6 @@ from kilter_service.jobs.plotly_figures.layout import (
     ORANGE,
     RED,
     Document,
-    evenly_spaced,
     layout,
     rounded,
     three_digits,
@@ -55,7 +55,7 @@ def uncertainty_figure(found: Identification, rows: Observations, seed: int) -> 
     from kilter_core.identify.uncertainty.workspace import Workspace
 
     space = Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
-    some = evenly_spaced(len(space.measured), MOST_MEASURED)
+    some = evenly(len(space.measured), MOST_MEASURED)
     low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
     data: list[Document] = []
     for n, (i, j) in enumerate(((0, 2), (0, 1))):

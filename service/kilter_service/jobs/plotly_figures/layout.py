@@ -59,11 +59,6 @@ def distinct_labels(labels: Sequence[str]) -> list[str]:
     return out
 
 
-def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most so many of the numbers below ``count``, evenly chosen."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-
-
 def rounded(values: Floats, digits: int = 4) -> list[float | None]:
     """Return numbers short enough for a figure, None where there is none."""
     return [round(float(v), digits) if np.isfinite(v) else None for v in values]

@@ -100,7 +100,7 @@ def chosen(database: Database, campaign_id: str, text: str, version: str) -> Cho
 
     """
     campaign, rows = named_rows(database, campaign_id, text)
-    judge = version or robots.get(database, campaign.robot).active_version or ""
+    judge = _judge(database, campaign, version)
     arm, shown = robots.arm(database, campaign.robot), rows[:MOST_LISTED]
     columns = service.joint_columns(database, campaign)
     units = ["°" if unit == "deg" else " mm" for unit in joint_units(arm)]
@@ -133,6 +133,11 @@ def named_rows(database: Database, campaign_id: str, text: str) -> tuple[Campaig
             f"{said}: choose rows from 1 to {campaign.rows}.", code="payload_invalid", campaign=campaign_id
         )
     return campaign, rows
+
+
+def _judge(database: Database, campaign: Campaign, version: str) -> str:
+    """The version that judges rows; empty: none is named, and none is active."""
+    return version or robots.get(database, campaign.robot).active_version or ""
 
 
 def _left(database: Database, campaign: Campaign, version: str) -> dict[str, Floats]:
@@ -169,8 +174,7 @@ def as_csv(database: Database, campaign_id: str, text: str, version: str) -> byt
     import pyarrow as pa
 
     campaign, rows = named_rows(database, campaign_id, text)
-    judge = version or robots.get(database, campaign.robot).active_version or ""
-    left = _left(database, campaign, judge)
+    left = _left(database, campaign, _judge(database, campaign, version))
     places = np.array(rows) - 1
     table = looking.stored(database, campaign.id).table.take(places)
     table = table.add_column(0, "row", pa.array(rows)).add_column(0, "campaign", pa.array([campaign.id] * len(rows)))

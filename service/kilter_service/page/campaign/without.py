@@ -16,6 +16,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.page.campaign.chosen import named_rows, ranges
 from kilter_service.tables.reading import PARQUET
 from kilter_service.tables.writing import write_table
+from kilter_service.texts import plural
 
 LONGEST_NAME, LONGEST_NOTES = 200, 20_000
 OF_THE_WHOLE = ("device", "role", "conditions", "measured_at", "instrument")  # holds for the rest too
@@ -54,7 +55,7 @@ def _rest(database: Database, campaign: Campaign, rows: list[int]) -> bytes:
 
 
 def _new(campaign: Campaign, rows: list[int], actor: str) -> NewCampaign:
-    ending = f" without {len(rows)} row{'s' if len(rows) > 1 else ''}"
+    ending = f" without {plural(len(rows), 'row')}"
     said = f"Campaign {campaign.id} ({campaign.name}) without rows {ranges(rows)}, set aside by {actor} on the page."
     notes = f"{said}\n\n{campaign.notes}".strip()
     return NewCampaign(

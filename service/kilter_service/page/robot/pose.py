@@ -13,7 +13,7 @@ from kilter_service.page.robot import scene
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
 from kilter_service.versions import service as versions
-from kilter_service.wire import joint_scale, joint_units, to_mm
+from kilter_service.wire import joint_scale, joint_units, to_mm, to_mm_if_known
 
 if TYPE_CHECKING:
     from kilter_service.versions.at_pose import AtPose
@@ -108,17 +108,9 @@ def _said(version: str, name: str, found: AtPose) -> Said:
     import numpy as np
 
     moved = to_mm(found.moved)
-    parts = [
-        Part(
-            one.name,
-            to_mm(one.size),
-            None if one.low is None else to_mm(one.low),
-            None if one.high is None else to_mm(one.high),
-        )
-        for one in found.parts
-    ]
+    parts = [Part(one.name, to_mm(one.size), to_mm_if_known(one.low), to_mm_if_known(one.high)) for one in found.parts]
     return Said(
         version, name or version, to_mm(found.tool).tolist(), float(np.linalg.norm(moved)), moved.tolist(),
         "" if found.status == "OK" else found.status, parts, found.missing,
-        None if found.sigma is None else to_mm(found.sigma),
+        to_mm_if_known(found.sigma),
     )  # fmt: skip

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftSummary, State
+from kilter_service.drift.charts import height
 from kilter_service.drift.wire import chance_words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
 from kilter_service.page.words import moment, number
+from kilter_service.texts import plural
+from kilter_service.today.sentences import ago
 
 DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read
@@ -51,8 +54,8 @@ def standing(found: DriftSummary) -> str:
     """Say when the last check was, after the sentence of the state."""
     if found.last is None or found.age_days is None:
         return ""
-    ago = "today" if found.age_days == 0 else f"{found.age_days} day{'s' if found.age_days > 1 else ''} ago"
-    return f"Checked on {found.last.at:%Y-%m-%d}, {ago}; {found.checks} check{'s' if found.checks > 1 else ''} of this version."
+    checks = plural(found.checks, "check")
+    return f"Checked on {found.last.at:%Y-%m-%d}, {ago(found.age_days)}; {checks} of this version."
 
 
 def watched(found: DriftHistory) -> Watched:
@@ -81,21 +84,21 @@ def _checks(found: DriftHistory, axis: Days) -> Plot:
 
 def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     """The largest cumulative sums of the active version."""
-    charts = [one for one in found.charts if _heights(one)]
-    if not charts:
+    summed = sorted((one for one in found.charts if _heights(one)), key=height, reverse=True)
+    if not summed:
         return None
-    charts = sorted(charts, key=lambda one: _heights(one)[-1], reverse=True)[:SHOWN_SUMS]
+    charts = summed[:SHOWN_SUMS]
     days = [_day(one.at) for one in found.history if one.version_id == found.version_id]
     highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
     drawn = Plot(
         "Cumulative sums", axis, Axis("sum, standard deviations of a check", 0.0, 1.08 * highest), WIDTH, HEIGHT,
-        description=_said_of_sums(charts), table=_sums_table(found),
+        description=_said_of_sums(charts), table=_sums_table(summed),
     )  # fmt: skip
     _marked(drawn, found, labelled=False)
     for place, one in enumerate(charts):
         sums = [_higher(up, down) for up, down in zip(one.up, one.down, strict=True)]
-        summed = [(day, value) for day, value in zip(days, sums, strict=True) if math.isfinite(value)]
-        drawn.line([day for day, _ in summed], [value for _, value in summed], one.words, place)
+        there = [(day, value) for day, value in zip(days, sums, strict=True) if math.isfinite(value)]
+        drawn.line([day for day, _ in there], [value for _, value in there], one.words, place)
     return drawn.level(charts[0].limit, f"alarm: all together 1 of {found.run_length} checks")
 
 
@@ -127,7 +130,9 @@ def _said(found: DriftHistory) -> str:
 def _said_of_sums(charts: Sequence[ControlChart]) -> str:
     most = charts[0]
     beyond = "beyond" if most.alarms else "below"
-    return f"The largest sum is that of {most.words}: {number(_heights(most)[-1])}, {beyond} the limit of {number(most.limit)}."
+    return (
+        f"The largest sum is that of {most.words}: {number(height(most))}, {beyond} the limit of {number(most.limit)}."
+    )
 
 
 def _table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
@@ -144,12 +149,12 @@ def _chance(one: CheckOfRobot) -> str:
     return chance_words(one.p_value, 2)
 
 
-def _sums_table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
+def _sums_table(charts: Sequence[ControlChart]) -> tuple[list[str], list[list[str]]]:
     rows = [
         [
             one.words, f"{number(one.values[-1])} {one.unit}", f"{number(one.scatter)} {one.unit}",
-            number(_heights(one)[-1]), "" if one.since is None else f"{one.since:%Y-%m-%d}",
+            number(height(one)), "" if one.since is None else f"{one.since:%Y-%m-%d}",
         ]
-        for one in sorted((one for one in found.charts if _heights(one)), key=lambda one: _heights(one)[-1], reverse=True)
+        for one in charts
     ]  # fmt: skip
     return ["Of", "Last check", "Scatter", "Sum", "Since"], rows

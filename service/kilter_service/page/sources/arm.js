@@ -7,11 +7,11 @@ import { Looking } from "./arm/camera.js";
 import { furniture } from "./arm/furniture.js";
 import { key } from "./arm/key.js";
 import { Linked } from "./arm/linked.js";
-import { arm, arrows, cloud, mesh, points, release } from "./arm/parts.js";
+import { arm, arrows, cloud, mesh, points, release, ROWS } from "./arm/parts.js";
 import { fill, length, mm, quantile } from "./arm/words.js";
 
 const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
-const COLOURS = { fitted: 0x808080, held: 0x009e73, aside: 0xd55e00, arrow: 0xd55e00 };
+const ARROW = 0xd55e00;
 const SHARE = 0.12; // of the workspace that a large error is drawn as
 const MOST_LISTED = 200;
 
@@ -209,9 +209,9 @@ class Picture {
     const { at, held_out: held, set_aside: aside, row, total } = this.data.places;
     const left = this.left();
     const normal = held.map((one, k) => !one && !aside[k]);
-    this.show("fitted", points(at, normal, COLOURS.fitted, 6));
-    this.show("held", points(at, held.map((one, k) => one && !aside[k]), COLOURS.held, 8));
-    this.show("aside", points(at, aside, COLOURS.aside, 12));
+    this.show("fitted", points(at, normal, ROWS.fitted, 6));
+    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 8));
+    this.show("aside", points(at, aside, ROWS.aside, 12));
     this.linked?.redraw();
     const sizes = left.map(length);
     const wanted = (SHARE * 2 * this.size) / (quantile(sizes, 0.95) || 1);
@@ -233,7 +233,7 @@ class Picture {
     if (!this.data.places) return;
     const times = Math.round(10 ** Number(this.find("scale").value));
     this.find("times").textContent = times;
-    this.show("arrows", arrows(this.data.places.at, this.left(), times, COLOURS.arrow, this.size));
+    this.show("arrows", arrows(this.data.places.at, this.left(), times, ARROW, this.size));
     this.draw();
   }
 

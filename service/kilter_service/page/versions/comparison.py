@@ -118,9 +118,10 @@ def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple
             raise ServiceError(
                 f"Version {one.id} is of robot {one.robot}: choose those of {robot}.", code="option_invalid"
             )
-    first = found[0].id
-    chosen = of(database, first, found[1].id, None).chosen
-    return [(found[0], None), *((one, of(database, first, one.id, chosen)) for one in found[1:])]
+    first, second, *others = found
+    usual = of(database, first.id, second.id, None)
+    rest = [(one, of(database, first.id, one.id, usual.chosen)) for one in others]
+    return [(first, None), (second, usual), *rest]
 
 
 def title(version: Version) -> str:

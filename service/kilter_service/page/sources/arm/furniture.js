@@ -1,6 +1,6 @@
 // What stands around the arm: light, a grid of round size, axes with their names, and a bar that says how long a cell is.
 import { AmbientLight, CanvasTexture, DirectionalLight, Group, GridHelper, MeshBasicMaterial, Sprite, SpriteMaterial, Vector3 } from "three";
-import { arrows, rod } from "./parts.js";
+import { arrows, css, rod } from "./parts.js";
 
 const AXES = [["x", [1, 0, 0], 0xd55e00], ["y", [0, 1, 0], 0x009e73], ["z", [0, 0, 1], 0x0072b2]];
 const CELLS = 16;
@@ -8,7 +8,7 @@ const CELLS = 16;
 function words(text, height, colour) {
   const canvas = Object.assign(document.createElement("canvas"), { width: 32 * text.length + 32, height: 64 });
   const pen = canvas.getContext("2d");
-  Object.assign(pen, { font: "600 44px system-ui, sans-serif", fillStyle: `#${colour.toString(16).padStart(6, "0")}`, textAlign: "center", textBaseline: "middle" });
+  Object.assign(pen, { font: "600 44px system-ui, sans-serif", fillStyle: css(colour), textAlign: "center", textBaseline: "middle" });
   pen.fillText(text, canvas.width / 2, 32);
   const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), depthTest: false }));
   sprite.scale.set((height * canvas.width) / 64, height, 1);

@@ -2,12 +2,10 @@
 import { Vector3 } from "three";
 import { key } from "./key.js";
 import { pickable } from "./picking.js";
-import { cloud, colourOf, points } from "./parts.js";
+import { cloud, colourOf, css, points, ROWS } from "./parts.js";
 import { ends, Scatter } from "./scatter.js";
 import { length } from "./words.js";
 
-const USES = { fitted: "#808080", held: "#009e73", aside: "#d55e00" };
-const CHOSEN = 0xcc79a7;
 const OWN = { use: "use: fitted, held out, set aside", row: "row", error: "error, µm", residual_sigma: "standard deviations" };
 
 export class Linked {
@@ -94,7 +92,7 @@ export class Linked {
     const { at, row } = picture.data.places;
     const mine = row.map((one) => window.kilter.rows.has(this.campaign, one));
     this.chosen = row.map((_, k) => k).filter((k) => mine[k]);
-    picture.show("chosen", this.chosen.length ? points(at, mine, CHOSEN, 15, true) : null);
+    picture.show("chosen", this.chosen.length ? points(at, mine, ROWS.chosen, 15, true) : null);
     picture.draw();
     this.plot();
     picture.place.dataset.chosen = this.chosen.length;
@@ -109,7 +107,7 @@ export class Linked {
     if (!values) {
       picture.show("coloured", null);
       words.replaceChildren();
-      return held.map((one, k) => (aside[k] ? USES.aside : one ? USES.held : USES.fitted));
+      return held.map((one, k) => css(aside[k] ? ROWS.aside : one ? ROWS.held : ROWS.fitted));
     }
     const [low, high] = ends(values);
     const shares = values.map((value) => (Number.isFinite(value) ? (value - low) / (high - low || 1) : 0));

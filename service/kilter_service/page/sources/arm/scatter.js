@@ -1,4 +1,6 @@
 // A plot of rows on a canvas: one column over another, each point in a colour of its own, chosen ones ringed.
+import { css, ROWS } from "./parts.js";
+
 const [LEFT, RIGHT, TOP, BOTTOM] = [64, 14, 10, 44];
 const STEPS = [1, 2, 2.5, 5, 10];
 
@@ -91,7 +93,7 @@ export class Scatter {
       pen.fillRect(x - 2.5, ys[k] - 2.5, 5, 5);
     });
     pen.lineWidth = 2.5;
-    pen.strokeStyle = "#cc79a7";
+    pen.strokeStyle = css(ROWS.chosen);
     chosen.forEach((k) => {
       pen.beginPath();
       pen.arc(xs[k], ys[k], 7, 0, 2 * Math.PI);
