@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.edges import LEAST_BLUR_PX, Pieces, area, fitted, offsets, reach_of, usual_blur
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
@@ -45,7 +45,7 @@ def corners_of(
 
 def _sides(start: Floats, board_mm: Floats, square_mm: float) -> Floats:
     """Sides of a square at each corner along the board's x and y (n, 2 axes, 2) px, by the board's homography."""
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     found, _ = cv2.findHomography(board_mm.astype(np.float64), start.astype(np.float64), 0)
     if found is None:
         return np.full((len(start), 2, 2), np.nan)

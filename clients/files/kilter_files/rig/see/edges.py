@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
 
@@ -95,7 +95,7 @@ def offsets(grey: Grey, pieces: Pieces, reach: float, noise: Noise) -> Offsets:
 
 
 def _sampled(grey: Grey, places: Floats) -> Floats:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     x, y = (np.ascontiguousarray(places[..., k].reshape(len(places), -1), dtype=np.float32) for k in range(2))
     low = np.array([max(0.0, np.floor(part.min()) - 1) for part in (x, y)]).astype(int)
     high = [int(np.ceil(part.max())) + 2 for part in (x, y)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.optics.lens import FREE, projected
 
@@ -127,7 +127,7 @@ def _best_start(data: _Data, used: Sequence[Seen], size: tuple[int, int]) -> _St
 
 def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | None:
     """Where the boards are, by the homography of each view."""
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     rotations, places = [], []
     for view in used:
         plain = (view.pixels - intrinsics[2:4]) / intrinsics[:2]
@@ -270,5 +270,5 @@ def _described(state: _State, data: _Data, size: tuple[int, int], name: str, pic
 
 
 def _vector(rotation: Floats) -> Floats:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
