@@ -107,9 +107,8 @@ def document_of(cube: Cube, page: str | None = None) -> dict[str, Any]:
         faces.append({"name": face.name, "first_id": board.first_id, "left_mm": left, "top_mm": top})
         for number, four in board.markers().items():
             markers.append({"id": number, "corners_mm": [cube.on_cube(face, corner) for corner in four]})
-        own = board.corners()
-        first = 0 if board.kind == "apriltag" else k * len(own)
-        for number, point in own.items():
+        first = board.first_corner(k)
+        for number, point in board.corners().items():
             places = dict(zip(("x_mm", "y_mm", "z_mm"), cube.on_cube(face, point), strict=True))
             corners.append({"id": first + number, "face": face.name} | places)
     length = ruler_mm(cube.edge_mm)
