@@ -29,6 +29,9 @@ KELVIN = 273.15
 TIMESTAMP = "timestamp"  # the unit of a column of dates or clocks
 UNKNOWN = "?"  # what a draft writes where it could not tell
 JOINT = re.compile(r"q([1-9]\d?)_(deg|rad|mm|m)")
+MARKER = re.compile(r"m([1-9]\d?)([xyz])_(mm|m)")
+# What need not be seen in every row: markers, points of a probe, readings of inclinometers, corners of boards.
+SELDOM = re.compile(rf"{MARKER.pattern}|tip[xyz]_(mm|m)|tilt\d+[xyz]_(deg|rad)|s?[uv]\d+_px")
 
 NAMES = ("camera", "board")  # contract columns whose cells may be names
 # contract name -> the unit its ending states, in the spelling of SIZES; "" is a plain number

@@ -11,7 +11,7 @@ from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.ground.time_stamps import seconds_of
-from kilter_files.ground.units import TIMESTAMP, converter, unit_of
+from kilter_files.ground.units import MARKER, TIMESTAMP, converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation
 from kilter_files.maps.columns import Column, expanded
 from kilter_files.maps.join import Join, partners, refuse_alone, stamps
@@ -21,7 +21,6 @@ from kilter_files.tables.text_source import TextSource
 
 PLAIN_JOINT = re.compile(r"q\d+")
 JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
-MARKER = re.compile(r"m\d+[xyz]_(mm|m)")
 LINK = re.compile(r"link\d+_(deg|rad|mm|m)")
 QUATERNION = ("qw", "qx", "qy", "qz")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from collections.abc import Mapping, Sequence
 from itertools import permutations
 from pathlib import Path
@@ -15,11 +14,11 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.units import MARKER
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.knocks import LEAST_MM, Knock, knocks_of_frames, knocks_of_rows
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
-MARKER = re.compile(r"m([1-9]\d?)([xyz])_(mm|m)")
 SINGLE_ROWS = 2000  # more are averaged in stretches
 SHOWN = 4
 MOST_EXCHANGED = 6  # markers, of which every order is tried

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,17 @@ class Printed:
     shapes: tuple[Shape, ...]
 
 
+def check_ending(path: Path, what: str = "it") -> None:
+    """Refuse an ending with which no page is written.
+
+    Raises:
+        UsageError: neither ``.pdf`` nor ``.svg``.
+
+    """
+    if path.suffix.lower() not in (".pdf", ".svg"):
+        raise UsageError(f"{path}: {what} is written as .pdf or .svg.")
+
+
 def save_page(page: Printed, path: Path) -> int:
     """Write the page as the file's ending says, ``.pdf`` or ``.svg``; returns the bytes written.
 
@@ -87,11 +99,25 @@ def save_page(page: Printed, path: Path) -> int:
         MissingPackageError: reportlab is not installed, for PDF.
 
     """
-    writers = {".svg": lambda: page_svg(page).encode(), ".pdf": lambda: page_pdf(page)}
-    write = writers.get(path.suffix.lower())
-    if write is None:
-        raise UsageError(f"{path}: it is written as .pdf or .svg.")
-    content = write()
+    check_ending(path)
+    return _write(path, page_svg(page).encode() if path.suffix.lower() == ".svg" else page_pdf(page))
+
+
+def save_described(document: dict[str, Any], page: Printed, path: Path) -> dict[str, Any]:
+    """Write the page, and the document that describes it as JSON beside it; returns that document.
+
+    Raises:
+        UsageError: another ending.
+        FileError: a file cannot be written.
+        MissingPackageError: reportlab is not installed, for PDF.
+
+    """
+    save_page(page, path)
+    _write(path.with_suffix(".json"), (json.dumps(document, indent=1) + "\n").encode())
+    return document
+
+
+def _write(path: Path, content: bytes) -> int:
     try:
         return path.write_bytes(content)
     except OSError as error:

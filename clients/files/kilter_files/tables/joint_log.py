@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +10,8 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
-from kilter_files.ground.units import JOINT
+from kilter_files.ground.units import JOINT, SELDOM
 
-# What need not be seen in every row: markers, points of a probe, readings of inclinometers, corners of boards.
-SELDOM = re.compile(r"(?:m[1-9]\d?|tip)[xyz]_(mm|m)|tilt\d+[xyz]_(deg|rad)|s?[uv]\d+_px")
 MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turns either way
 
 

@@ -37,11 +37,12 @@ class Table:
         out = io.StringIO(newline="")
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(self.columns)
-        writer.writerows(zip(*(_cells(name, values) for name, values in self.columns.items()), strict=True))
+        writer.writerows(zip(*(cells(name, values) for name, values in self.columns.items()), strict=True))
         return out.getvalue().encode()
 
 
-def _cells(name: str, values: list[float]) -> list[str]:
+def cells(name: str, values: list[float]) -> list[str]:
+    """Return the cells of a column: every digit of every number, an empty one where nothing was measured."""
     whole = name.startswith(WHOLE_NUMBERS)
     return ["" if math.isnan(v) else str(int(v)) if whole and v.is_integer() else repr(v) for v in values]
 

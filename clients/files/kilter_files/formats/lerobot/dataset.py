@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,9 +45,13 @@ class Dataset:
     frames: int
 
     @property
-    def files(self) -> Sequence[str]:
-        """Files of rows, in their order."""
-        return tuple(dict.fromkeys(episode.data for episode in self.episodes))
+    def told(self) -> str:
+        """Its version, episodes and robot, for people."""
+        return f"LeRobot {self.version}, {len(self.episodes)} episodes of {self.robot_type or 'an unknown robot'}"
+
+    def rows_of_files(self) -> dict[str, int]:
+        """How many rows each file of rows has by its episodes, in the order of the files."""
+        return _rows_of((episode.data, episode.length) for episode in self.episodes)
 
 
 def open_dataset(path: Path) -> Dataset:
@@ -99,10 +103,7 @@ def refuse_short_videos(dataset: Dataset) -> None:
         FileError: a video is missing, or has more or fewer pictures than its episodes have rows.
 
     """
-    rows: dict[str, int] = {}
-    for episode in dataset.episodes:
-        for video in episode.videos.values():
-            rows[video] = rows.get(video, 0) + episode.length
+    rows = _rows_of((video, episode.length) for episode in dataset.episodes for video in episode.videos.values())
     for video, expected in rows.items():
         path = dataset.folder / video
         if not path.is_file():
@@ -113,6 +114,13 @@ def refuse_short_videos(dataset: Dataset) -> None:
             raise fault(
                 path, what, "Leave the episode out, or record it again: pictures and joints are not of one time."
             )
+
+
+def _rows_of(parts: Iterable[tuple[str, int]]) -> dict[str, int]:
+    rows: dict[str, int] = {}
+    for file, length in parts:
+        rows[file] = rows.get(file, 0) + length
+    return rows
 
 
 def _info(folder: Path) -> dict[str, Any]:

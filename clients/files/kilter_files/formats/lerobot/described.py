@@ -17,7 +17,7 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
         return describe_log(log_of_dataset(path, hints))
     dataset = open_dataset(path)
     notes = [
-        f"LeRobot {dataset.version}, {len(dataset.episodes)} episodes of {dataset.robot_type or 'an unknown robot'}",
+        dataset.told,
         f"joints {', '.join(dataset.names)}",
     ]
     modes = " or ".join(NORM_MODES)

@@ -31,13 +31,17 @@ ZEROS = ("new", "old")
 
 @dataclass(frozen=True)
 class Recorded:
-    """A data set with the joints wanted of it and what their numbers mean; ``calibration`` None: degrees of the old zero."""
+    """A data set with the joints wanted of it and what their numbers mean.
+
+    ``servos`` are the joints as the ``calibration`` calls them; where that is None, the numbers are degrees of the old zero.
+    """
 
     dataset: Dataset
     joints: tuple[str, ...]
     places: tuple[int, ...]
     calibration: Calibration | None
     mode: str
+    servos: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,9 +81,8 @@ def opened(path: Path, hints: LogHints) -> Recorded:
     if calibration.of_a_leader and "leader" not in dataset.robot_type:
         what = f"is of a leader, the data set of {dataset.robot_type or 'a follower'}"
         raise fault(calibration.path, what, "Give the calibration of the follower, in .../calibration/robots/.")
-    for joint in joints:
-        servo_of(calibration, joint)
-    return Recorded(dataset, joints, places, calibration, hints.norm_mode)
+    servos = tuple(servo_of(calibration, joint) for joint in joints)
+    return Recorded(dataset, joints, places, calibration, hints.norm_mode, servos)
 
 
 def blocks(recorded: Recorded) -> Iterator[Block]:
@@ -90,13 +93,12 @@ def blocks(recorded: Recorded) -> Iterator[Block]:
 
     """
     dataset, last = recorded.dataset, None
-    for name in dataset.files:
+    for name, expected in dataset.rows_of_files().items():
         path, rows = dataset.folder / name, 0
         for block in _of_file(path, recorded):
             _refuse(recorded, path, block, last, rows)
             rows, last = rows + len(block.angles), block
             yield block
-        expected = sum(episode.length for episode in dataset.episodes if episode.data == name)
         if rows != expected:
             raise fault(path, f"has {rows} rows, its episodes have {expected}", FINISH)
 
@@ -125,7 +127,7 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
 def told(recorded: Recorded) -> Iterator[str]:
     """What is to be known of a log: its joints, its zero, and the hash of its calibration."""
     dataset = recorded.dataset
-    yield f"LeRobot {dataset.version}, {len(dataset.episodes)} episodes of {dataset.robot_type or 'an unknown robot'}"
+    yield dataset.told
     yield f"q1 to q{len(recorded.joints)} are {', '.join(recorded.joints)}"
     if recorded.calibration is None:
         yield "zero: old, the arm stretched out"
@@ -166,9 +168,8 @@ def _of_file(path: Path, recorded: Recorded) -> Iterator[Block]:
             what = f"its rows do not have the {len(recorded.dataset.names)} numbers that info.json names"
             raise fault(path, what, FINISH, column=STATE)
         values = flat.reshape(len(batch), -1)[:, recorded.places]
-        for k, joint in enumerate(recorded.joints):
-            if recorded.calibration is not None:
-                servo = servo_of(recorded.calibration, joint)
+        if recorded.calibration is not None:
+            for k, servo in enumerate(recorded.servos):
                 values[:, k] = recorded.calibration.degrees(servo, values[:, k], recorded.mode)
         yield Block(
             values, np.asarray(batch.column("episode_index"), dtype=np.float64),
@@ -187,7 +188,6 @@ def _refuse(recorded: Recorded, path: Path, block: Block, last: Block | None, ro
         what = "jumps by 360 degrees: the servo wraps within its range"
         remedy = "Calibrate the arm in the middle of its range and record again."
         raise fault(path, what, remedy, row=rows + row + 2 - before, column=recorded.joints[k])
-    for k, joint in enumerate(recorded.joints):
-        if recorded.calibration is not None:
-            servo = servo_of(recorded.calibration, joint)
+    if recorded.calibration is not None:
+        for k, (joint, servo) in enumerate(zip(recorded.joints, recorded.servos, strict=True)):
             refuse_outside(recorded.calibration, path, joint, servo, block.angles[:, k], rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, JointTarget, Program, blanked, line_at, sign
-from kilter_files.formats.programs.krl_lines import not_kept
+from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept
 
 NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
 AXES = re.compile(
@@ -18,7 +18,8 @@ POSE = re.compile(
     r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}[XYZ]\s[^{}\n]{0,500}\}",
     re.I,
 )
-MOVE = re.compile(r"^[ \t]*(S?(?:PTP|LIN|CIRC)(?:_REL)?)(?:[ \t]+|(?=\{))([^\r\n]+)", re.I | re.M)
+MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
+LINE_END = re.compile(r"\n")
 
 
 def find(program: Program) -> None:
@@ -29,29 +30,26 @@ def find(program: Program) -> None:
 
     """
     text = blanked(program.text, ";")
-    relative = [match.span() for match in MOVE.finditer(text) if match[1].upper().endswith("_REL")]
+    moves, lists = list(MOVE.finditer(text)), list(AXES.finditer(text))
+    relative = [match.span() for match in moves if match[1].upper().endswith("_REL")]
     declared = program.beside
     known = {} if declared is None else {target.name.upper(): target for target in declared.targets}
     written: dict[int, JointTarget] = {}
-    for match in AXES.finditer(text):
+    for match in lists:
         if not any(start <= match.start() < end for start, end in relative):
             written[match.start()] = _take(program, match)
             known[(match[1] or "").upper()] = written[match.start()]
-    moved = [match.span(2) for match in MOVE.finditer(text)]
+    moved = [match.span(2) for match in moves]
     for match in POSE.finditer(text):
         if match[1] or match[2] or any(start <= match.start() < end for start, end in moved):
             program.leave_pose(match.start(), match[1] or "a move", "a pose")
         else:
             program.leave(match.start(), "a pose")
     poses = {name.upper() for one in (program, declared) if one is not None for name, _ in one.poses}
-    for match in MOVE.finditer(text):
+    for match in moves:
         _follow(program, match, known, written, poses)
-    inside = {at + 1 for match in AXES.finditer(text) for at in _line_ends(text, *match.span())}
+    inside = {found.end() for match in lists for found in LINE_END.finditer(text, *match.span())}
     program.left += not_kept(text, known, inside)
-
-
-def _line_ends(text: str, start: int, end: int) -> list[int]:
-    return [start + found.start() for found in re.finditer(r"\n", text[start:end])]
 
 
 def _follow(

@@ -19,8 +19,9 @@ PLACE = re.compile(
     r"(?:DECL\s{1,9}|GLOBAL\s{1,9}|(?:E6)?AXIS\s{1,9}){0,3}(\$?\w{1,64})(\s{0,9}[\w.\[\],+\- ]{0,100}?)\s{0,9}=(?!=)",
     re.I,
 )
-MOTION = re.compile(r"S?(?:PTP|LIN|CIRC)(?:_REL)?", re.I)
-INNER = re.compile(r"(?<![\w#$.])(?:S?(?:PTP|LIN|CIRC)(?:_REL)?|SPL)\s{1,9}[\w{]", re.I)
+MOTIONS = r"S?(?:PTP|LIN|CIRC)(?:_REL)?"
+MOTION = re.compile(MOTIONS, re.I)
+INNER = re.compile(rf"(?<![\w#$.])(?:{MOTIONS}|SPL)\s{{1,9}}[\w{{]", re.I)
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
 

@@ -6,17 +6,16 @@ has its own x right, y down and z into the cube.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.errors import UsageError
 from kilter_files.rig.board.drawing import RULER_OUT_MM, board_shapes, ruler_mm, ruler_shapes
 from kilter_files.rig.board.layout import AROUND_MM, DICTIONARIES, Board, check_board, smallest_page
-from kilter_files.rig.printed import Printed, Shape, Stroke, Text, save_page
+from kilter_files.rig.printed import Printed, Shape, Stroke, Text, check_ending, save_described
 
 Vector = tuple[float, float, float]
 FOLD = (0.75, 0.75, 0.75)
@@ -93,16 +92,8 @@ def save_cube(cube: Cube, path: Path, page: str | None = None) -> dict[str, Any]
         MissingPackageError: OpenCV, or for PDF reportlab, is not installed.
 
     """
-    if path.suffix.lower() not in (".pdf", ".svg"):
-        raise UsageError(f"{path}: a cube is written as .pdf or .svg.")
-    document = document_of(cube, page)
-    save_page(printed(cube, page), path)
-    beside = path.with_suffix(".json")
-    try:
-        beside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{beside}: cannot be written: {error.strerror or error}.", file=str(beside)) from error
-    return document
+    check_ending(path, "a cube")
+    return save_described(document_of(cube, page), printed(cube, page), path)
 
 
 def document_of(cube: Cube, page: str | None = None) -> dict[str, Any]:
@@ -116,9 +107,8 @@ def document_of(cube: Cube, page: str | None = None) -> dict[str, Any]:
         faces.append({"name": face.name, "first_id": board.first_id, "left_mm": left, "top_mm": top})
         for number, four in board.markers().items():
             markers.append({"id": number, "corners_mm": [cube.on_cube(face, corner) for corner in four]})
-        own = board.corners()
-        first = 0 if board.kind == "apriltag" else k * len(own)
-        for number, point in own.items():
+        first = board.first_corner(k)
+        for number, point in board.corners().items():
             places = dict(zip(("x_mm", "y_mm", "z_mm"), cube.on_cube(face, point), strict=True))
             corners.append({"id": first + number, "face": face.name} | places)
     length = ruler_mm(cube.edge_mm)

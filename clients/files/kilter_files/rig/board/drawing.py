@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.rig.board.layout import Board, Point, page_for
 from kilter_files.rig.board.opencv import dictionary
 from kilter_files.rig.markers import marker_shapes
-from kilter_files.rig.printed import Printed, Rect, Shape, Stroke, Text, save_page
+from kilter_files.rig.printed import Printed, Rect, Shape, Stroke, Text, check_ending, save_described
 
 RULER_OUT_MM = 5.0  # from the squares to a ruler's line
 LONGEST_RULER_MM = 250.0
@@ -26,16 +24,8 @@ def save_board(board: Board, path: Path, page: str | None = None) -> dict[str, A
         MissingPackageError: OpenCV, or for PDF reportlab, is not installed.
 
     """
-    if path.suffix.lower() not in (".pdf", ".svg"):
-        raise UsageError(f"{path}: a board is written as .pdf or .svg.")
-    document = document_of(board, page)
-    save_page(printed(board, page), path)
-    beside = path.with_suffix(".json")
-    try:
-        beside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{beside}: cannot be written: {error.strerror or error}.", file=str(beside)) from error
-    return document
+    check_ending(path, "a board")
+    return save_described(document_of(board, page), printed(board, page), path)
 
 
 def document_of(board: Board, page: str | None = None) -> dict[str, Any]:

@@ -74,6 +74,10 @@ class Board:
         inner = [(column, row) for row in range(1, self.rows) for column in range(1, self.columns)]
         return {number: self._square(*place) for number, place in enumerate(inner)}
 
+    def first_corner(self, face: int) -> int:
+        """Return what is added to the numbers of a face's corners on a cube; those of tags are apart already."""
+        return 0 if self.kind == "apriltag" else face * len(self.corners())
+
     def to_document(self) -> dict[str, Any]:
         """Return the board as its JSON file holds it."""
         return {
@@ -105,6 +109,11 @@ class Board:
 
 def _rounded(point: Point) -> list[float]:
     return [round(value, 6) for value in point]
+
+
+def family_of(name: str) -> str:
+    """Return the pattern of a dictionary's markers: one of 250 begins with the 50 of the smaller one."""
+    return name if name.startswith("apriltag") else name.partition("_")[0]
 
 
 def check_board(board: Board) -> Board:

@@ -10,11 +10,11 @@ OLDEST = (4, 14)
 INSTALL = "pip install 'opencv-python-headless>=4.14.0.94'"
 
 
-def dictionary(name: str) -> tuple[Any, Any]:
-    """Return OpenCV and the dictionary of a name such as ``5x5_1000``.
+def opencv() -> Any:
+    """Return OpenCV.
 
     Raises:
-        MissingPackageError: OpenCV is not installed, or too old.
+        MissingPackageError: it is not installed, or too old.
 
     """
     try:
@@ -22,6 +22,17 @@ def dictionary(name: str) -> tuple[Any, Any]:
     except ImportError as error:
         raise MissingPackageError(f"Boards need OpenCV. Install it with: {INSTALL}", package="opencv") from error
     check_release(cv2.__version__)
+    return cv2
+
+
+def dictionary(name: str) -> tuple[Any, Any]:
+    """Return OpenCV and the dictionary of a name such as ``5x5_1000``.
+
+    Raises:
+        MissingPackageError: OpenCV is not installed, or too old.
+
+    """
+    cv2 = opencv()
     spelled = name.removeprefix("apriltag_") if name.startswith("apriltag_") else name.upper()
     prefix = "DICT_APRILTAG_" if name.startswith("apriltag_") else "DICT_"
     return cv2, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, prefix + spelled))

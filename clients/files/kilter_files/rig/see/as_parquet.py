@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 
 from kilter_files.ground.faults import missing_package
+from kilter_files.ground.units import NAMES
 
-TEXTS = ("camera", "board")
 BLOCK_BYTES = 1 << 24  # of the CSV file, read at once
 
 
@@ -32,7 +32,7 @@ def write_parquet(views: Path, output: Path) -> None:
     with views.open(encoding="utf-8", newline="") as stream:
         names = next(csv.reader(stream))
     convert = reading.ConvertOptions(
-        column_types={name: string() if name in TEXTS else float64() for name in names}, null_values=[""]
+        column_types={name: string() if name in NAMES else float64() for name in names}, null_values=[""]
     )
     rows = reading.open_csv(views, reading.ReadOptions(block_size=BLOCK_BYTES), convert_options=convert)
     with parquet.ParquetWriter(output, rows.schema, compression="zstd") as writer:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.opencv import dictionary
-from kilter_files.rig.see.edges import LEAST_BLUR_PX, Pieces, area, fitted, offsets, reach_of, usual_blur
+from kilter_files.rig.board.opencv import opencv
+from kilter_files.rig.see.edges import Pieces, area, fitted, offsets, reach_of, settled
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
 
@@ -18,7 +18,6 @@ BEGIN_PX = 2.5  # of an arm, from the corner: blur of the other edge
 END = 0.6  # of a square
 MOST_ARM_PX = 40.0
 LEAST_PROFILES, MOST_PROFILES = 4, 30
-ROUNDS, ENOUGH_PX = 5, 0.01
 FLOOR_PX = 0.007
 LEFT = 0.2  # markers shift both arms of a line to opposite sides, and not by quite the same
 
@@ -31,21 +30,14 @@ def corners_of(
     ``start`` is within 2 px; ``board_mm`` (n, 2) is where the corners are on the board.
     """
     sides = _sides(start, board_mm, square_mm)
-    found = [start, np.full((len(start), 2, 2), np.nan), np.full((len(start), 2), np.nan)]
-    bow, blur = np.zeros((2 * len(start), 2)), LEAST_BLUR_PX
-    for _ in range(ROUNDS):
-        before = found[0]
-        *found, bow = _crossing(grey, before, sides, (square_mm - marker_mm) / 2 / square_mm, noise, blur, bow)
-        blur = usual_blur(found[2])
-        if not np.isfinite(found[0]).any() or np.nanmax(np.abs(found[0] - before)) < ENOUGH_PX:
-            break
-        found[0] = np.where(np.isfinite(found[0]), found[0], before)
-    return found[0], found[1], found[2]
+    gap = (square_mm - marker_mm) / 2 / square_mm
+    straight = np.zeros((2 * len(start), 2))
+    return settled(start, straight, lambda at, blur, bow: _crossing(grey, at, sides, gap, noise, blur, bow))
 
 
 def _sides(start: Floats, board_mm: Floats, square_mm: float) -> Floats:
     """Sides of a square at each corner along the board's x and y (n, 2 axes, 2) px, by the board's homography."""
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     found, _ = cv2.findHomography(board_mm.astype(np.float64), start.astype(np.float64), 0)
     if found is None:
         return np.full((len(start), 2, 2), np.nan)

@@ -7,12 +7,13 @@ pull the corner of a tag inwards and move that of a chessboard by up to a tenth 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
 
@@ -21,6 +22,10 @@ STEP = 0.5  # px along a profile
 CLEAR = 2.5  # standard deviations of the blur, from the end of a profile to the next edge
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.6, 5.0  # a pixel and the way between pixels blur too
 LEAST_CONTRAST = 10.0  # grey levels
+ROUNDS, ENOUGH_PX = 5, 0.01
+
+# from where corners, blur and bows were found before: corners, covariances, blur across each edge, and bows
+Crossing = Callable[[Floats, float, Floats], tuple[Floats, Floats, Floats, Floats]]
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,19 @@ def usual_blur(blur_px: Floats) -> float:
     return float(np.clip(np.median(known), LEAST_BLUR_PX, MOST_BLUR_PX)) if len(known) else LEAST_BLUR_PX
 
 
+def settled(start: Floats, bow: Floats, crossing: Crossing) -> tuple[Floats, Floats, Floats]:
+    """Corners, covariances and blur by ``crossing``, again from what it found before until no corner moves."""
+    at, blur = start, LEAST_BLUR_PX
+    for _ in range(ROUNDS):
+        before = at
+        at, covariances, blurs, bow = crossing(before, blur, bow)
+        blur = usual_blur(blurs)
+        if not np.isfinite(at).any() or np.nanmax(np.abs(at - before)) < ENOUGH_PX:
+            break
+        at = np.where(np.isfinite(at), at, before)
+    return at, covariances, blurs
+
+
 def offsets(grey: Grey, pieces: Pieces, reach: float, noise: Noise) -> Offsets:
     """Find the edges' offsets from the pieces' lines."""
     steps = np.linspace(-reach, reach, 2 * round(reach / STEP) + 1)
@@ -95,7 +113,7 @@ def offsets(grey: Grey, pieces: Pieces, reach: float, noise: Noise) -> Offsets:
 
 
 def _sampled(grey: Grey, places: Floats) -> Floats:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     x, y = (np.ascontiguousarray(places[..., k].reshape(len(places), -1), dtype=np.float32) for k in range(2))
     low = np.array([max(0.0, np.floor(part.min()) - 1) for part in (x, y)]).astype(int)
     high = [int(np.ceil(part.max())) + 2 for part in (x, y)]

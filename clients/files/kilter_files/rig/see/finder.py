@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.rig.board.layout import Board
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.opencv import dictionary, opencv
 from kilter_files.rig.see.pictures import Grey
 
 Wanted = tuple[str, tuple[int, ...] | None]  # a dictionary, and which of its markers
@@ -48,7 +48,7 @@ class Finder:
 
         A thousand markers take ten times as long as the thirty of a board.
         """
-        cv2, _ = dictionary(name)
+        cv2 = opencv()
         if grey.size > LARGE and not thorough:
             height, width = (side // 2 for side in grey.shape)
             half = cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)

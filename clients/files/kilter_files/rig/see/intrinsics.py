@@ -36,6 +36,10 @@ class Kept:
                 self.views, self._every = self.views[::2], 2 * self._every
         self._offered += 1
 
+    def thinned(self) -> list[Seen]:
+        """The views that are fitted, spread over all."""
+        return self.views[:: 1 + len(self.views) // MOST_KEPT]
+
 
 def _planes(view: View, target: Target) -> list[Seen]:
     """A view by its planes: each face of a cube is one."""
@@ -60,7 +64,7 @@ def fitted(kept: Kept, size: tuple[int, int], model: str, name: str) -> tuple[Ca
         FileError: too few views, or none that a camera explains.
 
     """
-    views = kept.views[:: 1 + len(kept.views) // MOST_KEPT]
+    views = kept.thinned()
     fit = fit_intrinsics(views, size, model, name)
     gates = gates_of(views, fit)
     missing = [gate for gate in gates if not gate.met]
@@ -95,7 +99,7 @@ def fitted(kept: Kept, size: tuple[int, int], model: str, name: str) -> tuple[Ca
 
 def check_known(kept: Kept, camera: Camera) -> list[str]:
     """Warn where known intrinsics do not fit the views."""
-    views = kept.views[:: 1 + len(kept.views) // MOST_KEPT]
+    views = kept.thinned()
     left = left_by(views, camera)
     if left is None or left < LEAST_SHOWN_PX or sum(len(view.pixels) >= LEAST_CORNERS for view in views) < ENOUGH_VIEWS:
         return []

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_files.rig.board.layout import DICTIONARIES
+from kilter_files.rig.board.layout import DICTIONARIES, family_of
 from kilter_files.rig.see.finder import Finder, Markers
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.refusals import Refusal
@@ -76,7 +76,7 @@ def _legacy(target: Target) -> str:
 
 def other_dictionary(finder: Finder, grey: Grey, own: str) -> str | None:
     """Return the smallest dictionary whose markers are seen, or None."""
-    family = own if own.startswith("apriltag") else own.partition("_")[0]
+    family = family_of(own)
     for start in SURE:
         for name in (n for n in DICTIONARIES if n.startswith(start) and n.endswith(("1000", "h5", "h9", "h10", "h11"))):
             if start == family:

@@ -10,7 +10,7 @@ from typing import Any
 
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.faults import fault
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.pictures import ENDINGS, Grey, RefusedError, check_size, read_grey
 from kilter_files.rig.see.refusals import Refusal
 
@@ -88,7 +88,7 @@ def _picture(path: Path, size: tuple[int, int] | None) -> Frame:
 
 
 def _opened(path: Path) -> Any:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not video.isOpened():
         raise fault(path, "is not a video that can be read", DAMAGED)
@@ -97,7 +97,7 @@ def _opened(path: Path) -> Any:
 
 
 def _frames(path: Path) -> int:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     video = _opened(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
     video.release()
@@ -105,7 +105,7 @@ def _frames(path: Path) -> int:
 
 
 def _video(path: Path, every: int, size: tuple[int, int] | None) -> Iterator[Frame]:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     video = _opened(path)
     try:
         stated = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))

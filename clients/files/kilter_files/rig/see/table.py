@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import csv
-import math
 from typing import TextIO
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import View
 from kilter_files.tables.joint_log import JointLog
-from kilter_files.tables.table import WHOLE_NUMBERS
+from kilter_files.tables.table import cells
 
 PIXEL_DIGITS = SIGMA_DIGITS = 4
 
@@ -24,7 +23,6 @@ class Rows:
         self._numbered = (self._many or camera is not None) and not (log is not None and "pose_id" in log.columns)
         self._writer = csv.writer(stream, lineterminator="\n")
         self._writer.writerow(self.columns())
-        self.written = 0
 
     def columns(self) -> list[str]:
         """Names of the columns."""
@@ -38,25 +36,19 @@ class Rows:
 
     def write(self, view: View, row: int | None, pose: int) -> None:
         """Write a view; ``row`` is its row of the joint log, ``pose`` the number of its picture."""
-        cells: list[str] = []
+        found: list[str] = []
         if self._log is not None and row is not None:
-            cells += [_cell(name, float(values[row])) for name, values in self._log.columns.items()]
-        cells += [str(pose if row is None else row + 1)] if self._numbered else []
-        cells += [self._camera] if self._camera is not None else []
-        cells += [view.board] if self._many else []
+            for name, values in self._log.columns.items():
+                found += cells(name, [float(values[row])])
+        found += [str(pose if row is None else row + 1)] if self._numbered else []
+        found += [self._camera] if self._camera is not None else []
+        found += [view.board] if self._many else []
         self._writer.writerow(
-            cells + self._spread(view, view.pixels, PIXEL_DIGITS) + self._spread(view, view.sigmas, SIGMA_DIGITS)
+            found + self._spread(view, view.pixels, PIXEL_DIGITS) + self._spread(view, view.sigmas, SIGMA_DIGITS)
         )
-        self.written += 1
 
     def _spread(self, view: View, values: Floats, digits: int) -> list[str]:
-        cells = [""] * (2 * self._count)
+        spread = [""] * (2 * self._count)
         for place, pair in zip(view.places, values.tolist(), strict=True):
-            cells[2 * place : 2 * place + 2] = [f"{value:.{digits}f}" for value in pair]
-        return cells
-
-
-def _cell(name: str, value: float) -> str:
-    if math.isnan(value):
-        return ""
-    return str(int(value)) if name.startswith(WHOLE_NUMBERS) and value.is_integer() else repr(value)
+            spread[2 * place : 2 * place + 2] = [f"{value:.{digits}f}" for value in pair]
+        return spread

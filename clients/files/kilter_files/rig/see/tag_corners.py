@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.see.edges import LEAST_BLUR_PX, Pieces, area, fitted, offsets, reach_of, usual_blur
+from kilter_files.rig.see.edges import Pieces, area, fitted, offsets, reach_of, settled
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
 
 ENDS = 0.12  # of an edge at either end, left out: blur of the corner
 LEAST_PROFILES, MOST_PROFILES = 5, 60
 BOWED_FROM = 16  # profiles, from which an edge may be bowed by a lens
-ROUNDS, ENOUGH_PX = 5, 0.01
 FLOOR_PX = 0.015
 
 
@@ -21,16 +20,8 @@ def corners_of(grey: Grey, quads: Floats, cells: int, white: float, noise: Noise
 
     ``quads`` are within 2 px; ``white`` is how wide the white around a tag is, in parts of its side.
     """
-    found = [quads, np.full((*quads.shape, 2), np.nan), np.full(quads.shape[:2], np.nan)]
-    bow, blur = np.zeros(4 * len(quads)), LEAST_BLUR_PX
-    for _ in range(ROUNDS):
-        before = found[0]
-        *found, bow = _meeting(grey, before, min(1.0 / cells, white), noise, blur, bow)
-        blur = usual_blur(found[2])
-        if not np.isfinite(found[0]).any() or np.nanmax(np.abs(found[0] - before)) < ENOUGH_PX:
-            break
-        found[0] = np.where(np.isfinite(found[0]), found[0], before)
-    return found[0], found[1], found[2]
+    gap, straight = min(1.0 / cells, white), np.zeros(4 * len(quads))
+    return settled(quads, straight, lambda at, blur, bow: _meeting(grey, at, gap, noise, blur, bow))
 
 
 def _meeting(

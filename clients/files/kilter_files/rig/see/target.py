@@ -13,7 +13,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.faults import fault
-from kilter_files.rig.board.layout import Board, Point, check_board
+from kilter_files.rig.board.layout import Board, Point, check_board, family_of
 
 MOST_BYTES = 1 << 24
 REMEDY = "Take the JSON that kilter board wrote, or write one anew with the board's sizes."
@@ -39,13 +39,9 @@ class Target:
         """Numbers of its markers."""
         return sorted(number for face in self.faces for number in face.markers())
 
-    def first_corner(self, face: int) -> int:
-        """Return what is added to the numbers of a face's corners; those of tags are apart already."""
-        return 0 if self.board.kind == "apriltag" else face * len(self.board.corners())
-
     def on_face(self, face: int) -> dict[int, Point]:
         """Return where the corners of a face are on its own plane, by number."""
-        first = self.first_corner(face)
+        first = self.board.first_corner(face)
         return {first + number: point for number, point in self.faces[face].corners().items()}
 
     def column_of(self) -> dict[int, int]:
@@ -125,15 +121,9 @@ def check_apart(targets: list[Target]) -> None:
             if one.name == other.name:
                 raise UsageError(f'--board: two boards are called {one.name}: give one a "name" in its JSON.')
             both = set(one.marker_numbers) & set(other.marker_numbers)
-            if both and _family(one) == _family(other):
+            if both and family_of(one.board.dictionary) == family_of(other.board.dictionary):
                 what = f"--board: {other.name} and {one.name} both have marker {min(both)}"
                 raise UsageError(f"{what}: print one with other numbers (kilter board --first-id).")
-
-
-def _family(target: Target) -> str:
-    """Name of the markers' pattern: a dictionary of 250 begins with the 50 of the smaller one."""
-    name = target.board.dictionary
-    return name if name.startswith("apriltag") else name.partition("_")[0]
 
 
 def _document(path: Path) -> dict[str, Any]:

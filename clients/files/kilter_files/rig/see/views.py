@@ -74,7 +74,7 @@ def _corners(finder: Finder, grey: Grey, markers: Markers, target: Target) -> tu
 def _face(
     finder: Finder, grey: Grey, markers: Markers, target: Target, face: int
 ) -> tuple[list[int], Floats, Floats, Floats]:
-    board, first = target.faces[face], target.first_corner(face)
+    board, first = target.faces[face], target.board.first_corner(face)
     rough = finder.chessboard(grey, markers.of(set(board.markers())), board, target.legacy)
     numbers = sorted(rough)
     start = np.array([rough[number] for number in numbers]).reshape(-1, 2)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
+from kilter_files.match.arm import rotations
 from kilter_files.rig.see.optics.intrinsics_fit import Fit, Seen
 
 CELLS = (5, 4)  # across and down
@@ -68,11 +69,7 @@ def _edge(pixels: Floats, size: tuple[int, int]) -> float:
 
 def _tilts(poses: Floats) -> Floats:
     """Where the boards' normals point (views, 2): the sine of the angle to the line of sight, across and down."""
-    angle = np.linalg.norm(poses[:, :3], axis=1, keepdims=True)
-    axis = poses[:, :3] / np.maximum(angle, 1e-12)
-    z = np.array([0.0, 0.0, 1.0])
-    normal = z * np.cos(angle) + np.cross(axis, z) * np.sin(angle) + axis * axis[:, 2:] * (1 - np.cos(angle))
-    return np.asarray(normal[:, :2])
+    return rotations(poses[:, :3])[:, :2, 2]
 
 
 def _both_ways(tilts: Floats) -> float:

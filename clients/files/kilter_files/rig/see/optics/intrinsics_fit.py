@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.match.arm import rotations
+from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.optics.lens import FREE, projected
 
@@ -127,7 +128,7 @@ def _best_start(data: _Data, used: Sequence[Seen], size: tuple[int, int]) -> _St
 
 def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | None:
     """Where the boards are, by the homography of each view."""
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     rotations, places = [], []
     for view in used:
         plain = (view.pixels - intrinsics[2:4]) / intrinsics[:2]
@@ -144,26 +145,18 @@ def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | Non
     return _State(intrinsics, np.array(rotations), np.array(places))
 
 
+def _points(state: _State, data: _Data) -> Floats:
+    """Corners (n, 3) mm in the camera's frame."""
+    return np.asarray(np.einsum("nij,nj->ni", state.rotations[data.view], data.mm) + state.places[data.view])
+
+
 def _residuals(state: _State, data: _Data) -> Floats:
-    points = np.einsum("nij,nj->ni", state.rotations[data.view], data.mm) + state.places[data.view]
-    return data.pixels - projected(points, state.intrinsics, data.model)
+    return data.pixels - projected(_points(state, data), state.intrinsics, data.model)
 
 
 def _moved(state: _State, intrinsics: Floats, poses: Floats) -> _State:
     """Step: ``poses`` (views, 6) are a rotation vector in the camera's frame, and mm."""
-    return _State(
-        state.intrinsics + intrinsics, _rotations(poses[:, :3]) @ state.rotations, state.places + poses[:, 3:]
-    )
-
-
-def _rotations(vectors: Floats) -> Floats:
-    angle = np.linalg.norm(vectors, axis=1)
-    axis = vectors / np.maximum(angle, 1e-300)[:, None]
-    k = np.zeros((len(vectors), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    k -= np.swapaxes(k, 1, 2)
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * k + (1 - c) * k @ k)
+    return _State(state.intrinsics + intrinsics, rotations(poses[:, :3]) @ state.rotations, state.places + poses[:, 3:])
 
 
 def _derivatives(state: _State, data: _Data) -> tuple[Floats, Floats]:
@@ -213,10 +206,11 @@ def _minimised(state: _State, data: _Data, rounds: int) -> tuple[_State, float]:
 
 
 def _cost(state: _State, data: _Data) -> float:
-    points = np.einsum("nij,nj->ni", state.rotations[data.view], data.mm) + state.places[data.view]
+    points = _points(state, data)
     if (points[:, 2] <= 0).any() or state.intrinsics[:2].min() <= 0:
         return np.inf
-    return float((data.weights[:, None] * _residuals(state, data) ** 2).sum())
+    left = data.pixels - projected(points, state.intrinsics, data.model)
+    return float((data.weights[:, None] * left**2).sum())
 
 
 def _blocks(a: Floats, b: Floats, data: _Data) -> tuple[Floats, Floats, Floats]:
@@ -270,5 +264,5 @@ def _described(state: _State, data: _Data, size: tuple[int, int], name: str, pic
 
 
 def _vector(rotation: Floats) -> Floats:
-    cv2, _ = dictionary("5x5_50")
+    cv2 = opencv()
     return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
+from kilter_files.rig.see.optics.camera import MODELS
 
-FREE = {"none": 0, "brown": 5, "rational": 8, "fisheye": 4}  # numbers of each model
+FREE = {model: max(counts) for model, counts in MODELS.items()}  # numbers of each model
 
 
 def projected(points: Floats, intrinsics: Floats, model: str) -> Floats:
