@@ -14,14 +14,14 @@ from kilter_client.given import signs_of
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.things import Thing, reference
 from kilter_client.verbs.versions import correct
-from kilter_files.formats.programs.found import JointTarget, Program
-from kilter_files.formats.programs.reading import read_programs, visited
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
+    from kilter_files.formats.programs.found import JointTarget, Program
+
+    Place = tuple[Program, JointTarget]
 
 ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # targets that have numbers
-Place = tuple[Program, JointTarget]
 FANUC_J3 = ("same", "coupled")
 SHOWN = 20
 
@@ -56,6 +56,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
 
     """
     from kilter_client.results.program import FilteredProgram
+    from kilter_files.formats.programs.reading import read_programs, visited
 
     programs = read_programs(Path(fspath(program)))
     places = visited(programs)
