@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.bridges.loop import without_collections
 from kilter_client.bridges.news import Line
-from kilter_client.bridges.plan import Setpoints
+from kilter_client.bridges.plan import Setpoints, smooth
 from kilter_client.errors import KilterError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Rejoined:
         if self._since_s >= REJOIN_S:
             return intended
         u = self._since_s / REJOIN_S
-        place = 1.0 + u**3 * (-10.0 + u * (15.0 - 6.0 * u))  # from 1 to 0; slope and curvature are 0 at both ends
+        place = 1.0 - smooth(u)
         slope = REJOIN_S * (u + u**3 * (-6.0 + u * (8.0 - 3.0 * u)))  # from slope 1 to 0; all else is 0 at both ends
         return tuple(
             aim + place * off + slope * off_rad_s
