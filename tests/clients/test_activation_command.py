@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.results import show_job, show_version
+from kilter_client.cli.reports.results import show_job, show_version
 
 Write = Callable[..., Path]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.cli.calibrated_rows import note_of, refuse_other_calibration
+from kilter_client.cli.files.calibrated_rows import note_of, refuse_other_calibration
 from kilter_client.errors import FileError
 
 FIRST, SECOND = "a1" * 32, "b2" * 32

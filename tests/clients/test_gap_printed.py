@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from kilter_client.cli.gap_report import show_gap
+from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.results.shown_jobs import ShownSearch
 from kilter_service.contract.gap_details import NamedEffect
 from kilter_service.contract.gap_details import Untestable as Row

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from kilter_client.cli import run
-from kilter_client.cli.results import show_result
+from kilter_client.cli.reports.results import show_result
 
 Capture = pytest.CaptureFixture[str]
 

@@ -54,7 +54,7 @@ run(['--help'])
 print(*[name for name in sys.modules if name.startswith('kilter_client.cli.')])
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    found = {name.rpartition(".")[2] for name in done.stdout.splitlines()[-1].split()}
+    found = {name.removeprefix("kilter_client.cli.") for name in done.stdout.splitlines()[-1].split()}
     assert not found & {entry.module for entry in ENTRIES.values()}
 
 

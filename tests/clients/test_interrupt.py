@@ -104,7 +104,7 @@ def broken_off(monkeypatch: pytest.MonkeyPatch) -> None:
 
         yield press
 
-    monkeypatch.setattr("kilter_client.cli.sending.upload_bar", bar)
+    monkeypatch.setattr("kilter_client.cli.files.sending.upload_bar", bar)
 
 
 def test_while_a_campaign_is_sent(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kilter_client.cli.results import show_result
+from kilter_client.cli.reports.results import show_result
 
 
 def test_criteria_and_refusals_are_shown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import kilter_client
 from kilter_client import MissingPackageError
-from kilter_client.cli.results import show_result
+from kilter_client.cli.reports.results import show_result
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Record, Records
 from kilter_client.results.rows import Rows

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.results import show_result
+from kilter_client.cli.reports.results import show_result
 from kilter_client.errors import ApiError
 from kilter_client.results.digits import decimals, ends, estimate
 

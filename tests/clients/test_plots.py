@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from kilter_client import plots
-from kilter_client.cli.arm_figure import arm_figure, save_arm
+from kilter_client.cli.robot.arm_figure import arm_figure, save_arm
 from kilter_client.errors import FileError, MissingPackageError
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -131,7 +131,7 @@ def test_labels_of_an_arm_that_would_cover_each_other_become_one() -> None:
 
 def test_without_matplotlib_an_arm_is_a_plain_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    monkeypatch.setattr("kilter_client.cli.arm_figure.can_draw", lambda: False)
+    monkeypatch.setattr("kilter_client.cli.robot.arm_figure.can_draw", lambda: False)
     save_arm(tmp_path / "arm.png", CHECK, True)
     assert (tmp_path / "arm.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(MissingPackageError):

@@ -13,8 +13,8 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.drawing import drawing
-from kilter_client.cli.picture import picture
+from kilter_client.cli.robot.drawing import drawing
+from kilter_client.cli.robot.picture import picture
 
 Capture = pytest.CaptureFixture[str]
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kilter_client.cli.results import show_job
+from kilter_client.cli.reports.results import show_job
 from kilter_core.identify.model_comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Database

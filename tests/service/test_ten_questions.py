@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.cli.activation_report import show_activations
 from kilter_client.cli.correct import _show_status
-from kilter_client.cli.results import show_job, show_version
+from kilter_client.cli.reports.activation_report import show_activations
+from kilter_client.cli.reports.results import show_job, show_version
 from kilter_client.cli.suspicious import show_suspicious
 from kilter_service.page.words import mm
 from tests.core.truth import ur10, with_hidden_errors

@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import select
 
 from kilter_client import Kilter
-from kilter_client.cli.activation_report import show_today
+from kilter_client.cli.reports.activation_report import show_today
 from kilter_service.db import Database
 from kilter_service.db.row import now
 from kilter_service.db.tables import CampaignRow, JobRow, RobotRow

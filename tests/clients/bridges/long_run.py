@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client import Kilter
-from tests.clients.bridges.rsi_peer import Floats, RsiPeer
+from tests.clients.bridges.rsi_peer import RsiPeer
 from tests.clients.bridges.running_bridge import add_arm, bridging, off_mm
+from tests.clients.bridges.udp_peer import Floats
 from tools.local_server import local_server
 
 
@@ -35,7 +36,7 @@ def main() -> None:
             add_arm(kilter, "cell7", Path(folder))
         with bridging("rsi", "cell7", "--port", "0", "--cycle-ms", str(given.cycle_ms)) as bridge:
             bridge.heard("waiting")
-            peer = RsiPeer(bridge.port, path, given.cycle_ms / 1000.0).start()
+            peer = RsiPeer(bridge.port, path, cycle_s=given.cycle_ms / 1000.0).start()
             peer.wait(given.cycles, seconds=1e9)
             peer.stop()
             print(bridge.ended())

@@ -19,8 +19,9 @@ from kilter_client.cli import run
 from kilter_client.corrector import session_config
 from kilter_core.correct.file import from_bytes
 from tests.clients.answered import document
-from tests.clients.bridges.rsi_peer import Floats, RsiPeer
+from tests.clients.bridges.rsi_peer import RsiPeer
 from tests.clients.bridges.running_bridge import LATER_DEG, add_arm, bridging, measure, off_mm, shared_arm, states
+from tests.clients.bridges.udp_peer import Floats
 from tests.clients.cutting_proxy import CuttingProxy
 
 CYCLE_S = 0.012

@@ -1,4 +1,4 @@
-"""What a script may give for rows of measurements or of a trajectory: a path, columns, an array or a DataFrame."""
+"""What a script may give: rows as a path, columns, an array or a DataFrame; times, days, and signs of joints."""
 
 from __future__ import annotations
 
@@ -87,6 +87,23 @@ def day_of(given: date | str | None) -> str | None:
         return (date.fromisoformat(given) if isinstance(given, str) else given).isoformat()[: len("2026-11-02")]
     except ValueError:
         raise UsageError(f"{given!r} is not a day: give it as 2026-11-02.") from None
+
+
+def signs_of(given: Sequence[float] | str | None, count: int, whose: str) -> list[float]:
+    """Read a sign of each joint as ``+,-,+`` or as numbers 1 and -1; without any, all are 1. ``whose`` joints: for a refusal.
+
+    Raises:
+        UsageError: they are not one for each joint.
+
+    """
+    if given is None:
+        return [1.0] * count
+    parts = [part.strip() for part in given.split(",")] if isinstance(given, str) else list(given)
+    known = {"+": 1.0, "-": -1.0, 1: 1.0, -1: -1.0}
+    if len(parts) != count or any(part not in known for part in parts):
+        told = given if isinstance(given, str) else ",".join(map(str, parts))
+        raise UsageError(f"--signs {told}: give + or - for each of the {count} joints of the {whose}.")
+    return [known[part] for part in parts]
 
 
 def name_of(data: Data) -> str:

@@ -165,15 +165,14 @@ class _Arm:
     def of(cls, model: Any, settings: Settings, path: Path) -> _Arm:
         import mujoco
 
-        kinds = mujoco.mjtObj
-        joints = [_named(model, kinds.mjOBJ_JOINT, "joint", name, path) for name in settings.joints]
-        site = _named(model, kinds.mjOBJ_SITE, "site", settings.tool, path)
+        joints = [named(model, "joint", name, path) for name in settings.joints]
+        site = named(model, "site", settings.tool, path)
         drives = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)
                   if int(model.actuator_trntype[a]) == JOINT and model.actuator_biasprm[a, 1] < 0.0}  # fmt: skip
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         if settings.timestep_s is not None:
             model.opt.timestep = settings.timestep_s
-        payload = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, settings.payload)
+        payload = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, settings.payload)
         return cls(model, joints, [drives.get(j, -1) for j in joints], site, payload, path)
 
     def settle(self, reading: Floats, side: Floats, payload_kg: float) -> tuple[Floats, Floats]:
@@ -236,12 +235,21 @@ class _Arm:
         )
 
 
-def _named(model: Any, kind: Any, what: str, name: str, path: Path) -> int:
+def named(model: Any, what: str, name: str, path: Path) -> int:
+    """Return the number of a joint or site (``what``) of a model.
+
+    Raises:
+        FileError: it has none of that name.
+
+    """
     import mujoco
 
+    kind, count = {
+        "joint": (mujoco.mjtObj.mjOBJ_JOINT, model.njnt),
+        "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite),
+    }[what]
     found = int(mujoco.mj_name2id(model, kind, name))
     if found < 0:
-        count = {"joint": model.njnt, "site": model.nsite}[what]
         has = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
         option = {"joint": "--joints A,B,C, in the robot's order", "site": "--site NAME"}[what]
         listed = ", ".join(one for one in has if one) or "none with a name"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
-from kilter_client.settled import loaded, mujoco_package
+from kilter_client.settled import loaded, mujoco_package, named
 from kilter_client.twin import TABLE
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class _Copy:
         self.path, self.spec, self.twin, self.names = path, spec, twin, names
         self.model = spec.compile()
         data = mujoco.MjData(self.model)
-        self.ids = [self._joint(name) for name in names]
+        self.ids = [named(self.model, "joint", name, path) for name in names]
         for j in self.ids:
             data.qpos[self.model.jnt_qposadr[j]] = 0.0
         mujoco.mj_kinematics(self.model, data)
@@ -201,11 +201,7 @@ class _Copy:
         )  # fmt: skip
 
     def _move_site(self, name: str, move: Floats) -> None:
-        mujoco = mujoco_package()
-        k = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name)
-        if k < 0:
-            has = ", ".join(one.name for one in self.spec.sites if one.name and one.name != TOOL) or "none with a name"
-            raise FileError(f"{self.path}: has no site {name!r}. It has: {has}.", file=str(self.path))
+        k = named(self.model, "site", name, self.path)
         body = int(self.model.site_bodyid[k])
         nominal, real = (self.base @ frames[-1] for frames in (self.twin.nominal, self.twin.calibrated))
         _place(self.spec.site(name), _inverse(move @ self.poses[body]) @ real @ _inverse(nominal) @ self.sites[k])
@@ -219,17 +215,6 @@ class _Copy:
                   for j, name in enumerate(self.names)}  # fmt: skip
         self.spec.add_text(name=TABLE, data=json.dumps(table | {"drives": drives}))
         self.spec.nuserdata = max(self.spec.nuserdata, 2 * len(self.names) + 1)
-
-    def _joint(self, name: str) -> int:
-        mujoco = mujoco_package()
-        found = int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name))
-        if found < 0:
-            has = ", ".join(one.name for one in self.spec.joints if one.name) or "none with a name"
-            raise FileError(
-                f"{self.path}: has no joint {name!r}. It has: {has}. Say which with --joints A,B,C, in the robot's order.",
-                file=str(self.path),
-            )
-        return found
 
     def _name(self, body: int) -> str:
         mujoco = mujoco_package()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import time
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.bridges.loop import TELL_S, without_collections
-from kilter_client.bridges.news import Kind, Line
-from kilter_client.bridges.plan import Setpoints
+from kilter_client.bridges.loop import without_collections
+from kilter_client.bridges.news import Line
+from kilter_client.bridges.plan import Setpoints, smooth
 from kilter_client.errors import KilterError
 
 if TYPE_CHECKING:
@@ -57,7 +55,7 @@ class Rejoined:
         if self._since_s >= REJOIN_S:
             return intended
         u = self._since_s / REJOIN_S
-        place = 1.0 + u**3 * (-10.0 + u * (15.0 - 6.0 * u))  # from 1 to 0; slope and curvature are 0 at both ends
+        place = 1.0 - smooth(u)
         slope = REJOIN_S * (u + u**3 * (-6.0 + u * (8.0 - 3.0 * u)))  # from slope 1 to 0; all else is 0 at both ends
         return tuple(
             aim + place * off + slope * off_rad_s
@@ -94,7 +92,7 @@ class Fci:
     ) -> None:
         self._franka, self._address, self._realtime = franka, address, realtime
         self._setpoints, self._correction, self._line = setpoints, correction, line
-        self._pace, self._leaving, self._told_s = 1.0, False, 0.0
+        self._pace, self._leaving = 1.0, False
         self._success: float | None = None
         self._rejoined = Rejoined()
         self.counts: Counter[str] = Counter()
@@ -140,21 +138,15 @@ class Fci:
         self.counts["answered"] += 1
         if self._leaving:
             self._pace = max(0.0, self._pace - cycles * CYCLE_S / BRAKE_S)
-        self._hear()
+        while (packet := self._line.receive()) is not None:
+            self._correction.hear(*packet)
+        self._line.tell(self.document)
         return bool(over)
 
     def _begin(self, state: Any) -> None:
         """Stand where the robot is told to stand already."""
         self._correction.begin()
         self._setpoints.begin(state.q_d)
-
-    def _hear(self) -> None:
-        while (packet := self._line.receive()) is not None:
-            self._correction.hear(*packet)
-        now_s = time.monotonic()
-        if now_s - self._told_s >= TELL_S:
-            self._told_s = now_s
-            self._line.send(Kind.STATE, json.dumps(self.document()).encode())
 
     def document(self) -> dict[str, Any]:
         """The state, JSON-able."""

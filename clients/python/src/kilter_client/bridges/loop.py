@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import json
 import math
 import select
 import socket
@@ -13,12 +12,11 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from kilter_client.bridges.news import Kind, Line
+from kilter_client.bridges.news import TELL_S, Line
 
 if TYPE_CHECKING:
     from kilter_client.bridges.correction import Correction
 
-TELL_S = 0.2
 LARGEST_PACKET = 4096
 MOST_AHEAD = 2  # cycles by which stamps may be ahead of the time that has passed
 MOST_WAITING = 64  # requests that are looked at to find the newest
@@ -105,7 +103,7 @@ class Loop:
         self._heard_s = self._quiet_s = time.monotonic()  # when the controller asked last; when nobody did
         self._patience_s = min(TELL_S, gone_after_s / 4.0)
         self._stamp, self._last = -1, b""
-        self._told_s, self._leaving = 0.0, False
+        self._leaving = False
         self.counts: Counter[str] = Counter()
         self._missed: int | None = None
         self._times_s: deque[float] = deque(maxlen=SHOWN_TIMES)
@@ -134,10 +132,7 @@ class Loop:
             self._correction.hear(*packet)
         if self._leaving:
             self._correction.off = "the bridge is being ended"
-        now_s = time.monotonic()
-        if now_s - self._told_s >= TELL_S:
-            self._told_s = now_s
-            self._line.send(Kind.STATE, json.dumps(self.document()).encode())
+        self._line.tell(self.document)
 
     def _newest(self, data: bytes, sender: Address) -> tuple[bytes, Address]:
         """The last of the requests that wait: those before it are late."""

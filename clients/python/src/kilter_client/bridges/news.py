@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import socket
+import time
+from collections.abc import Callable, Mapping
 from enum import Enum
+from typing import Any
 
+TELL_S = 0.2  # so often the state is told
 ROOM = 1 << 20  # bytes; a program of many effects has a quarter of that
 
 
@@ -23,6 +28,7 @@ class Line:
     def __init__(self, end: socket.socket) -> None:
         self._end = end
         self.cut = False  # the other one is gone
+        self._told_s = 0.0
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
         end.setblocking(False)
 
@@ -36,6 +42,13 @@ class Line:
             self.cut = True
             return False
         return True
+
+    def tell(self, state: Callable[[], Mapping[str, Any]]) -> None:
+        """Send the state, if it is time to."""
+        now_s = time.monotonic()
+        if now_s - self._told_s >= TELL_S:
+            self._told_s = now_s
+            self.send(Kind.STATE, json.dumps(state()).encode())
 
     def receive(self) -> tuple[Kind, bytes] | None:
         """Return the next packet; None while there is none."""

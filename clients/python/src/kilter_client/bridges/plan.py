@@ -190,7 +190,7 @@ class Setpoints:
             self._gap = tuple(old - new for new, old in zip(planned, self.at, strict=True))
         else:
             self._eased_s += step_s
-        left = 1.0 - _smooth(min(1.0, self._eased_s / EASE_S))
+        left = 1.0 - smooth(min(1.0, self._eased_s / EASE_S))
         self._follow([new + left * gap for new, gap in zip(planned, self._gap, strict=True)], self.at, step_s)
         return self.at
 
@@ -209,7 +209,7 @@ def _farthest(wanted: Sequence[float], at: Sequence[float]) -> float:
     return max(abs(new - old) for new, old in zip(wanted, at, strict=True))
 
 
-def _smooth(share: float) -> float:
+def smooth(share: float) -> float:
     """From 0 to 1, with speed and acceleration zero at both ends."""
     return share**3 * (10.0 + share * (6.0 * share - 15.0))
 

@@ -21,6 +21,7 @@ from kilter_client.bridges.loop import Loop, Wire
 from kilter_client.bridges.news import Line, pair
 from kilter_client.bridges.plan import Setpoints
 from kilter_client.errors import FileError, MissingPackageError, UsageError
+from kilter_client.given import signs_of
 from kilter_core.correct.file import from_bytes
 from kilter_core.errors import OptionError
 
@@ -91,8 +92,8 @@ def correction_of(start: Start, bounds: Bounds) -> Correction:
     return Correction(stored, start.robot, guard, bounds.cycle_s)
 
 
-def signs_of(text: str | None, joints: int, most: int) -> list[float]:
-    """Read signs as ``+,-,+``; without any, every axis has the direction of the robot's joint.
+def axes_of(text: str | None, joints: int, most: int) -> list[float]:
+    """Read the signs of a controller's axes, one for each joint of the robot.
 
     Raises:
         UsageError: they are not one for each joint, or the controller has fewer axes.
@@ -100,10 +101,7 @@ def signs_of(text: str | None, joints: int, most: int) -> list[float]:
     """
     if joints > most:
         raise UsageError(f"The robot has {joints} joints, and this controller offsets {most} axes at most.")
-    given = ["+"] * joints if text is None else [part.strip() for part in text.split(",")]
-    if len(given) != joints or set(given) - {"+", "-"}:
-        raise UsageError(f"--signs {text}: give + or - for each of the {joints} joints of the robot.")
-    return [-1.0 if sign == "-" else 1.0 for sign in given]
+    return signs_of(text, joints, "robot")
 
 
 def answer_over_udp(start: Start, wire: Wire, bounds: Bounds, listen: str, port: int) -> dict[str, Any]:

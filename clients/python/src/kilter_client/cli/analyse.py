@@ -24,12 +24,12 @@ from kilter_client.cli.arguments import (
     ValidationText,
 )
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.job_check import finish_check
-from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import resolved_all, resolved_options
-from kilter_client.cli.results import show_job
+from kilter_client.cli.reports.job_check import finish_check
+from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.texts.option_texts import EVALUATE, GAP, IDENTIFY
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures

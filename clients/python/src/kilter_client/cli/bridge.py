@@ -96,7 +96,7 @@ def rsi(
     """
     running = _needed()
     start = running.prepared(robot, "rsi", version, force, as_json, publish)
-    wire = RsiWire(running.signs_of(signs, start.joints, AXES), joints_from, cycle_ms)
+    wire = RsiWire(running.axes_of(signs, start.joints, AXES), joints_from, cycle_ms)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
     emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
 
@@ -129,7 +129,7 @@ def egm(
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
     plan = planned(path, setpoints_port, start.joints)
     setpoints = Setpoints(plan, math.radians(speed_deg_s), bounds.cycle_s)
-    wire = EgmWire(running.signs_of(signs, start.joints, EGM_AXES), setpoints)
+    wire = EgmWire(running.axes_of(signs, start.joints, EGM_AXES), setpoints)
     emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Entry:
-    """A command of the first level; ``module`` is the one of ``kilter_client.cli`` that registers it."""
+    """A command of the first level; ``module`` is the one of ``kilter_client.cli`` that registers it, with its folder."""
 
     module: str
     summary: str
@@ -19,17 +19,17 @@ class Entry:
 
 CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     "Measure": {
-        "upload": Entry("upload", "Send measurements of a robot; they become a campaign."),
+        "upload": Entry("files.upload", "Send measurements of a robot; they become a campaign."),
         "campaigns": Entry("campaigns", "List, name, retire and purge campaigns."),
-        "inspect": Entry("inspect", "Show how a file is read; nothing is sent."),
-        "match": Entry("match", "Join a recording of markers with a joint log."),
-        "board": Entry("board", "Write a board to print for a camera."),
-        "see": Entry("see", "Find boards in pictures and write their corners as rows."),
-        "sheet": Entry("sheet", "Write the sheet to print for measuring with a pencil."),
-        "sheet-read": Entry("sheet", "Read a scan or photo of a drawn sheet."),
-        "sheet-join": Entry("sheet", "Join a drawn sheet and the height with the joint log."),
-        "ballbar-join": Entry("joins", "Join a ball bar's log with the joint log."),
-        "tilt-join": Entry("joins", "Join an inclinometer's log with the joint log."),
+        "inspect": Entry("files.inspect", "Show how a file is read; nothing is sent."),
+        "match": Entry("files.match", "Join a recording of markers with a joint log."),
+        "board": Entry("camera.board", "Write a board to print for a camera."),
+        "see": Entry("camera.see", "Find boards in pictures and write their corners as rows."),
+        "sheet": Entry("files.sheet", "Write the sheet to print for measuring with a pencil."),
+        "sheet-read": Entry("files.sheet", "Read a scan or photo of a drawn sheet."),
+        "sheet-join": Entry("files.sheet", "Join a drawn sheet and the height with the joint log."),
+        "ballbar-join": Entry("files.joins", "Join a ball bar's log with the joint log."),
+        "tilt-join": Entry("files.joins", "Join an inclinometer's log with the joint log."),
         "plan": Entry("plans", "Plan poses to measure, or those of a check."),
         "instrument": Entry("instruments", "Add and list instruments and their certificates."),
         "suspicious": Entry("suspicious", "Name the rows of a campaign that look wrong."),
@@ -40,7 +40,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "identify": Entry("analyse", "Identify parameters from campaigns; makes a version."),
         "gap": Entry("analyse", "Find and name what the model lacks; makes a version."),
         "evaluate": Entry("analyse", "Compare a version with a campaign."),
-        "hand-eye": Entry("hand_eye", "Find where cameras stand on a robot, and export it."),
+        "hand-eye": Entry("camera.hand_eye", "Find where cameras stand on a robot, and export it."),
         "check": Entry("drift", "Say whether an arm has moved since its version."),
         "drift": Entry("drift", "Show the checks of a robot, or how all robots stand."),
         "rezero": Entry("drift", "Make a version of what moved, and nothing else."),
@@ -71,8 +71,8 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "stream-session": Entry("access", "Print the keys of a session of a stream."),
     },
     "Robots": {
-        "robot": Entry("robots", "Add, list, show, check, convert and retire robots."),
-        "mesh": Entry("meshes", "Give links their shapes, for the picture of the arm."),
+        "robot": Entry("robot.robots", "Add, list, show, check, convert and retire robots."),
+        "mesh": Entry("robot.meshes", "Give links their shapes, for the picture of the arm."),
         "presets": Entry("lists", "List the robots that ship with Kilter."),
     },
     "Server": {

@@ -16,10 +16,10 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
-from kilter_client.cli.activation_report import show_today
 from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.reports.activation_report import show_today
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_files import prepare

@@ -12,7 +12,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import exported
 from kilter_client.cli.arguments import Json, VersionId
-from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.tables import show_rows

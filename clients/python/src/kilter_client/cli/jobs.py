@@ -14,7 +14,7 @@ from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import OfRobot, looked_up, resolved
-from kilter_client.cli.results import show_job
+from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.tables import show_rows
 
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)

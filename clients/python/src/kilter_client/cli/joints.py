@@ -19,7 +19,7 @@ from kilter_client.cli.arguments import (
     Robot,
     ValidationText,
 )
-from kilter_client.cli.option_texts import JOINT_PARAMETERS
+from kilter_client.cli.texts.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
 
 

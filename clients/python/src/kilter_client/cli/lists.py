@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 import typer
 
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.effect_texts import EFFECTS
-from kilter_client.cli.listed_texts import COLUMNS, EXPORTS, METHODS, PRESETS
 from kilter_client.cli.output import Document, emit, note
 from kilter_client.cli.tables import show_rows
+from kilter_client.cli.texts.effect_texts import EFFECTS
+from kilter_client.cli.texts.listed_texts import COLUMNS, EXPORTS, METHODS, PRESETS
 
 OF_THIS_RELEASE = "These are of this release of the command; a server of another release may have others."
 

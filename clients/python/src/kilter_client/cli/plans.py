@@ -13,7 +13,7 @@ from kilter_client.cli import arguments
 from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_poses
 from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.groups import WithDefault
-from kilter_client.cli.option_texts import PLAN
+from kilter_client.cli.texts.option_texts import PLAN
 from kilter_client.errors import UsageError
 
 Box = Annotated[str | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"])]

@@ -10,14 +10,15 @@ import typer
 from kilter_client import Kilter
 from kilter_client.calls.versions import NOMINAL
 from kilter_client.cli import exported, keeping
-from kilter_client.cli.activation_report import show_activations, show_active, show_today
 from kilter_client.cli.arguments import Json, Retired, Robot, VersionId
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
-from kilter_client.cli.results import show_version
+from kilter_client.cli.reports.activation_report import show_activations, show_active, show_today
+from kilter_client.cli.reports.results import show_version
 from kilter_client.cli.tables import number, show_rows
-from kilter_client.errors import FileError, UsageError
+from kilter_client.errors import UsageError
 from kilter_client.results.digits import decimals, estimate
+from kilter_client.results.rows import saved
 
 group = typer.Typer(
     help="List, name, retire and purge versions; without a command, list those of a robot.",
@@ -135,10 +136,7 @@ def write(output: Path, content: bytes) -> None:
         FileError: it cannot be written.
 
     """
-    try:
-        output.write_bytes(content)
-    except OSError as error:
-        raise FileError(f"{output}: cannot be written: {error.strerror or error}.", file=str(output)) from error
+    saved(content, output)
 
 
 def _show_list(document: dict[str, Any]) -> None:

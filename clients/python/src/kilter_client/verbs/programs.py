@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
+from kilter_client.given import signs_of
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.things import Thing, reference
 from kilter_client.verbs.versions import correct
-from kilter_files.formats.programs.found import JointTarget, Program
-from kilter_files.formats.programs.reading import read_programs, visited
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
+    from kilter_files.formats.programs.found import JointTarget, Program
+
+    Place = tuple[Program, JointTarget]
 
 ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # targets that have numbers
-Place = tuple[Program, JointTarget]
 FANUC_J3 = ("same", "coupled")
 SHOWN = 20
 
@@ -55,13 +56,14 @@ def filter(  # noqa: A001 - a verb, as the command is called
 
     """
     from kilter_client.results.program import FilteredProgram
+    from kilter_files.formats.programs.reading import read_programs, visited
 
     programs = read_programs(Path(fspath(program)))
     places = visited(programs)
     coupled = _coupled(programs[0], fanuc_j3)
     if strict:
         _refuse([(one, line, what) for one in programs for line, what in one.left], programs, "is not rewritten")
-    directions = _signs(signs, len(places[0][1].joints_deg))
+    directions = signs_of(signs, len(places[0][1].joints_deg), "program")
     name = reference("robot", robot)
     yield from _refuse_other_robot(places[0], name)
     joints, status, notes = yield from _corrected(places, name, version, directions, coupled)
@@ -81,17 +83,6 @@ def _coupled(found: Program, fanuc_j3: str | None) -> bool:
     if found.dialect == "FANUC LS" and fanuc_j3 is None:
         raise UsageError("State what J3 of the program is to the robot: --fanuc-j3 same or --fanuc-j3 coupled.")
     return fanuc_j3 == "coupled" and found.dialect == "FANUC LS"
-
-
-def _signs(given: Sequence[float] | str | None, count: int) -> list[float]:
-    if given is None:
-        return [1.0] * count
-    parts = [part.strip() for part in given.split(",")] if isinstance(given, str) else list(given)
-    known = {"+": 1.0, "-": -1.0, 1: 1.0, -1: -1.0}
-    if len(parts) != count or any(part not in known for part in parts):
-        told = given if isinstance(given, str) else ",".join(map(str, parts))
-        raise UsageError(f"--signs {told}: give + or - for each of the {count} joints of the program.")
-    return [known[part] for part in parts]
 
 
 def _refuse_other_robot(place: Place, robot: str) -> Steps[None]:

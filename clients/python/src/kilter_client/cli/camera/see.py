@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import FileError, UsageError
+from kilter_client.results.rows import saved
 
 if TYPE_CHECKING:
     from kilter_files.rig.see.run import Looker, Seen
@@ -100,7 +101,7 @@ def see(
     seen = _looked(looker, source, output, camera_name, as_json)
     document = described(seen, looker, mount, camera_name)
     beside = output.with_suffix(".json")
-    beside.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    saved((json.dumps(document, indent=1) + "\n").encode(), beside)
     emit({"file": str(output), "description": str(beside)} | document, as_json, _show)
 
 

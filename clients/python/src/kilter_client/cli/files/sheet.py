@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.arguments import File, Json
-from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.cli.output import note
-from kilter_client.cli.picture import picture
+from kilter_client.cli.robot.picture import picture
 from kilter_client.cli.versions import write
 from kilter_client.errors import FileError
 from kilter_client.plots import can_draw, draw

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kilter_client.errors import FileError
+from kilter_client.results.rows import saved
+
 Part = Mapping[str, Any]
 MODELS = {"none": "plumb_bob", "brown": "plumb_bob", "rational": "rational_polynomial", "fisheye": "equidistant"}
 COUNTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
@@ -25,13 +28,17 @@ def ros_files(result: Mapping[str, Any], frames: Mapping[str, str]) -> dict[str,
 
 
 def write_ros_files(result: Mapping[str, Any], folder: Path, frames: Mapping[str, str]) -> list[Path]:
-    """Write the files into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, text in ros_files(result, frames).items():
-        (folder / name).write_text(text, encoding="utf-8")
-        written.append(folder / name)
-    return written
+    """Write the files into a folder.
+
+    Raises:
+        FileError: the folder or a file cannot be written.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be made: {error.strerror or error}.", file=str(folder)) from error
+    return [saved(text.encode(), folder / name) for name, text in ros_files(result, frames).items()]
 
 
 def quaternion(part: Part) -> tuple[float, float, float, float]:

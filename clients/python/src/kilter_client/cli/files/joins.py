@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot, three
-from kilter_client.cli.inspect import check_numpy
-from kilter_client.cli.match import joints_of
+from kilter_client.cli.files.inspect import check_numpy
+from kilter_client.cli.files.match import joints_of
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError

@@ -11,13 +11,13 @@ import typer
 
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
-from kilter_client.cli.checks import Unchecked
-from kilter_client.cli.dry_run import show_dry_run, what_it_holds
-from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
-from kilter_client.cli.match import joints_of
+from kilter_client.cli.camera.rig_file import rig_conditions
+from kilter_client.cli.files.checks import Unchecked
+from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
+from kilter_client.cli.files.inspect import JointOrder, Topic, check_numpy
+from kilter_client.cli.files.match import joints_of
+from kilter_client.cli.files.sending import send
 from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.rig_file import rig_conditions
-from kilter_client.cli.sending import send
 from kilter_client.errors import UsageError
 from kilter_client.given import moment_of
 from kilter_client.verbs import campaigns

@@ -10,9 +10,19 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.calibrated_rows import calibrated
-from kilter_client.cli.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
-from kilter_client.cli.inspect import AllowCut, Calibration, JointOrder, NormMode, Rate, Topic, Unit, Zero, check_numpy
+from kilter_client.cli.files.calibrated_rows import calibrated
+from kilter_client.cli.files.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
+from kilter_client.cli.files.inspect import (
+    AllowCut,
+    Calibration,
+    JointOrder,
+    NormMode,
+    Rate,
+    Topic,
+    Unit,
+    Zero,
+    check_numpy,
+)
 from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar

@@ -1,0 +1,1 @@
+"""Commands for cameras: boards to print, boards in pictures, and where cameras stand."""

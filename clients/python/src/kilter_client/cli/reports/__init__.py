@@ -1,0 +1,1 @@
+"""Results of jobs, versions and activations as text."""

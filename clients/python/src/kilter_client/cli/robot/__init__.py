@@ -1,0 +1,1 @@
+"""Commands that describe robots, and the pictures of an arm."""

@@ -1,0 +1,1 @@
+"""Texts that `make contract` writes."""

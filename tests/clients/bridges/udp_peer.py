@@ -1,0 +1,80 @@
+"""A controller that asks over UDP every cycle, in whatever messages: it shares no code with Kilter."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class UdpPeer:
+    """Asks ``port`` each ``cycle_s``, and keeps a row of each cycle that begins with whether an answer came in time."""
+
+    port: int
+    cycle_s: float = field(default=0.012, kw_only=True)
+    rows: list[tuple[Any, ...]] = field(default_factory=list, kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect(("127.0.0.1", self.port))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def start(self) -> Self:
+        """Begin to ask."""
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """Ask no more."""
+        self._stop.set()
+        self._thread.join(10)
+        self._socket.close()
+
+    def wait(self, cycles: int, seconds: float = 60.0) -> None:
+        """Wait until so many more cycles are over."""
+        wanted, end = len(self.rows) + cycles, time.monotonic() + seconds
+        while len(self.rows) < wanted:
+            assert self._thread.is_alive()
+            assert time.monotonic() < end, "the controller does not get on"
+            time.sleep(0.01)
+
+    def answered(self) -> NDArray[np.bool_]:
+        """Which cycles had their answer in time."""
+        return np.array([row[0] for row in self.rows])
+
+    def _run(self) -> None:
+        begin = time.monotonic()
+        for cycle in range(1_000_000):
+            if self._stop.is_set():
+                return
+            self.rows.append(self._cycle(cycle))
+            time.sleep(max(0.0, begin + (cycle + 1) * self.cycle_s - time.monotonic()))
+
+    def _cycle(self, cycle: int) -> tuple[Any, ...]:
+        """One cycle: its row."""
+        raise NotImplementedError
+
+    def _exchange(self, message: bytes) -> bool:
+        """Ask; whether the answer came within the cycle."""
+        end = time.monotonic() + self.cycle_s
+        try:
+            self._socket.send(message)
+            while True:
+                self._socket.settimeout(max(1e-4, end - time.monotonic()))
+                if self._take(self._socket.recv(2048)):
+                    return True
+        except (TimeoutError, ConnectionError):
+            return False
+
+    def _take(self, answer: bytes) -> bool:
+        """Take what an answer says; False: it is of an earlier cycle."""
+        raise NotImplementedError
