@@ -13,6 +13,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from kilter_client import Kilter
+from kilter_client.cli.camera.ros_files import write_ros_files
+from kilter_client.errors import FileError
 from tests.clients.test_cli import Command
 from tests.core.pixel_scene import eye_in_hand
 from tests.service.test_pixels import columns, csv, described
@@ -88,3 +90,13 @@ def test_what_is_no_rig_is_refused(server: Path, command: Command, tmp_path: Pat
     for text in ("{}", "[1]", '{"cameras": [], "boards": []}'):
         rig.write_text(text)
         assert "kilter see" in command("upload", "any", rows, "--cameras", rig, code=2)
+
+
+def test_files_of_ros_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    frames, nothing = {"base": "base_link", "flange": "tool0"}, {"cameras": [], "boards": []}
+    (tmp_path / "ros" / "static_transforms.sh").mkdir(parents=True)
+    with pytest.raises(FileError, match=r"static_transforms\.sh: cannot be written"):
+        write_ros_files(nothing, tmp_path / "ros", frames)
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="file: cannot be made"):
+        write_ros_files(nothing, tmp_path / "file", frames)

@@ -13,7 +13,7 @@ from kilter_core.effects import Batch, Effect, Local
 from kilter_core.effects.physical import INSTRUMENT
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.registration import register
-from kilter_core.model import Calibration
+from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -78,6 +78,11 @@ def with_rig(calibration: Calibration, measurement: Measurement) -> Calibration:
     views = measurement.pixels
     assert views is not None
     return replace(calibration, rig=views.fitted(calibration.predict(measurement.observations)))
+
+
+def unknown_rig(model: RobotModel) -> PlacedRig | None:
+    """Cameras and boards whose unknowns are parameters of a model; None where no camera measured."""
+    return next((e.rig for e in model.effects if isinstance(e, Cameras)), None)
 
 
 def rig_of(calibration: Calibration) -> PlacedRig | None:

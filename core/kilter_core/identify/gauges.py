@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.chain import Element
-from kilter_core.identify.cameras import Cameras
+from kilter_core.identify.cameras import unknown_rig
 from kilter_core.identify.identifiability import identifiable
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.scale_gauge import free_scale
@@ -34,10 +34,9 @@ SETTLES = {
 
 def gauges(fit: Fit) -> Iterator[dict[str, Any]]:
     """Warnings ``camera_gauge``: what is given to one of two that act alike; nothing where a tracker measured too."""
-    effect = next((e for e in fit.problem.model.effects if isinstance(e, Cameras)), None)
-    if effect is None or effect.rig is None:
+    rig, names = unknown_rig(fit.problem.model), list(fit.names)
+    if rig is None:
         return
-    rig, names = effect.rig, list(fit.names)
     seen = np.asarray(identifiable(fit.sigma, fit.problem.prior_sigma))
     unknown = {n for n, told, arm in zip(names, seen, of_the_arm(fit), strict=True) if arm and not told}
     if fit.problem.measurement.tool.places_itself:

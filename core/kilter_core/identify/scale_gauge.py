@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.cameras import Cameras, rig_of
+from kilter_core.identify.cameras import Cameras, rig_of, unknown_rig
 from kilter_core.identify.least_squares import Fit
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse
@@ -23,7 +23,7 @@ MACHINED_M = 5e-4  # standard deviation of a length as its maker holds it
 def free_scale(fit: Fit) -> bool:
     """Whether everything may grow together: pixels alone, all boards of free scale, all lengths free, no prismatic joint."""
     problem = fit.problem
-    rig = next((e.rig for e in problem.model.effects if isinstance(e, Cameras)), None)
+    rig = unknown_rig(problem.model)
     if rig is None or not problem.measurement.tool.places_itself:
         return False
     robot, names = problem.model.robot, set(fit.names)

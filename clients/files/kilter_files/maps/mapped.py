@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sized
 from pathlib import Path
 from shlex import quote
 
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
+from kilter_files.ground.faults import fault
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.ground.time_stamps import seconds_of
 from kilter_files.ground.units import MARKER, TIMESTAMP, converter, unit_of
@@ -186,10 +188,8 @@ def _table(source: Source, measured: dict[str, list[float]], joined: bool = Fals
 def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
     parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
     if len(orientation.sources) == 9:
-        turned = [
-            _of_matrix(part, orientation.order, source.path, source.lines[k] if source.lines else k + 1)
-            for k, part in enumerate(parts)
-        ]
+        lines = _all_lines(source, parts)
+        turned = [_of_matrix(p, orientation.order, source.path, line) for p, line in zip(parts, lines, strict=True)]
     elif len(orientation.sources) == 4:
         order = [orientation.order.index(axis) for axis in "wxyz"]
         turned = [upright((p[order[0]], p[order[1]], p[order[2]], p[order[3]])) for p in parts]
@@ -203,11 +203,9 @@ def _orientation(source: Source, orientation: Orientation) -> dict[str, list[flo
 def _of_matrix(parts: tuple[float, ...], order: str, path: Path, line: int) -> Quaternion:
     found = from_matrix(parts, order)
     if found is None:
-        raise FileError(
-            f"{path}, line {line}: the nine columns of the orientation are not a rotation matrix (rows of length 1, at right "
-            'angles, right-handed). Check their order and matrix = "rows" or "columns".',
-            file=str(path), line=line,
-        )  # fmt: skip
+        shape = "rows of length 1, at right angles, right-handed"
+        what = f"the nine columns of the orientation are not a rotation matrix ({shape})"
+        raise fault(path, what, 'Check their order and matrix = "rows" or "columns".', line=line)
     return found
 
 
@@ -227,8 +225,8 @@ def _filter(source: Source, table: Table, keep: tuple[Keep, ...]) -> None:
             table.warnings.append(f"{before - len(table)} rows left out by the condition on {condition.column!r}")
 
 
-def _all_lines(source: Source, good: list[bool]) -> list[int]:
-    return source.lines or list(range(1, len(good) + 1))
+def _all_lines(source: Source, rows: Sized) -> list[int]:
+    return source.lines or list(range(1, len(rows) + 1))
 
 
 def _missing(source: Source, table: Table, drop: bool) -> None:

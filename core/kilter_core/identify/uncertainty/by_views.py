@@ -7,18 +7,17 @@ views scatter beyond what the corners within them do, never below it.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import scipy.stats
 
-from kilter_core.identify.cameras import rig_of
+from kilter_core.identify.cameras import rig_of, unknown_rig
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES
-from kilter_core.identify.uncertainty.clustered import NORMAL
+from kilter_core.identify.uncertainty.clustered import as_normal
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
+from kilter_core.parameters import Parameter
 from kilter_core.transforms import inverse, skew
 from kilter_core.types import Floats
 
@@ -39,26 +38,20 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
     scaled = fit.J * problem.prior_sigma
     H = scaled.T @ scaled / max(factor, 1e-12) + np.eye(len(fit.names))
-    scale = problem.prior_sigma * float(scipy.stats.t.ppf(0.975, found.freedom)) / NORMAL
+    scale = as_normal(problem.prior_sigma, found.freedom)
     inverse_ = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return replace(fit, covariance=inverse_ * np.outer(scale, scale), freedom=found.freedom)
 
 
 def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     """What is known of the tool as cameras see it: where the first camera and board stand counts as base and tool do."""
-    names, rows = [], []
-    keep = [name for name in fit.names if name not in {p.name for _, p in _unknowns(fit)}]
-    for name in keep:
-        names.append(name)
-        rows.append(np.eye(len(fit.names))[fit.names.index(name)])
-    rig = rig_of(fit.calibration())
+    rig, views = rig_of(fit.calibration()), fit.problem.measurement.pixels
     assert rig is not None
-    for frame, block in _frames(rig, fit):
-        names += [f"{frame}_{k}" for k in FRAME_NAMES]
-        rows += list(block)
-    M = np.array(rows)
-    views = fit.problem.measurement.pixels
     assert views is not None
+    seen, frames = {p.name for _, p in _unknowns(fit)}, _frames(rig, fit)
+    arm = [name not in seen for name in fit.names]
+    M = np.concatenate([np.eye(len(fit.names))[arm], *(block for _, block in frames)])
+    names = [*np.array(fit.names)[arm].tolist(), *(f"{frame}_{k}" for frame, _ in frames for k in FRAME_NAMES)]
     noise = found.sigma_px * views.metres_per_px
     return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise)
 
@@ -90,9 +83,10 @@ def _selected(fit: Fit, camera: bool, place: int) -> Floats:
     return out
 
 
-def _unknowns(fit: Fit) -> tuple[tuple[Unknown, Any], ...]:
-    effect = next(e for e in fit.problem.model.effects if e.instrument is not None)
-    return tuple(effect.instrument.unknowns)
+def _unknowns(fit: Fit) -> tuple[tuple[Unknown, Parameter], ...]:
+    rig = unknown_rig(fit.problem.model)
+    assert rig is not None
+    return rig.unknowns
 
 
 def _adjoint(T: Floats) -> Floats:
@@ -106,5 +100,5 @@ def _adjoint(T: Floats) -> Floats:
 
 def sigmas_of(fit: Fit) -> dict[str, float]:
     """Standard deviations of what was fitted of cameras and boards, SI and px."""
-    names = {p.name for e in fit.problem.model.effects if e.instrument is not None for p in e.instrument.parameters}
+    names = {p.name for _, p in _unknowns(fit)}
     return {name: float(s) for name, s in zip(fit.names, fit.sigma, strict=True) if name in names}

@@ -54,8 +54,13 @@ def clustered(fit: Fit) -> Fit:
     meat = _mixed(shared, *_by_pose(A, r, groups, bread))
     rest = eye - bread @ (bend * total)
     around = bread @ meat @ bread + rest @ rest.T
-    scale = problem.prior_sigma * float(scipy.stats.t.ppf(0.975, left)) / NORMAL
+    scale = as_normal(problem.prior_sigma, left)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=left)
+
+
+def as_normal(sigma: Floats, freedom: float) -> Floats:
+    """Standard deviations so scaled that 1.96 of them are half of Student's 95 % interval."""
+    return np.asarray(sigma * float(scipy.stats.t.ppf(0.975, freedom)) / NORMAL)
 
 
 def bend_of(fit: Fit) -> float:
