@@ -158,6 +158,7 @@ def sent_file(
     conditions: dict[str, Any],
     name: str,
     measured_at: str | None,
+    instrument: str | None,
     as_json: bool,
 ) -> dict[str, Any]:
     """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
@@ -166,7 +167,7 @@ def sent_file(
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
-        "numbered": not name, "measured_at": moment_of(measured_at),
+        "numbered": not name, "measured_at": moment_of(measured_at), "instrument": instrument,
     }  # fmt: skip
     return send(robot, None, wanted, file, prepared, as_json)
 
