@@ -28,14 +28,14 @@ BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board"
 def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[Any, ...]:
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
-    Beside a tracker the tracker's rows tell, and pixels are left out.
+    Beside a tracker the tracker's rows tell, and pixels are left out. Nests of a pose are taken together.
 
     Raises:
         ObservationError: views that tell no pose.
 
     """
     if rows.pixels is None:
-        return (rows, *others)
+        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others))
     if rows.position is not None or rows.markers is not None:
         return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others))
     assert rows.rig is not None
