@@ -86,6 +86,14 @@ ServoCalibration = Annotated[
     ),
 ]  # fmt: skip
 
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
+    ),
+]
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
@@ -115,13 +123,7 @@ def upload(
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     measured_at: MeasuredAt = None,
     instrument: InstrumentName = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
-        ),
-    ] = False,
+    dry_run: DryRun = False,
     unchecked: Unchecked = False,
     as_json: Json = False,
 ) -> None:
