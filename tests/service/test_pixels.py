@@ -13,7 +13,8 @@ import pytest
 from pyarrow import parquet
 
 from kilter_core.observations import Observations
-from tests.core.pixel_scene import Scene, eye_to_hand
+from tests.core.campaigns import held
+from tests.core.pixel_scene import HOME, Scene, eye_to_hand
 
 MM = 1e3
 SCENE = eye_to_hand()
@@ -171,6 +172,39 @@ def test_a_version_by_views_judges_a_tracker_and_is_rezeroed(client: httpx.Clien
     assert row["name"] == "theta_offset_3"
     assert again["metrics"]["train"]["identified"]["mean_mm"] < 0.05
     assert client.get(f"/v1/versions/{again['version_id']}").json()["parent_id"] == version
+
+
+def test_a_campaign_of_sockets_settles_the_scale_of_a_board(client: httpx.Client, worker: Any, until: Any) -> None:
+    scene, rng = eye_to_hand(yielding=np.zeros(6), scale=1e-3), np.random.default_rng(6)
+    conditions = described(scene)
+    conditions["boards"][0]["scale_sigma_percent"] = 0.1
+    views = campaign(client, conditions)
+    send(client, views, csv(columns(scene.observed(scene.poses(40, rng), rng, 0.1)))).raise_for_status()
+    feet = scene.tools(HOME[None])[0] + np.array([[0.05, 0.25, 0.1], [-0.05, -0.25, -0.1]])
+    q = [held(scene.built, scene.poses(20, rng), lambda p, c=foot: (p - c, np.eye(3))) for foot in feet]
+    q = [one[np.abs(one).max(axis=1) < 2.4][:8] for one in q]  # within the limits of the joints
+    assert min(map(len, q)) >= 6
+    table = {f"q{j + 1}_deg": np.degrees(np.concatenate(q)[:, j]).tolist() for j in range(6)}
+    table |= {"socket_id": [1] * len(q[0]) + [2] * len(q[1])}
+    sockets = campaign(client, {}, "sockets")
+    answer = send(client, sockets, csv(table))
+    assert answer.status_code == 201, answer.text
+    worker.start()
+    options = {"socket_distances_mm": {"1-2": MM * float(np.linalg.norm(feet[0] - feet[1]))}}
+    asked = {
+        "kind": "identify",
+        "robot": "watched",
+        "campaigns": [views, sockets],
+        "options": options,
+        "validation": 0.2,
+    }
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    found = client.get(f"/v1/jobs/{job}").json()
+    assert found["state"] == "succeeded", found["error"]
+    assert found["result"]["boards"][0]["scale_percent"] == pytest.approx(0.1, abs=0.02)
+    assert {row["kind"] for row in found["result"]["measurements"]} == {"pixels", "contacts"}
+    assert "board_scale" not in [w.get("gauge") for w in found["result"]["warnings"]]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from kilter_core.types import Floats, Ints
 
 SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
 TOOL = ("position", "markers", "socket", "plane", "bar")  # columns that say where the tool was
+CONTACTS = ("socket", "plane", "bar", "bar_length")  # columns that say what held its ball
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,6 +273,7 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
 
     Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
     """
+    parts = _with_contacts(parts)
     for name in ("link_q", "command", "tilt"):
         shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
         if shapes:
@@ -288,6 +290,24 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
                 for part, other in zip(parts, others, strict=True)
             ]
     return parts
+
+
+def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns beside others whose ball sockets, planes and bars held: nothing held those that measured no place."""
+    if all(part.pixels is None for part in parts):
+        return parts
+    for name in CONTACTS:
+        if any(getattr(part, name) is not None for part in parts):
+            parts = [_unheld(part, name) for part in parts]
+    return parts
+
+
+def _unheld(part: Observations, name: str) -> Observations:
+    if getattr(part, name) is not None or part.position is not None or part.markers is not None:
+        return part
+    none = np.full(len(part), np.nan) if name == "bar_length" else np.zeros(len(part), dtype=np.int64)
+    changes: dict[str, Any] = {name: none}
+    return replace(part, **changes)
 
 
 def _measured_tool(part: Observations) -> bool:
@@ -311,8 +331,23 @@ def _with_one_rig(parts: Sequence[Observations]) -> Sequence[Observations]:
     if all(part.rig is None for part in parts):
         return parts
     rig = Rig.merged(part.rig for part in parts if part.rig is not None)
+    parts = _with_pose_numbers(parts)
     codes = {name: next((c[0] for p in parts if (c := getattr(p, name)) is not None), None) for name in SET_UP}
     return [_seen_by(part, rig, parts, codes) for part in parts]
+
+
+def _with_pose_numbers(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns that all number their poses where views do: cameras at one pose share a number, which others lack."""
+    if all(part.pose_id is None for part in parts):
+        return parts
+    out, free = [], 1 + max(int(part.pose_id.max()) for part in parts if part.pose_id is not None)
+    for part in parts:
+        if part.pose_id is None:
+            part = replace(part, pose_id=free + numbered_poses(part.q))
+            assert part.pose_id is not None
+            free = 1 + int(part.pose_id.max())
+        out.append(part)
+    return out
 
 
 def _seen_by(part: Observations, rig: Rig, parts: Sequence[Observations], codes: dict[str, Any]) -> Observations:

@@ -66,12 +66,11 @@ def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
     outside = rig.rig.cameras[camera].mount == "fixed"
     places = {True: (True, camera), False: (False, board)}
     room, tool = (places[True], places[False]) if outside else (places[False], places[True])
+    ball = any(name.startswith("tool_") for name in fit.names)  # told by contacts, and a parameter like any other
     T = inverse(fit.calibration().model.T_base)
     poses = {key: (rig.cameras if key[0] else rig.boards)[key[1]].pose for key in (room, tool)}
-    return [
-        ("base", -_adjoint(T @ poses[room]) @ _selected(fit, *room)),
-        ("tool", _adjoint(poses[tool]) @ _selected(fit, *tool)),
-    ]
+    base = ("base", -_adjoint(T @ poses[room]) @ _selected(fit, *room))
+    return [base] if ball else [base, ("tool", _adjoint(poses[tool]) @ _selected(fit, *tool))]
 
 
 def _selected(fit: Fit, camera: bool, place: int) -> Floats:
