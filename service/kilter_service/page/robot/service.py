@@ -23,7 +23,7 @@ from kilter_service.page.shared.control_chart import Watched, watched
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.robots.compensation import WORDS, sentence
+from kilter_service.robots.compensation import WORDS
 from kilter_service.settings import Settings
 from kilter_service.suspicious import service as suspicious
 from kilter_service.today import service as today
@@ -57,11 +57,6 @@ class Shown:
     controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
     most_mb: int = MAX_MESH_MB
     most_triangles: int = MAX_TRIANGLES
-
-    @property
-    def controller(self) -> str:
-        """What follows from what the controller does by itself; empty where nothing does."""
-        return sentence(self.robot.name, self.robot.controller_compensation)
 
     @property
     def links(self) -> list[str]:
