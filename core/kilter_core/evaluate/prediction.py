@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import OptionError
-from kilter_core.identify.estimate import refitted
+from kilter_core.identify.estimate import new_frames, refitted
 from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
@@ -37,14 +36,13 @@ def evaluate(
         OptionError: another refit. TooFewPosesError: too few poses for it. ObservationError: nothing measured.
 
     """
-    if list(refit) not in ([], ["base"], ["base", "tool"]):
-        raise OptionError(f'refit is {list(refit)}: give [], ["base"] or ["base", "tool"].', option="refit")
+    anew = new_frames(refit, "refit")
     measurement = Measurement.of(observations, calibration.marker_points, held=True)
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
         "registration_only": refitted(nominal, measurement, ("base", "tool")),
-        "identified": refitted(calibration, measurement, tuple(refit)),
+        "identified": refitted(calibration, measurement, anew),
     }
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
-from kilter_core.errors import TooFewPosesError
+from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.cameras import with_rig
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, solve
@@ -23,6 +24,8 @@ from kilter_core.types import Floats, Ints, Progress
 Sigmas = dict[str, float]
 """Standard deviations by noise group, m or rad."""
 
+Frame = Literal["base", "tool"]
+NEW_FRAMES: tuple[tuple[Frame, ...], ...] = ((), ("base",), ("base", "tool"))
 START_SIGMA_M = 1e-4
 START_SIGMA_RAD = 1e-3
 SMALLEST_SIGMA_M = 1e-7  # below any instrument: keeps noise-free simulations solvable
@@ -51,6 +54,19 @@ def frames_alone(start: Calibration, measurement: Measurement, options: Identify
     """Fit frames only, as the options leave them free; a fit that ends further off than the start is not taken."""
     found = estimate(start, measurement, options).calibration()
     return start if _further_off(found, start, measurement) else found
+
+
+def new_frames(frames: Sequence[str], option: str) -> tuple[Frame, ...]:
+    """Return the frames that an option says were set up anew.
+
+    Raises:
+        OptionError: a tool without its base: where it was held would pass for an error of the arm.
+
+    """
+    found = next((one for one in NEW_FRAMES if list(one) == list(frames)), None)
+    if found is None:
+        raise OptionError(f'{option} is {list(frames)}: give [], ["base"] or ["base", "tool"].', option=option)
+    return found
 
 
 def refitted(calibration: Calibration, measurement: Measurement, frames: Sequence[str]) -> Calibration:

@@ -13,15 +13,15 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri
 
-from kilter_core.errors import ObservationError, OptionError
-from kilter_core.identify.estimate import refitted
+from kilter_core.errors import ObservationError
+from kilter_core.identify.estimate import Frame, new_frames, refitted
 from kilter_core.identify.plausibility.believable import reach
 from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
-from kilter_core.watch.causes import Cause, Column, Frame, after, columns_of
+from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
@@ -34,7 +34,6 @@ BROUGHT_NEAR = 0.1  # share of the misfit that the cause may leave
 SEEN_LEAST = 1e-6  # of what a frame shows in all directions, what it must show in each to be seen in all
 
 Verdict = Literal["ok", "moved", "cannot_tell"]
-SETUPS: tuple[tuple[Frame, ...], ...] = ((), ("base",), ("base", "tool"))
 
 
 @dataclass(frozen=True)
@@ -133,9 +132,7 @@ def check(
         TooFewPosesError: under three poses.
 
     """
-    anew = next((one for one in SETUPS if list(one) == list(new_setup)), None)
-    if anew is None:
-        raise OptionError(f'new_setup is {list(new_setup)}: give [], ["base"] or ["base", "tool"].', option="new_setup")
+    anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
     rows, seen = as_seen_places(calibration, rows)
     noise = seen if noise is None else noise

@@ -105,6 +105,10 @@ class JobOutput:
     version: VersionContent | None = None
 
 
+def refuse_nothing(_: Any) -> None:
+    """Leave the options to their model."""
+
+
 @dataclass(frozen=True)
 class JobKind:
     """A kind of job.
