@@ -159,6 +159,15 @@ FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 	.venv-franka/bin/pip install --disable-pip-version-check -q --upgrade --no-deps --target .venv-franka/bridge --constraint $(FRANKA_PINS) pylibfranka
 	touch $@
 
+test-lerobot: $(KERNELS) .venv-lerobot/.ready ## run LeRobot's own follower through Kilter on simulated servos (needs Python 3.12, 5 GB)
+	KILTER_LEROBOT=.venv-lerobot $(BIN)/python -m pytest -q --timeout 1800 tests/clients/lerobot
+
+# LeRobot needs Python 3.12 and brings PyTorch: an environment of its own, with Kilter's distributions as they are here.
+LEROBOT_PINS := tests/clients/lerobot/constraints.txt
+.venv-lerobot/.ready: $(LEROBOT_PINS) clients/lerobot/pyproject.toml
+	sh tools/lerobot_environment.sh $(LEROBOT_PINS)
+	touch $@
+
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
 	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
 

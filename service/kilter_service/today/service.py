@@ -61,8 +61,8 @@ def _all(session: Session, robots: Mapping[int, str], searched: SearchToday | No
 
 def _uncorrected(robot: str, searched: SearchToday | None) -> Today:
     found = Today(
-        robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, not_evaluated=[],
-        missing=searched, sentences=[],
+        robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, compared="",
+        not_evaluated=[], missing=searched, sentences=[],
     )  # fmt: skip
     return found.model_copy(update={"sentences": sentences.of(found)})
 
@@ -85,6 +85,7 @@ def _today(
         own=own,
         changed=more is not None,
         larger_by_mm=more,
+        compared=sentences.compared(robot, newest, own, more),
         not_evaluated=_not_evaluated(version, campaigns, newest, candidates),
         missing=searched,
         sentences=[],
@@ -138,7 +139,8 @@ def _errors(
 ) -> ErrorsToday:
     found = [campaigns[one] for one in used if one in campaigns]
     return ErrorsToday(
-        source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [], errors=errors,
+        source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [],
+        rows=sentences.rows(source, refit or []), errors=errors,
     )  # fmt: skip
 
 

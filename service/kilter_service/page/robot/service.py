@@ -21,7 +21,7 @@ from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.page.shared.state import State, state_of
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.robots.compensation import WORDS, sentence
+from kilter_service.robots.compensation import WORDS
 from kilter_service.settings import Settings
 from kilter_service.suspicious import service as suspicious
 from kilter_service.today import service as today
@@ -58,11 +58,6 @@ class Shown:
     def state(self) -> State:
         """How the robot stands."""
         return state_of(self.today, self.accuracy, self.watched.found, self.correcting)
-
-    @property
-    def controller(self) -> str:
-        """What follows from what the controller does by itself; empty where nothing does."""
-        return sentence(self.robot.name, self.robot.controller_compensation)
 
     @property
     def unseen(self) -> int:

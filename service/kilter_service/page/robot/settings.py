@@ -11,7 +11,7 @@ from kilter_service.db import Database
 from kilter_service.limits import MAX_MESH_MB, MAX_TRIANGLES
 from kilter_service.meshes import service as meshes
 from kilter_service.robots import service as robots
-from kilter_service.robots.compensation import WORDS, sentence
+from kilter_service.robots.compensation import WORDS
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,6 @@ class Settled:
     controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
     most_mb: int = MAX_MESH_MB
     most_triangles: int = MAX_TRIANGLES
-
-    @property
-    def controller(self) -> str:
-        """What follows from what the controller does by itself; empty where nothing does."""
-        return sentence(self.robot.name, self.robot.controller_compensation)
 
     @property
     def links(self) -> list[str]:

@@ -23,6 +23,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "campaigns": Entry("campaigns", "List, name, retire and purge campaigns."),
         "inspect": Entry("files.inspect", "Show how a file is read; nothing is sent."),
         "match": Entry("files.match", "Join a recording of markers with a joint log."),
+        "episodes": Entry("files.episodes", "Name joints that moved within a LeRobot data set."),
         "board": Entry("camera.board", "Write a board to print for a camera."),
         "see": Entry("camera.see", "Find boards in pictures and write their corners as rows."),
         "sheet": Entry("files.sheet", "Write the sheet to print for measuring with a pencil."),
