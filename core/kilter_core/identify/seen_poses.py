@@ -30,14 +30,14 @@ def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
     Beside a tracker the tracker's rows tell, and pixels are left out. Rows beside views that a contact held tell of the
-    geometry, and are left out after it.
+    geometry, and are left out after it. Nests of a pose are taken together.
 
     Raises:
         ObservationError: views that tell no pose.
 
     """
     if rows.pixels is None:
-        return (rows, *others)
+        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others))
     if rows.position is not None or rows.markers is not None:
         return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others))
     assert rows.rig is not None

@@ -187,6 +187,47 @@ class Observations(Conditions):
             return np.ones(len(self), dtype=bool)
         return np.asarray(~np.isnan(values).reshape(len(self), -1).all(axis=1))
 
+    @property
+    def one_marker_moved(self) -> bool:
+        """Whether no row shows three markers: one reflector was moved between nests."""
+        return self.markers is not None and bool((~np.isnan(self.markers).any(axis=2)).sum(axis=1).max(initial=0) < 3)
+
+    @cached_property
+    def markers_of_poses(self) -> Floats | None:
+        """Markers (N, m, 3) m by which rows show the pose of the tool; None without markers.
+
+        Where one reflector was moved between nests, every row has beside its own what the other visits of its pose in the
+        same session showed, the mean of them.
+        """
+        if self.markers is None or not self.one_marker_moved:
+            return self.markers
+        group, whole = self._markers_by_pose
+        return np.asarray(np.where(np.isnan(self.markers), whole[group], self.markers))
+
+    def whole_poses(self) -> Observations:
+        """The same with all that the visits of a pose in a session showed in the first of them, and nothing in the others.
+
+        Only where one reflector was moved between nests, for what compares whole visits; the rows keep their numbers.
+        """
+        if self.markers is None or not self.one_marker_moved:
+            return self
+        group, whole = self._markers_by_pose
+        markers = np.full(self.markers.shape, np.nan)
+        markers[np.unique(group, return_index=True)[1]] = whole
+        return replace(self, markers=markers)
+
+    @cached_property
+    def _markers_by_pose(self) -> tuple[Ints, Floats]:
+        """The pose of a session (N,) of each row, and the mean markers (G, m, 3) of each."""
+        assert self.markers is not None
+        session = np.zeros(len(self)) if self.session is None else self.session
+        _, found = np.unique(np.stack([self.pose_groups(), session]), axis=1, return_inverse=True)
+        group, seen = found.reshape(-1), ~np.isnan(self.markers)
+        total, count = (np.zeros((int(group.max(initial=-1)) + 1, *self.markers.shape[1:])) for _ in range(2))
+        np.add.at(total, group, np.where(seen, self.markers, 0.0))
+        np.add.at(count, group, seen)
+        return group, np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""
         return self._groups

@@ -82,7 +82,7 @@ def check(
     with Kilter() as kilter:
         found = kilter.robots.check(document)
     if plot is not None:
-        save_arm(plot, found, as_json)
+        save_arm(plot, found)
     emit(found, as_json, show_check)
 
 
