@@ -36,6 +36,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.plausibility.flat_boards import bent_boards
+from kilter_core.identify.plausibility.timing import bad_timing
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
@@ -353,6 +354,7 @@ def _reported(
             *another_arm(calibration),
             *gauges(fit_of_all),
             *bent_boards(fit_of_all),
+            *bad_timing(fit_of_all),
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
