@@ -110,6 +110,7 @@ MODULE_OF = {
     "LeftOneOut": "fleet_priors",
     "Legend": "fits",
     "LoadNumber": "fits",
+    "LoginLink": "others",
     "MadeToken": "others",
     "Margin": "fits",
     "MassesTaken": "identifications",
