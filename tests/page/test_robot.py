@@ -155,7 +155,6 @@ def picture(page: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(shot)).convert("L"), dtype=float)
 
 
-@pytest.mark.short_path
 def test_a_linkage_is_drawn_and_no_other_drive(there: Made, page: Page) -> None:
     """Rods from the axis of the joint that drives to the axis that they tie to it, beside the links."""
     seen = {}
