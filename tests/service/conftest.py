@@ -28,6 +28,7 @@ from kilter_service.serving import KEEP_ALIVE_S
 from kilter_service.settings import DATABASE_FILE, Settings
 from tests.service.forked import forked_worker
 from tests.service.postgresql import database_of, programs, running_postgresql
+from tests.service.prompt_server import PromptServer
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
@@ -126,7 +127,7 @@ def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
     """Serve the application on a free port in a thread of this process."""
     listener = socket.create_server(("127.0.0.1", 0))
     kept = {"timeout_keep_alive": KEEP_ALIVE_S, "timeout_graceful_shutdown": 2, **config}
-    server = uvicorn.Server(uvicorn.Config(app, log_level="error", **kept))
+    server = PromptServer(uvicorn.Config(app, log_level="error", **kept))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     deadline = time.monotonic() + 10
@@ -137,7 +138,7 @@ def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
         with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", timeout=120) as client:
             yield client
     finally:
-        server.should_exit = True
+        server.ask_to_end()
         thread.join(10)
         listener.close()
         assert not thread.is_alive()

@@ -53,7 +53,7 @@ def evaluate(
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
     stages["without"] = refitted(nominal, measurement, tuple(refit))
-    within = None if known is None else table.within
+    within = table.within
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
         "within_u95": within, "rows": table.to_document(),
@@ -123,10 +123,11 @@ class Rows:
 def rows_of(
     calibration: Calibration, measurement: Measurement, refit: Sequence[str] = (), known: Predictive | None = None
 ) -> Rows:
-    """Errors of every row of a measurement, with what was expected of them."""
+    """Errors of every row of a measurement, with what was expected of them where their noise is known."""
     points = measurement.residual(calibration.predict(measurement.observations)).points
     seen = ~np.isnan(points)
     mean = np.where(seen, points, 0.0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
+    known = None if known is None else known.judging(measurement)
     u95 = None if known is None else known.of_measured(calibration, measurement, refit)
     return Rows(mean, u95, measurement.observations.pose_groups())
 

@@ -188,11 +188,10 @@ def prepared(
 
     """
     model, values = start.model.absorb_frame_increments(start.values)
-    if measurement.tool.places_itself:
+    if not measurement.fits_tool:
         options = replace(options, tool="fixed")
-    free = options.free_parameters(
-        model, observes_orientation=measurement.observes_orientation, observes_base=measurement.observes_base
-    )
+    turns = measurement.observes_orientation and not measurement.tool.places_itself
+    free = options.free_parameters(model, observes_orientation=turns, observes_base=measurement.observes_base)
     if not registered:
         refuse_too_few(model, measurement, free)
         model = model.in_frames(*_start_frames(model, values, measurement, options, free))
@@ -302,8 +301,7 @@ def scatter(fit: Fit) -> Sigmas:
         if group != TURNS and problem.loss != "linear" and len(left):
             # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
             size = float(np.median(np.abs(left)) / 0.6745)
-        redundancy = math.sqrt(problem.measurement.redundancy) if group == POINTS else 1.0
-        out[group] = size * redundancy / freedom
+        out[group] = size * math.sqrt(problem.measurement.redundancy_of(group)) / freedom
     return out
 
 

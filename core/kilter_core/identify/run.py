@@ -29,6 +29,7 @@ from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.plausibility.flat_boards import bent_boards
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
@@ -329,6 +330,7 @@ def _reported(
             *(() if learned is None else (learned.warning(),)),
             *another_arm(calibration),
             *gauges(fit_of_all),
+            *bent_boards(fit_of_all),
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,

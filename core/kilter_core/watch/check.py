@@ -65,7 +65,7 @@ class Check:
     ``causes`` are those that explain it and that the rows do not refute, best first; empty where all is well, and where no
     single cause explains the rows. ``p_value`` is the chance of so much from an arm that has not moved. ``smallest`` are the
     changes seen with 95 %, by name of the cause: of a frame a shift (m) in the direction that shows least. ``unseen``: no
-    change of these moves what was measured.
+    change of these moves what was measured. ``noise`` m of a coordinate counted as such.
     """
 
     verdict: Verdict
@@ -76,6 +76,7 @@ class Check:
     numbers: int
     poses: int
     misfit: float
+    noise: float
     smallest: dict[str, float]
     unseen: tuple[Cause, ...]
     new_setup: tuple[Frame, ...]
@@ -149,7 +150,7 @@ def check(
     causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
-        innovation.poses, misfit, smallest, tuple(one.cause for one in linear.hidden), anew,
+        innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew,
     )  # fmt: skip
 
 

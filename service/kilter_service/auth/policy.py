@@ -128,6 +128,8 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /logout": OPEN,
     "GET /": READ,
     "GET /robots/{robot}": READ,
+    "GET /robots/{robot}/settings": READ,
+    "POST /robots/{robot}/remarks": ADMINISTER,
     "POST /robots/{robot}/compensation": ADMINISTER,
     "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/pose": READ_COMPUTED.timed(LATER),

@@ -184,6 +184,7 @@ def input_of(session: Session, robot_id: int, kind_name: str, request: JobReques
         names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
         instruments=campaigns.instruments(session, (*request.campaigns, *request.held)),
+        certificates=campaigns.certificates(session, (*request.campaigns, *request.held, *request.confirmation)),
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         fit=fit_of(session, named, request.campaigns) if kind.against_fit and named is not None else FitOfVersion(),

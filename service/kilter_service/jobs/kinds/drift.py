@@ -90,7 +90,6 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     from kilter_core.watch.check import FALSE_ALARM
     from kilter_service.drift import wire
 
-    options: DriftOptions = job.options
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
@@ -99,7 +98,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "misfit_mm": to_mm(found.misfit),
-        "noise_mm": to_mm(known.noise) if options.noise_mm is None else options.noise_mm,
+        "noise_mm": to_mm(found.noise),
         "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
         "unseen": [wire.cause_words(one) for one in found.unseen], "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),

@@ -33,6 +33,7 @@ DONE: Mapping[str, str] = {
     "POST /login": "logged in",
     "POST /logout": "logged out",
     "POST /robots/{robot}/campaigns/new/{draft}/store": "stored campaign {campaign} of {robot}",
+    "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
     "POST /robots/{robot}/jobs": "asked for job {job} of {robot}",
     "POST /robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",

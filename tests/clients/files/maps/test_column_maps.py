@@ -214,6 +214,59 @@ def test_rows_without_a_partner_can_be_left_out(tmp_path: Path) -> None:
     assert "1 rows of joints.csv have no partner and are left out" in done.warnings
 
 
+def test_several_files_are_joined_one_with_the_orientation(tmp_path: Path) -> None:
+    """Joints, places and rotation matrices in a file each, and the temperature in one more, by time."""
+    write(tmp_path / "joints.csv", "pose,A1\n2,20\n1,10\n")
+    turned = "\n".join(["pose,a,b,c,d,e,f,g,h,i", "1,1,0,0,0,1,0,0,0,1", "2,0,-1,0,1,0,0,0,0,1"])
+    write(tmp_path / "turned.csv", turned + "\n")
+    write(tmp_path / "climate.csv", "when,deg\n0,20.5\n100,22.5\n")
+    text = """[columns]
+x_mm = { from = "x", unit = "mm" }
+y_mm = { from = "y", unit = "mm" }
+z_mm = { from = "z", unit = "mm" }
+t_s = { from = "t", unit = "s" }
+
+[[join]]
+path = "joints.csv"
+by = "id"
+here = "pose"
+[join.columns]
+q1_deg = { from = "A1", unit = "deg" }
+
+[[join]]
+path = "turned.csv"
+by = "id"
+here = "pose"
+[join.orientation]
+from = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]
+matrix = "rows"
+
+[[join]]
+path = "climate.csv"
+by = "time"
+here = "t"
+there = "when"
+unit = "s"
+within_s = 30
+[join.columns]
+temperature_c = { from = "deg", unit = "C" }
+"""
+    points = "pose,t,x,y,z\n1,2,100,0,0\n2,98,0,100,0\n"
+    one, two = mapped(tmp_path, points, text)
+    assert (one["q1_deg"], one["qw"], one["temperature_c"]) == (10, 1, 20.5)
+    assert (two["q1_deg"], two["temperature_c"]) == (20, 22.5)
+    assert (two["qw"], two["qz"]) == pytest.approx((0.5**0.5, 0.5**0.5))
+    with pytest.raises(FileError, match=r"join 3\.path: there is no file .*climate\.txt"):
+        mapped(tmp_path, points, text.replace("climate.csv", "climate.txt"))
+    with pytest.raises(FileError, match=r"join 2: qw comes from turned\.csv and from a file before it") as refused:
+        mapped(tmp_path, points, text.replace("q1_deg = {", 'qw = { from = "A1" }\nq1_deg = {'))
+    assert refused.value.context["key"] == "join 2.columns"
+    with pytest.raises(FileError, match=r"2 rows have no row of .*climate\.csv .* Under \[join 3\] widen 'within_s'"):
+        mapped(tmp_path, points, text.replace("within_s = 30", "within_s = 1"))
+    with pytest.raises(FileError, match=r"join 2\.by"):
+        mapped(tmp_path, points, text.replace('by = "id"', 'by = "name"').replace('by = "name"', 'by = "id"', 1))
+
+
 def test_the_second_file_is_named_or_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"join.path: there is no file .*joints.csv.*--joints"):
         mapped(tmp_path, POINTS, JOIN.format(point=POINT, how='by = "row"'))
