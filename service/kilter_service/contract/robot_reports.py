@@ -59,6 +59,7 @@ class RobotSummary(Strict):
     active_version: str | None = Field(description="The version it is corrected with; null: none.")
     remarks: str = Field("", description="What people noted on the robot.")
     controller_compensation: ControllerCompensation = Field("unknown", description=COMPENSATION)
+    controller_sentence: str = Field("", description="The same, and what follows from it, in words.")
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 

@@ -82,6 +82,8 @@ def _said(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) ->
         return f" is missing: {kind} needs it. {f'Give {allowed(schema)}.' if schema else _described(kind, loc)}"
     if loc[0] == "effects" and len(loc) > 1 and (sort.startswith("union_tag") or sort == "literal_error"):
         return _unknown_effect(kind, value, problem)
+    if sort == "value_error":
+        return f" is {_shown(value)}: {problem['ctx']['error']}, for a job of kind {kind}."
     words = f"give {allowed(schema)}" if schema else f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
     return f" is {_shown(value)}: {words}, for a job of kind {kind}."
 

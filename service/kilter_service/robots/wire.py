@@ -9,6 +9,7 @@ from pydantic import TypeAdapter
 
 from kilter_service.contract.robot_reports import JointSummary, RobotReport, RobotSummary
 from kilter_service.contract.robots import RobotDocument
+from kilter_service.robots.compensation import statement
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.records import RobotRecord
 from kilter_service.wire import DEG, MM
@@ -50,6 +51,7 @@ def _told(record: RobotRecord) -> dict[str, Any]:
         "active_version": record.active_version,
         "remarks": record.remarks,
         "controller_compensation": record.controller_compensation,
+        "controller_sentence": statement(record.name, record.controller_compensation),
         "retired_at": record.retired_at,
     }
 

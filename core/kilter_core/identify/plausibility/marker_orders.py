@@ -31,14 +31,14 @@ def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
 
     """
     o, shape = measurement.observations, measurement.marker_points
-    if shape is None or o.markers is None:
+    if shape is None or o.markers_of_poses is None:
         return
-    if np.count_nonzero(~np.isnan(o.markers).any(axis=(1, 2))) < LEAST_ROWS:
+    if np.count_nonzero(~np.isnan(o.markers_of_poses).any(axis=(1, 2))) < LEAST_ROWS:
         return
     orders = [(order, rotation) for order, rotation in alike_orders(shape) if _angle(rotation[None])[0] > LARGE_RAD]
     if not orders:
         return
-    rotations, usable = _tool_rotations(begin, measurement, shape, o.markers)
+    rotations, usable = _tool_rotations(begin, measurement, shape, o.markers_of_poses)
     reference = rotations[_most_common(rotations)]
     off = _angle(reference.T @ rotations)
     feigned = [np.flatnonzero(_angle((reference @ rotation).T @ rotations) < NEAR_RAD) for _, rotation in orders]

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from kilter_service.contract.figures import Bars, GapFigures
 from kilter_service.contract.gap_details import GapSize
-from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
+from kilter_service.page.figures.meanings import FITTED, HELD_OUT
+from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.words import number
 
@@ -63,7 +64,7 @@ def _number(value: float | str | None) -> float | None:
     return float(value) if isinstance(value, float | int) else None
 
 
-def plot(read: Steps, colours: tuple[str, str] = (BLUE, ORANGE)) -> Plot:
+def plot(read: Steps, colours: tuple[str, str] = (FITTED, HELD_OUT)) -> Plot:
     """Draw the steps as bars with intervals, and the noise as a line."""
     held = [step.held_out for step in read.steps if step.held_out is not None]
     floor = read.noise.held_out if read.noise.held_out is not None else read.noise.fitted

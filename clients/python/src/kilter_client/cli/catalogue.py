@@ -78,6 +78,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     },
     "Server": {
         "whoami": Entry("access", "Show who one is to the server, and in which role."),
+        "login": Entry("access", "Print a link that logs a browser in, once."),
         "token": Entry("access", "Make, list and revoke tokens."),
         "audit": Entry("access", "Show who changed what, and check that record."),
         "status": Entry("correct", "Show whether the server is ready."),

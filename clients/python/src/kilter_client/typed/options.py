@@ -102,6 +102,8 @@ class IdentifyOptions(TypedDict, total=False):
     """The estimator."""
     noise_mm: float | None
     """Standard deviation of a coordinate, mm, above 0; None: estimated from the rows."""
+    prior: Literal["fleet"] | None
+    """`fleet`: add what versions of at least five other robots of this type say before the rows; None: none of them is asked."""
     reference: Literal["auto", "robot", "registration"]
     """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
     refit: Sequence[Literal["base", "tool"]] | None

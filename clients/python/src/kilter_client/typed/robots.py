@@ -38,6 +38,8 @@ class RobotReport(Record):
     """How many campaigns it has."""
     controller_compensation: str
     """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
+    controller_sentence: str
+    """The same, and what follows from it, in words."""
     convention: str
     """Convention of the document it was posted as."""
     created_at: str
@@ -76,6 +78,8 @@ class RobotSummary(Record):
     """How many campaigns it has."""
     controller_compensation: str
     """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
+    controller_sentence: str
+    """The same, and what follows from it, in words."""
     convention: str
     """Convention of the document it was posted as."""
     created_at: str

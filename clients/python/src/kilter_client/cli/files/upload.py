@@ -86,6 +86,14 @@ ServoCalibration = Annotated[
     ),
 ]  # fmt: skip
 
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
+    ),
+]
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
@@ -115,13 +123,7 @@ def upload(
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     measured_at: MeasuredAt = None,
     instrument: InstrumentName = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
-        ),
-    ] = False,
+    dry_run: DryRun = False,
     unchecked: Unchecked = False,
     as_json: Json = False,
 ) -> None:
@@ -174,6 +176,7 @@ def sent_file(
     conditions: dict[str, Any],
     name: str,
     measured_at: str | None,
+    instrument: str | None,
     as_json: bool,
 ) -> dict[str, Any]:
     """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
@@ -182,7 +185,7 @@ def sent_file(
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
-        "numbered": not name, "measured_at": moment_of(measured_at),
+        "numbered": not name, "measured_at": moment_of(measured_at), "instrument": instrument,
     }  # fmt: skip
     return send(robot, None, wanted, file, prepared, as_json)
 

@@ -127,7 +127,7 @@ COLUMNS: list[dict[str, str]] = [
     {"columns": "phi_deg, theta_deg, psi_deg", "meaning": "or as ZXZ Euler angles; _rad instead of _deg"},
     {
         "columns": "m1x_mm, m1y_mm, m1z_mm, m2x_mm …",
-        "meaning": "or markers on the tool. A marker that was not seen is an empty cell, never zero",
+        "meaning": "or markers on the tool. A marker that was not seen is an empty cell, never zero. One reflector moved between three nests is three markers, one in a row: visit the same poses with each",
     },
     {
         "columns": "tipx_mm, tipy_mm, tipz_mm",

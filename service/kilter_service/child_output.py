@@ -22,7 +22,7 @@ def _sentence(line: str) -> str:
         return line
 
 
-class LastWords:
+class ChildOutput:
     """Follows the output of one process after another, and knows the last line."""
 
     def __init__(self, name: str) -> None:
@@ -37,7 +37,7 @@ class LastWords:
         self._thread = threading.Thread(target=self._pass_on, args=(output,), daemon=True, name=f"{self._name}-output")
         self._thread.start()
 
-    def last(self) -> str:
+    def last_line(self) -> str:
         """Return the last line, of a traceback its error, as far as the process said anything."""
         self.close()
         return self._line or "it said nothing"
