@@ -32,7 +32,7 @@ def add(wanted: NewToken, response: Response, database: DatabaseOfApp, actor: Ad
 @router.get("/tokens")
 def listed(database: DatabaseOfApp, page: PageOfList) -> TokenList:
     """List the tokens, newest first; also those that expired or were revoked."""
-    return service.listed(database, page)
+    return service.list_tokens(database, page)
 
 
 @router.delete("/tokens/{token}")
