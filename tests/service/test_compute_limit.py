@@ -13,6 +13,7 @@ from kilter_service.slots import ConcurrencyLimit, Slots
 from kilter_service.app import create_app
 from kilter_service.auth.policy import RULES
 from kilter_service.auth.token import admin_token
+from kilter_service.concurrency import ConcurrencyLimit, Slots
 from kilter_service.db import Database
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, Serve, wait_for
