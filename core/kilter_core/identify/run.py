@@ -205,11 +205,7 @@ def identify(
     begin, learned = gated(begin, train, options, prior)
     fit = _fitted(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
     calibration = fit.calibration(*wanted)
-    stages = {
-        "nominal": found if measurement.tool.places_itself else nominal,
-        "registration_only": found,
-        "identified": calibration,
-    }
+    stages = _stages(found if measurement.tool.places_itself else nominal, found, calibration)
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         apart = (stages, geometry_alone(begin, measurement, options), frames, validation, options, measurement)
@@ -246,6 +242,10 @@ def _compared(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit)
     """Warnings of what a fit was compared with: simpler models, and other arms of the type."""
     yield from () if compared is None else compared.warnings()
     yield from () if of_type is None else prior_warnings(of_type, fit)
+
+
+def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -> dict[str, Calibration]:
+    return {"nominal": nominal, "registration_only": found, "identified": identified}
 
 
 def _fitted(
