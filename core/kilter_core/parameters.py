@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import TypeVar
 
@@ -61,6 +61,48 @@ class Parameter:
     def plausible(self, value: float) -> bool:
         """Whether ``value`` lies in the physical range."""
         return self.lower <= value <= self.upper
+
+
+@dataclass(frozen=True)
+class TypePrior:
+    """What other arms of a type say of parameters ``names``, SI: normal about ``mean (K,)`` with ``covariance (K, K)``.
+
+    It stands in place of each parameter's own prior. ``freedom`` is that of the covariance: fewer arms, less sure of it.
+    ``untold`` parameters none of the arms could tell: of those it says nothing.
+    """
+
+    names: tuple[str, ...]
+    mean: Floats
+    covariance: Floats
+    freedom: float
+    untold: tuple[str, ...] = ()
+
+    def widened(self, by: float) -> TypePrior:
+        """The same with standard deviations ``by`` times as large."""
+        return replace(self, covariance=self.covariance * by**2)
+
+    def loosened(self, names: Sequence[str], by: float) -> TypePrior:
+        """The same with standard deviations ``by`` times as large of these parameters alone."""
+        factor = np.where(np.isin(self.names, list(names)), by, 1.0)
+        return replace(self, covariance=self.covariance * np.outer(factor, factor))
+
+    def places(self, names: Sequence[str]) -> tuple[Ints, Ints]:
+        """Where those of ``names`` are that it knows, and where they are in its own."""
+        own = {name: k for k, name in enumerate(self.names)}
+        known = [k for k, name in enumerate(names) if name in own]
+        return np.array(known, dtype=np.int64), np.array([own[names[k]] for k in known], dtype=np.int64)
+
+    def over(self, names: Sequence[str], mean: Floats, sigma: Floats) -> tuple[Floats, Floats, Floats]:
+        """Mean (F,), standard deviations (F,) and precision (F, F) in these, of parameters ``names``.
+
+        ``mean`` and ``sigma (F,)`` are those of their own priors, which those keep that it does not know.
+        """
+        known, own = self.places(names)
+        mean, sigma, precision = mean.copy(), sigma.copy(), np.eye(len(names))
+        C = self.covariance[np.ix_(own, own)]
+        mean[known], sigma[known] = self.mean[own], np.sqrt(np.diag(C))
+        precision[np.ix_(known, known)] = np.linalg.inv(C / np.outer(sigma[known], sigma[known]))
+        return mean, sigma, precision
 
 
 def indices(names: Sequence[str], wanted: Iterable[str]) -> Ints:

@@ -64,7 +64,6 @@ def create_app(settings: Settings) -> FastAPI:
         version=code_version(),
         summary=SUMMARY,
         lifespan=lambda app: _life(app, settings),
-        responses=problems.RESPONSES,
         docs_url=None,
         redoc_url=None,
     )
@@ -76,10 +75,9 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Gate, settings=settings)
     problems.install(app)
     app.add_middleware(Observed)
-    app.include_router(health)
-    app.include_router(docs_page)
-    for router in (*ROUTERS, *PAGE):  # the first that fits is found by looking at each
-        app.include_router(router)
+    # The routes themselves: FastAPI would build each of an included router anew, 0.3 s at the first requests.
+    for router in (health, docs_page, *ROUTERS, *PAGE):  # the first that fits is found by looking at each
+        app.router.routes.extend(router.routes)
     app.openapi = described(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
     return app
 

@@ -55,10 +55,10 @@ def test_style_sheet_picture_and_docs_have_the_colours_of_the_figures() -> None:
 
 def of_today(source: str = "held_out", changed: bool = False, version: str | None = "ver_1") -> Today:
     errors = StageErrors(n=40, identified=Errors(mean_mm=0.02, rms_mm=0.022))
-    newest = ErrorsToday(source=source, job_id="job_1", at=now(), campaigns=[], refit=[], errors=errors)  # type: ignore[arg-type]
+    newest = ErrorsToday(source=source, job_id="job_1", at=now(), campaigns=[], refit=[], rows="", errors=errors)  # type: ignore[arg-type]
     return Today(
         robot="arm", version_id=version, newest=newest, own=newest, changed=changed, larger_by_mm=0.5 if changed else None,
-        not_evaluated=[], missing=None, sentences=[],
+        compared="", not_evaluated=[], missing=None, sentences=[],
     )  # fmt: skip
 
 

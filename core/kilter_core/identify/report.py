@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.fleet.said import resting
 from kilter_core.identify.identifiability import NullDirection, identifiable
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
@@ -29,12 +30,14 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
     """Every free parameter as {name, value, nominal, change, unit, sigma, identifiable, plausible} in mm and degrees.
 
     Base and tool are given as x, y, z and rx, ry, rz of the whole frame (URDF order Rz Ry Rx); their sigmas are those
-    of small increments along the frame's own axes. ``intervals`` add lower and upper.
+    of small increments along the frame's own axes. ``intervals`` add lower and upper, a prior of the type from_prior.
     """
     model = calibration.model
     unobservable = unobservable_names(fit.problem.model, fit.problem.measurement.observations)
     known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(unobservable))
     rows = rows_of(calibration, fit.names, fit.sigma, known)
+    if fit.problem.model.of_type is not None:
+        rows = [{**row, "from_prior": bool(rests)} for row, rests in zip(rows, resting(fit), strict=True)]
     if intervals is not None:
         ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
         for row, below, above, stands_in in ends:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.arm.robot import Robot
+    from kilter_core.identify.fleet.versions import FleetVersion
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
@@ -53,7 +54,8 @@ class JobInput:
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
     readings of all the robot's campaigns, and ``origin``, the result of the job that made the version. Only for kinds with
-    ``against_fit``: ``fit``, what the version was fitted to.
+    ``against_fit``: ``fit``, what the version was fitted to. ``fleet`` are versions of other robots of the type, one of
+    each, where the option ``prior`` asks for them.
     """
 
     robot: Robot
@@ -75,6 +77,7 @@ class JobInput:
     default_load: tuple[str, ...] = ()
     no_load: tuple[str, ...] = ()
     each: Each | None = None
+    fleet: tuple[FleetVersion, ...] = ()
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:

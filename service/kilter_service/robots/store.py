@@ -194,6 +194,12 @@ def by_id(session: Session, robot_id: int) -> StoredRobot:
     return _stored(session.get_one(RobotRow, robot_id))
 
 
+def others_in_use(session: Session, robot_id: int) -> list[StoredRobot]:
+    """Return the other robots in use that the caller may see, oldest first."""
+    query = select(RobotRow).where(RobotRow.id != robot_id, RobotRow.retired_at.is_(None)).order_by(RobotRow.id)
+    return [_stored(row) for row in session.execute(visible(query)).scalars()]
+
+
 def core_robot(session: Session, robot_id: int) -> Robot:
     """Build core's robot from the stored chain."""
     return by_id(session, robot_id).robot()

@@ -161,12 +161,15 @@ def _larger(newest: ErrorsToday, own: ErrorsToday) -> float | None:
 def _not_evaluated(
     version: Active, campaigns: Campaigns, newest: ErrorsToday | None, candidates: Iterable[ErrorsToday]
 ) -> list[MeasuredCampaign]:
-    """Campaigns newer than the rows of today's number that say nothing yet."""
+    """Campaigns newer than the rows of today's number that say nothing yet; not what is left of one in use."""
     since = max((one.measured_at for one in newest.campaigns), default=version.created_at) if newest else None
     known = {one.id for found in candidates for one in found.campaigns} | {one["id"] for one in version.campaigns}
     found = [
         one
         for one in campaigns.values()
-        if one.id not in known and not one.hashes & version.fitted and (since is None or one.measured_at > since)
+        if one.id not in known
+        and one.whole is None
+        and not one.hashes & version.fitted
+        and (since is None or one.measured_at > since)
     ]
     return [_campaign(one) for one in sorted(found, key=lambda one: one.measured_at)]

@@ -45,6 +45,7 @@ class ColumnMap:
     drop_missing: bool
     keep: tuple[Keep, ...]
     joins: tuple[Join, ...] = ()
+    marker: str | int | None = None  # the column that names the one marker of a row
 
 
 def read_map(path: Path, formats: Collection[str]) -> ColumnMap:
@@ -67,8 +68,9 @@ def read_map(path: Path, formats: Collection[str]) -> ColumnMap:
     orientation, repeats = read_orientation(top), _repeats(top, columns)
     drop, keep = _rows(rows) if rows else (False, ())
     joins = tuple(read_join(joined, *_file(joined.part("file"), formats)) for joined in top.parts("join"))
+    marker = _marker(top)
     top.finish()
-    return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, joins)
+    return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, joins, marker)
 
 
 def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None, Layout]:
@@ -96,6 +98,17 @@ def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None
     if layout.sheet is not None and form not in (None, "xlsx"):
         raise section.error('a sheet belongs to a workbook (format = "xlsx")', "sheet")
     return form, layout
+
+
+def _marker(top: Section) -> str | int | None:
+    section = top.part("markers")
+    if section is None:
+        return None
+    column = section.column("from")
+    section.finish()
+    if column is None:
+        raise section.error("needs 'from', the column that names the marker of a row", "from")
+    return column
 
 
 def _repeats(top: Section, columns: Columns) -> float | None:

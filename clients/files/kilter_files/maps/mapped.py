@@ -17,6 +17,7 @@ from kilter_files.ground.units import MARKER, TIMESTAMP, converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep
 from kilter_files.maps.columns import Column, expanded
 from kilter_files.maps.join import Join, partners, refuse_alone, stamps
+from kilter_files.maps.nests import number_nests, spread_nests
 from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source
 from kilter_files.tables.table import Table
@@ -46,8 +47,12 @@ def mapped(source: Source, column_map: ColumnMap, further: Sequence[Source]) -> 
             table.columns[column.target] = [column.value] * len(table)
     for join, there in zip(column_map.joins, further, strict=True):
         _add_columns(source, table, column_map, join, there)
+    if column_map.marker is not None:
+        number_nests(source, table, column_map)
     _filter(source, table, column_map.keep)
     _missing(source, table, column_map.drop_missing)
+    if column_map.marker is not None:
+        spread_nests(table)
     _dead(table)
     if column_map.repeats_deg is not None:
         _number_poses(table, column_map.repeats_deg)

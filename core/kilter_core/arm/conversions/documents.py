@@ -14,6 +14,7 @@ from kilter_core.arm.conventions import PARALLEL_RAD, Row
 from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
 from kilter_core.arm.conversions.tables import link_table
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.documents.parts import STIFFNESS
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot, moved_link
 from kilter_core.errors import OptionError, RobotError
 from kilter_core.parameters import degrees, mm, reported
@@ -252,7 +253,13 @@ def _joint(joint: Joint) -> Document:
     out: Document = {"name": joint.name}
     if math.isfinite(joint.lower) and math.isfinite(joint.upper):
         out[f"limits_{unit}"] = [joint.lower * scale, joint.upper * scale]
-    return out | ({} if joint.gear_ratio is None else {"gear_ratio": joint.gear_ratio})
+    return out | drive_document(joint)
+
+
+def drive_document(joint: Joint) -> Document:
+    """What is known of the drive of a joint: its gear ratio, its stiffness."""
+    told = {"gear_ratio": joint.gear_ratio, STIFFNESS: joint.drive_stiffness}
+    return {name: value for name, value in told.items() if value is not None}
 
 
 def _kind(screws: Screws, k: int) -> str:

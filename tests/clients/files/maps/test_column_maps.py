@@ -267,6 +267,39 @@ temperature_c = { from = "deg", unit = "C" }
         mapped(tmp_path, points, text.replace('by = "id"', 'by = "name"').replace('by = "name"', 'by = "id"', 1))
 
 
+NESTS = """[columns]
+q1_deg = { from = "A1", unit = "deg" }
+x_mm = { from = "x", unit = "m" }
+y_mm = { from = "y", unit = "m" }
+z_mm = { from = "z", unit = "m" }
+[markers]
+from = "nest"
+"""
+
+
+@pytest.mark.parametrize("names", ["ABC", ["1", "2", "3"], ["2", "9", "10"]])
+def test_one_reflector_in_nests_that_a_column_names(tmp_path: Path, names: str | list[str]) -> None:
+    lines = [f"{pose},{nest},{pose},{k},0" for pose in (1, 2) for k, nest in enumerate(names)]
+    text = "\n".join(["A1,nest,x,y,z", *lines]) + "\n"
+    write(tmp_path / "nests.csv", text)
+    write(tmp_path / "nests.toml", NESTS)
+    content = prepare(tmp_path / "nests.csv", column_map=tmp_path / "nests.toml").content.decode()
+    rows = list(csv.DictReader(io.StringIO(content)))
+    assert [name for name in rows[0] if name.endswith("x_mm")] == ["m1x_mm", "m2x_mm", "m3x_mm"]
+    for row, place in zip(rows, [1, 2, 3, 1, 2, 3], strict=True):
+        assert [k for k in (1, 2, 3) if row[f"m{k}x_mm"]] == [place]
+        assert float(row[f"m{place}x_mm"]) == 1000 * float(row["q1_deg"])
+
+
+def test_nests_without_a_place_or_a_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="map x_mm, y_mm and z_mm under"):
+        mapped(tmp_path, "A1,nest,x,y\n1,A,2,3\n", NESTS.replace('z_mm = { from = "z", unit = "m" }\n', ""))
+    with pytest.raises(FileError, match=r"line 3: nest is missing"):
+        mapped(tmp_path, "A1,nest,x,y,z\n1,A,2,3,4\n2,,2,3,4\n", NESTS)
+    with pytest.raises(FileError, match=r"markers.from: needs 'from'"):
+        mapped(tmp_path, "A1,nest,x,y,z\n1,A,2,3,4\n", NESTS.replace('from = "nest"\n', ""))
+
+
 def test_the_second_file_is_named_or_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"join.path: there is no file .*joints.csv.*--joints"):
         mapped(tmp_path, POINTS, JOIN.format(point=POINT, how='by = "row"'))

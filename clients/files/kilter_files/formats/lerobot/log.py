@@ -64,7 +64,7 @@ def opened(path: Path, hints: LogHints) -> Recorded:
     if hints.topic not in (None, STATE):
         what = f"{hints.topic!r} is not what the arm's servos read: an action is what the leader commanded"
         raise fault(path, what, f"Leave --topic out: {STATE} is read.")
-    joints = _joints(dataset, hints.order)
+    joints = joints_of(dataset, hints.order)
     places = tuple(dataset.names.index(name) for name in joints)
     if hints.zero == "old":
         return Recorded(dataset, joints, places, None, DEGREES)
@@ -141,7 +141,7 @@ def _starts(dataset: Dataset) -> Floats:
     return np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
 
 
-def _joints(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
+def joints_of(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
     """The joints of the arm: all but the gripper, of one arm."""
     for name in order:
         if name not in dataset.names:

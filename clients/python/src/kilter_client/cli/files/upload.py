@@ -144,10 +144,7 @@ def upload(
     prepared = _checked(file, read, unchecked)
     _tell(file, prepared, as_json)
     if dry_run:
-        found = {"rows": prepared.rows, "sha256": prepared.sha256} | what_it_holds(robot, prepared, conditions)
-        emit(_report(prepared, found), as_json, show_dry_run)
-        if found["refused"]:
-            raise typer.Exit(1)
+        _only_shown(robot, prepared, conditions, as_json)
         return
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
@@ -156,6 +153,13 @@ def upload(
     done = send(robot, campaign, wanted, file, prepared, as_json)
     _warn(done, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
+
+
+def _only_shown(robot: str, prepared: Prepared, conditions: dict[str, Any], as_json: bool) -> None:
+    found = {"rows": prepared.rows, "sha256": prepared.sha256} | what_it_holds(robot, prepared, conditions)
+    emit(_report(prepared, found), as_json, show_dry_run)
+    if found["refused"]:
+        raise typer.Exit(1)
 
 
 def _warn(done: dict[str, Any], as_json: bool) -> None:
