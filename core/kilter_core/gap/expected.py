@@ -43,15 +43,15 @@ class Probe:
     """Seconds of the pieces of a search, each made once.
 
     ``begun`` until the geometry is fitted and wrong readings are aside, then a ``null`` distribution, a selection from
-    nothing (``selected``), from one ``half`` of the campaign and ``again`` from a resample, a ``fit`` with all that was
-    selected, and a look for wrong readings (``looked``). ``names`` is how many were selected, from ``numbers`` that were
-    measured; ``settled`` whether they leave nothing and poses that they were not selected from can judge them.
+    nothing (``selected``), from either of the ``halves`` of the campaign and ``again`` from a resample, a ``fit`` with all
+    that was selected, and a look for wrong readings (``looked``). ``names`` is how many were selected, from ``numbers``
+    that were measured; ``settled`` whether they leave nothing and poses that they were not selected from can judge them.
     """
 
     begun: float
     null: float
     selected: float
-    half: float
+    halves: float
     again: float
     fit: float
     looked: float
@@ -63,7 +63,7 @@ class Probe:
         """Seconds of the whole search, on ``more`` times the rows that were looked at."""
         profiled = PROFILED * self.names * self.fit if self.numbers * more <= MOST_ROWS else 0.0
         rounds = SEARCHES * self.names * (more * (self.null + self.looked + self.fit) + self.selected)
-        tried = DECIDING * self.again if self.settled else FEW * self.again + 2.0 * self.half
+        tried = DECIDING * self.again if self.settled else FEW * self.again + self.halves
         return more * self.begun + ALWAYS * more * self.null + rounds + profiled + min(self.names, 1) * tried
 
 
@@ -85,7 +85,8 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
 
     chosen, first = timed(lambda: select(problem.gram, selector, options.max_effects))
     visits = np.arange(len(problem.settings.used))
-    _, half = timed(lambda: select(part((2 * visits < len(visits)).astype(np.float64)), selector, options.max_effects))
+    sides = [part((side == (2 * visits < len(visits))).astype(np.float64)) for side in (True, False)]
+    _, halves = timed(lambda: [select(side, selector, options.max_effects) for side in sides])
     drawn = np.random.default_rng(options.seed).exponential(size=len(visits))
     alone = replace(selector, pairs=scorer.absolute)
     many = problem.rows > MANY  # the candidates of a resample are those of the data
@@ -96,7 +97,7 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
     left = problem.gram.given(selector.columns(chosen))
     settled = unseen and scorer.absolute and left.yy < left.nu + HIDING * np.sqrt(2.0 * max(left.nu, 1.0))
     numbers = problem.settings.numbers
-    return Probe(begun, made, first, half, again, fit, looked, len(chosen), numbers, bool(settled))
+    return Probe(begun, made, first, halves, again, fit, looked, len(chosen), numbers, bool(settled))
 
 
 def timed(work: Callable[[], T]) -> tuple[T, float]:

@@ -45,7 +45,7 @@ def test_more_rows_more_names_and_slower_pieces_take_longer() -> None:
 def test_no_verdict_waits_for_resamples_where_something_is_left() -> None:
     """Forty decide where names may rise; else a few are drawn, and the halves of the campaign are asked."""
     settled, left = ONE.search(1.0), replace(ONE, settled=False).search(1.0)
-    assert settled - left == pytest.approx(35 * ONE.again - 2 * ONE.half)
+    assert settled - left == pytest.approx(35 * ONE.again - ONE.halves)
 
 
 def test_a_search_draws_as_many_resamples_as_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
