@@ -194,6 +194,9 @@ def test_what_does_instead_is_what_only_one_of_the_two_shows(library):
     assert not any("payload, which" in one for one in both)  # both follow it
     assert any("a link-side encoder of joint 2, which sees only axial_compliance j2" in one for one in both)
     assert not any("inclinometer" in one for one in both)  # behind joint 2 it would see both
+    behind = next(label for label in library if label.startswith("link_torsion"))  # of the class of the gear's twist
+    encoder = "read a link-side encoder of joint 2, which sees only axial_compliance j2"
+    assert encoder in told(library, (behind, "axial_compliance j2"), 4.2).instead
     further = told(library, ("link_bending j2", "axial_compliance j4"), 4.2).instead
     assert "read an inclinometer behind joint 2, which tilts with link_bending j2 alone" in further
     curves = ("eccentricity j2", "second_harmonic j2")

@@ -17,6 +17,7 @@ from kilter_core.effects.physical import (
     JOINT_ZERO,
     LINK_SAG,
     REVERSAL,
+    SMOOTH_CURVE,
     STATION,
     Separator,
 )
@@ -26,8 +27,9 @@ from kilter_core.observations import Observations
 
 TOLD_APART = 22.0  # lambda (1 - rho squared) from which a name is wrong in one of a thousand
 MOST_POSES = 1000  # nobody measures more to tell two effects apart
-AT_ENCODER = {kind.id for kind in (JOINT_TWIST, JOINT_CURVE, REVERSAL, JOINT_ZERO)}  # what a link-side encoder reads
-TILTING = {kind.id for kind in (JOINT_TILT, BASE_TILT, LINK_SAG, STATION)}  # what an inclinometer reads
+# What a link-side encoder reads: not the twist of the link behind it, which is of the class of the gear's.
+AT_ENCODER = (JOINT_TWIST, JOINT_CURVE, SMOOTH_CURVE, REVERSAL, JOINT_ZERO)
+TILTING = (JOINT_TILT, BASE_TILT, LINK_SAG, STATION)  # what an inclinometer reads
 
 
 @dataclass(frozen=True)
@@ -123,21 +125,21 @@ def _by_sensor(target: Candidate, rival: Candidate) -> Iterator[str]:
             yield f"read a link-side encoder of {_joints(own)}, which sees only {own.label}"
             break
     for own, other in ((target, rival), (rival, target)):
-        if own.effects[0].physical.id in TILTING and _place(own) < _place(other):
+        if own.effects[0].physical in TILTING and _place(own) < _place(other):
             where = f"behind {_joints(own)}" if own.joints else "on the base"
             yield f"read an inclinometer {where}, which tilts with {own.label} alone"
             break
 
 
 def _at_encoder(candidate: Candidate) -> bool:
-    return bool(candidate.joints) and candidate.effects[0].physical.id in AT_ENCODER
+    return bool(candidate.joints) and candidate.effects[0].physical in AT_ENCODER
 
 
 def _place(candidate: Candidate) -> float:
     """How far out on the arm it begins to act: 0 the base, then the joints; beyond all of them what turns nothing."""
     if candidate.joints:
         return float(min(candidate.joints) + 1)
-    return 0.0 if candidate.effects[0].physical.id in TILTING else np.inf
+    return 0.0 if candidate.effects[0].physical in TILTING else np.inf
 
 
 def _joints(candidate: Candidate) -> str:
