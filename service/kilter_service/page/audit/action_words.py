@@ -33,6 +33,7 @@ DONE: Mapping[str, str] = {
     "POST /login": "logged in",
     "POST /login/link": "logged in by a link",
     "POST /logout": "logged out",
+    "POST /new-robot": "added robot {robot}",
     "POST /robots/{robot}/campaigns/new/{draft}/store": "stored campaign {campaign} of {robot}",
     "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
@@ -89,7 +90,7 @@ class Said:
     reason: str
 
 
-def said(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
+def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
     """Put entries in words, with names instead of ids."""
     known = _Names(database)
     return [Said(one, _what(one, known), _reason(one)) for one in entries]
