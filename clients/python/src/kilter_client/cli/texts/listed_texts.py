@@ -72,14 +72,14 @@ PRESETS: list[dict[str, str]] = [
         "joints": "5",
         "convention": "chain",
         "masses": "with masses",
-        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO100/so100.urdf, commit 0c8e2892: the zero of that file, which is not the middle of the ranges; tool at the frame of the fixed jaw, the moving jaw held at zero; right angles, which the source rounds, are exact; stiffness of the drives: a servo of it under 1.47 N m gives way by 1.8 to 2.6 degrees",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO100/so100.urdf, commit 0c8e2892: the zero of that file, which is not the middle of the ranges; tool at the frame of the fixed jaw, the moving jaw held at zero; right angles, which the source rounds, are exact; stiffness of the drives: a servo of it deflects by 1.8 to 2.6 degrees under 1.47 N m",
     },
     {
         "id": "so101",
         "joints": "5",
         "convention": "chain",
         "masses": "with masses",
-        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_new_calib.urdf of the follower, commit 0aee1d0f: zero in the middle of each range (the new zero); tool at gripperframe, the jaw held at zero; right angles, which the source rounds, are exact; stiffness of the drives: a servo of it under 1.47 N m gives way by 1.8 to 2.6 degrees",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_new_calib.urdf of the follower, commit 0aee1d0f: zero in the middle of each range (the new zero); tool at gripperframe, the jaw held at zero; right angles, which the source rounds, are exact; stiffness of the drives: a servo of it deflects by 1.8 to 2.6 degrees under 1.47 N m",
     },
     {
         "id": "so101-leader",
