@@ -5,7 +5,7 @@ READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
 # Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first.
-TESTERS ?= 3
+TESTERS ?= 4
 SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1

@@ -17,11 +17,14 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.fleet.versions import FleetVersion
+from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.plan.d_optimal import d_optimal_poses
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 
 Floats = NDArray[np.float64]
 NOISE_MM, FITTED, UNSEEN = 0.05, 60, 300
+PLANNED = (7, 8, 9, 10, 11, 12, 13, 14)
 COUNTS = (7, 8, 9, 10, 11, 12, 13, 14, 16, 20, 30)
 TARGET_MM = 0.2
 FEW = (12, 14, 20)
@@ -51,13 +54,18 @@ def versions_of(arms: Sequence[Arm], rng: np.random.Generator) -> list[FleetVers
     return out
 
 
-def judged(arm: Arm, others: Sequence[FleetVersion], count: int, rng: np.random.Generator) -> Judged:
-    """Identify an arm from so many poses, without and with its type."""
-    rows = arm.measured(poses(count, rng), rng, NOISE_MM * 1e-3)
-    unseen = poses(UNSEEN, rng)
+def judged(
+    arm: Arm, others: Sequence[FleetVersion], count: int, rng: np.random.Generator, planned: bool = False
+) -> Judged:
+    """Identify an arm from so many poses, random or ``planned`` ones, without and with its type."""
+    q, unseen = poses(count, rng), poses(UNSEEN, rng)
     truth, robot = arm.points(unseen), robot_from_document(document())
     errors = []
     for options in (IdentifyOptions(), IdentifyOptions(prior="fleet")):
+        if planned:
+            fleet = None if options.prior is None else others
+            q = d_optimal_poses(Calibration.nominal(robot), count, seed=int(rng.integers(2**31)), fleet=fleet).q
+        rows = arm.measured(q, rng, NOISE_MM * 1e-3)
         try:
             found = identify(robot, rows, options=options, fleet=others).calibration
         except CoreError:
@@ -68,14 +76,16 @@ def judged(arm: Arm, others: Sequence[FleetVersion], count: int, rng: np.random.
     return Judged(count, *errors)
 
 
-def left_one_out(robots: int, rng: np.random.Generator, counts: Sequence[int] = COUNTS) -> Iterator[Judged]:
+def left_one_out(
+    robots: int, rng: np.random.Generator, counts: Sequence[int] = COUNTS, planned: bool = False
+) -> Iterator[Judged]:
     """Every robot of a type, from a few poses and the versions of the others."""
     kind = Type.drawn(rng)
     arms = [kind.arm(rng) for _ in range(robots)]
     versions = versions_of(arms, rng)
     for k, arm in enumerate(arms):
         others = [*versions[:k], *versions[k + 1 :]]
-        yield from (judged(arm, others, count, rng) for count in counts)
+        yield from (judged(arm, others, count, rng, planned) for count in counts)
 
 
 def odd_ones(robots: int, shift: float, rng: np.random.Generator, counts: Sequence[int]) -> Iterator[Judged]:
@@ -106,6 +116,22 @@ def told(found: Sequence[Judged]) -> str:
     )
 
 
+def show(which: str, found: Sequence[Judged]) -> None:
+    """Print a table of errors by the number of poses."""
+    print(
+        f"{which} poses, median mm without / with, within 0.2 mm without / with (target: 0.2 mm with at most 10 poses)"
+    )
+    for count in dict.fromkeys(one.count for one in found):
+        mine = [one for one in found if one.count == count]
+        errors = [np.nan_to_num([getattr(one, name) for one in mine], nan=np.inf) for name in ("without", "with_type")]
+        medians = [float(np.median(e)) for e in errors]
+        shares = [100.0 * float(np.mean(e <= TARGET_MM)) for e in errors]
+        print(
+            f"{count:5d}   {medians[0]:9.3f} / {medians[1]:5.3f}         {shares[0]:9.0f} % / {shares[1]:3.0f} %",
+            flush=True,
+        )
+
+
 def main() -> None:
     """Print the page."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -117,13 +143,8 @@ def main() -> None:
     print(
         f"{given.types} types of {given.robots} robots, each left out; spread 0.3 mm and 0.03 deg, {NOISE_MM} mm noise"
     )
-    print("poses   median mm without / with    within 0.2 mm without / with   (target: 0.2 mm with at most 10 poses)")
-    for count in COUNTS:
-        mine = [one for one in found if one.count == count]
-        errors = [np.nan_to_num([getattr(one, name) for one in mine], nan=np.inf) for name in ("without", "with_type")]
-        medians = [float(np.median(e)) for e in errors]
-        shares = [100.0 * float(np.mean(e <= TARGET_MM)) for e in errors]
-        print(f"{count:5d}   {medians[0]:9.3f} / {medians[1]:5.3f}         {shares[0]:9.0f} % / {shares[1]:3.0f} %")
+    show("random", found)
+    show("planned", [one for _ in range(given.types) for one in left_one_out(given.robots, rng, PLANNED, planned=True)])
     print(f"error with the type over without (target for odd arms: at most {WORSE})")
     print(f"{'of the type':36} {told(found)}")
     for name, shift in ODD:

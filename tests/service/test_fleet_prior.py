@@ -11,6 +11,8 @@ import pytest
 from kilter_service.caller import CALLER, Caller, as_document
 from kilter_service.db import Database
 from kilter_service.jobs.fleet_versions import fleet_versions
+from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 from tests.service.test_fleet_jobs import work
@@ -133,3 +135,30 @@ def test_whoever_may_see_some_robots_learns_from_those_alone(
         assert as_document()["robots"] == ["new", "r2"]
     finally:
         CALLER.reset(before)
+
+
+def test_poses_are_planned_with_what_the_type_tells(
+    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+) -> None:
+    def planned(**options: Any) -> httpx.Response:
+        given = {"purpose": "identify", "count": 8, **options}
+        return client.post("/v1/jobs", json={"kind": "plan", "robot": "new", "options": given})
+
+    made = []
+    for options in ({"prior": "fleet"}, {}):
+        answer = planned(**options)
+        assert answer.status_code == 202, answer.text
+        run_plan(database)
+        made.append(client.get(f"/v1/jobs/{answer.json()['id']}").json()["result"]["poses"])
+    assert len(made[0]) == len(made[1]) == 8
+    assert made[0] != made[1]
+    refused = planned(prior="fleet", purpose="check")
+    assert refused.status_code == 400
+    assert "purpose identify and method d_optimal" in refused.json()["detail"]
+
+
+def run_plan(database: Database) -> None:
+    with database.transaction() as session:
+        claim = lease.claim(session, "here", ["plan"])
+    assert claim is not None
+    Runner(database).run(claim)

@@ -118,7 +118,7 @@ def estimate(
     if options.loss == "tukey":
         return _redescended(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
     problem, values = prepared(start, measurement, options, anchor=anchor)
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     still = problem.anchor if problem.anchor is not None else values[problem.free]
     first = fit_at(problem, values, problem.linearised(values))
     sigmas, held = _promised(first, stated)
@@ -195,7 +195,7 @@ def prepared(
     if not registered:
         refuse_too_few(model, measurement, free)
         model = model.in_frames(*_start_frames(model, values, measurement, options, free))
-    sigma = START_SIGMA_M if options.noise_mm is None else options.noise_mm * 1e-3
+    sigma = START_SIGMA_M if options.noise_m is None else options.noise_m
     weights = Weights(_row_sigmas(measurement, sigma), START_SIGMA_RAD)
     still = (values if anchor is None else anchor)[free]
     if model.of_type is not None:  # what the poses do not see stays where the type has it
@@ -218,7 +218,7 @@ def _start_frames(
 
 def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
     """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     return _weights(fit.problem.measurement, _bounded_below(scatter(fit), stated))
 
 

@@ -58,9 +58,10 @@ from kilter_core.identify.view_report import (
     with_own_scatter,
 )
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors, metrics_document, mm
+from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, mm
 from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 
 Validation = Observations | float | Folds | None
@@ -130,7 +131,7 @@ class Identification:
         by_views = "pixels" in self.views  # their noise is in px: the length that weighs them means nothing
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
-            "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
+            "scale": {"point_mm": mm(self.scale[0]), "turn_deg": float(degrees(self.scale[1]))},
             "set_aside": self.set_aside,
             "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
@@ -138,7 +139,7 @@ class Identification:
             "noise_source": None if by_views else self.noise_source,
             "noise": {
                 "residuals_mm": None if by_views else mm(left_of(self.fit)),
-                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                "inadequacy_mm": mm(self.predictive.inadequacy),
                 **self.repeats.to_document(),
             },
             "warnings": list(self.warnings),
@@ -328,7 +329,7 @@ def _reported(
     shares = Shares.of(fit, marginal(fit).names)
     plain, (fit, scatter) = fit, with_own_scatter(fit)
     views = views_said(calibration, fit, scatter)
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     beyond = BeyondNoise.of(fit, repeats, stated)
     masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
     fit = predicted = fit if beyond is None else beyond.widen(fit)
@@ -390,7 +391,7 @@ def _intervals(
 
 def _together(fit: Fit) -> dict[str, Any]:
     """Observability of the poses, per prior sigma and in mm, and the parameters that go together."""
-    millimetre = float(np.mean(fit.problem.weights.points)) * 1e3
+    millimetre = mm(float(np.mean(fit.problem.weights.points)))
     poses = int(fit.problem.measurement.observations.pose_groups().max()) + 1
     groups = correlated_groups(fit.covariance, fit.names)
     J, _, prior_sigma = beside_masses(fit)

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
 from kilter_service.conditional import ConditionalRoute
+from kilter_service.contract.kinematics import Flanges, JointRows, Postures
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument, Target
@@ -101,6 +102,22 @@ def listed(database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> 
 def get(robot: str, database: DatabaseOfApp) -> RobotReport:
     """Show a robot."""
     return service.get(database, robot)
+
+
+@router.post("/{robot}/forward")
+def forward(robot: str, rows: JointRows, database: DatabaseOfApp) -> Flanges:
+    """Say where the nominal flange is at these joints."""
+    from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
+
+    return nominal.forward(database, robot, rows)
+
+
+@router.post("/{robot}/inverse")
+def inverse(robot: str, wanted: Flanges, database: DatabaseOfApp) -> Postures:
+    """Find all joints that bring the nominal flange to these poses, of a six-axis arm that has a closed form."""
+    from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
+
+    return nominal.inverse(database, robot, wanted)
 
 
 @router.patch("/{robot}")

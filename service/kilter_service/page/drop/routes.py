@@ -115,11 +115,13 @@ async def otherwise(robot: str, draft: str, request: Request, database: Database
 async def store(
     robot: str, draft: str, request: Request, database: DatabaseOfApp, sha256: Short, name: Short,
     role: Short = "train", device: Short = "", payload_kg: Short = "", temperature_c: Short = "", notes: Text = "",
-    measured_at: Short = "", instrument: Short = "",
+    measured_at: Short = "", instrument: Short = "", payload_com_mm: Short = "",
 ) -> Response:  # fmt: skip
     """Store the rows as a campaign."""
     found = _draft(request, robot, draft)
-    conditions = service.conditions(payload_kg=payload_kg, temperature_c=temperature_c)
+    conditions: dict[str, object] = {**service.conditions(payload_kg=payload_kg, temperature_c=temperature_c)}
+    if payload_com_mm.strip():
+        conditions["payload_com_mm"] = service.point(payload_com_mm)
     campaign: dict[str, object] = {
         "name": name,
         "role": role,

@@ -14,7 +14,9 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError, OptionError
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
 from kilter_core.identify.fleet.versions import FleetVersion, same_type
+from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.plan.d_optimal import d_optimal_poses
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 
 Floats = NDArray[np.float64]
@@ -182,3 +184,17 @@ def test_the_type_is_the_chain_and_not_where_an_arm_stands() -> None:
     assert same_type(robot_from_document(one), robot_from_document(other))
     other["rows"][2]["a_mm"] += 0.1
     assert not same_type(robot_from_document(one), robot_from_document(other))
+
+
+def test_planned_poses_leave_alone_what_the_type_tells(fleet: Fleet) -> None:
+    start = Calibration.nominal(robot_from_document(document()))
+    plain, known = (d_optimal_poses(start, 9, seed=1, fleet=asked).q for asked in (None, fleet.versions))
+    assert not np.array_equal(plain, known)
+    rng, errors = np.random.default_rng(11), []
+    for _ in range(4):
+        arm = fleet.kind.arm(rng)
+        errors.append([error_mm(fitted(arm, arm.measured(q, rng, NOISE), fleet), arm) for q in (plain, known)])
+    assert np.mean(errors, axis=0)[1] < 0.2
+    with pytest.raises(CoreError, match="at least 5 other robots") as refused:
+        d_optimal_poses(start, 9, fleet=fleet.versions[:4])
+    assert refused.value.code == "fleet_too_few"
