@@ -98,7 +98,7 @@ def places(session: Session) -> dict[str, Place]:
     return found
 
 
-def listed(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
+def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
     columns = (

@@ -48,7 +48,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     each = job.each or one_by_one
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each, job.fleet)
     report = found.to_document()
-    remarks += bar_lengths(found, job.robot, named, lambda name, rows: _again(job, name, rows))
+    remarks += bar_lengths(found, job.robot, named, lambda name, rows: _refit(job, name, rows))
     report |= {f"{which}_refitted": setups.named(report[f"{which}_refitted"]) for which in FRAMES}
     apart = validation if isinstance(validation, Observations) else None
     held = tuple(job.validation) if isinstance(job.validation, dict) else ()
@@ -64,7 +64,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput({**report, "figures": plain(drawn)}, content)
 
 
-def _again(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
+def _refit(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
     """The same fit with other rows of a campaign; None where the campaign was not fitted."""
     from kilter_core.identify import identify
 
