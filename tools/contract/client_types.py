@@ -19,6 +19,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "acceptance": ("Acceptance",),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
+    "fleet_priors": ("PriorUsed",),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),

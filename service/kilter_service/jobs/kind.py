@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.arm.robot import Robot
+    from kilter_core.identify.fleet.versions import FleetVersion
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
+    from kilter_service.contract.fits import Remark
     from kilter_service.contract.instruments import Instrument
     from kilter_service.jobs.foresight import Foresight
 
@@ -47,11 +49,13 @@ class JobInput:
     ``each`` computes independent parts, in several processes where the worker has them; None: one after the other.
     ``default_load`` are the campaigns that state no payload, where the robot has a default load; ``no_load`` those where
     it has none, so that nothing counts as carried.
-    ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id.
+    ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id, and
+    ``certificates`` what those of the instruments have against a campaign.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
     readings of all the robot's campaigns, and ``origin``, the result of the job that made the version. Only for kinds with
-    ``against_fit``: ``fit``, what the version was fitted to.
+    ``against_fit``: ``fit``, what the version was fitted to. ``fleet`` are versions of other robots of the type, one of
+    each, where the option ``prior`` asks for them.
     """
 
     robot: Robot
@@ -65,6 +69,7 @@ class JobInput:
     devices: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     instruments: dict[str, Instrument] = field(default_factory=dict)
+    certificates: dict[str, list[Remark]] = field(default_factory=dict)
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
     fit: FitOfVersion = FitOfVersion()
@@ -72,6 +77,7 @@ class JobInput:
     default_load: tuple[str, ...] = ()
     no_load: tuple[str, ...] = ()
     each: Each | None = None
+    fleet: tuple[FleetVersion, ...] = ()
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:
@@ -100,6 +106,10 @@ class JobOutput:
 
     result: dict[str, Any]
     version: VersionContent | None = None
+
+
+def refuse_nothing(_: Any) -> None:
+    """Leave the options to their model."""
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def job(record: JobRecord) -> Job:
     answer, result = ANSWERS[record.kind]
     options: Asked = as_written(kind_of(record.kind).options, record.request.options)
     return answer(
-        **_told(record),
+        **_summary_fields(record),
         campaigns=record.request.campaigns,
         validation=record.request.validation,
         confirmation=record.request.confirmation,
@@ -102,10 +102,10 @@ def job(record: JobRecord) -> Job:
 
 def summary(record: ListedJob) -> JobSummary:
     """Say what lists tell of a job."""
-    return JobSummary(**_told(record))
+    return JobSummary(**_summary_fields(record))
 
 
-def _told(record: ListedJob) -> dict[str, Any]:
+def _summary_fields(record: ListedJob) -> dict[str, Any]:
     return {
         "id": record.id,
         "kind": record.kind,
@@ -167,11 +167,11 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
 
 
 def _testability(found: FoundByCheck) -> Testability:
-    from kilter_core.identify.report import on_wire  # imports scipy: not at the start of the API process
+    from kilter_core.parameters import reported  # imports numpy: not at the start of the API process
 
     testable = []
     for one in found.testable:
-        unit, scale = on_wire(one.unit)
+        unit, scale = reported(one.unit)
         testable.append(
             Detectable(
                 id=one.id,

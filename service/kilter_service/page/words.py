@@ -88,6 +88,14 @@ def like(value: float | None, largest: float | None) -> str:
     return f"{_rounded(scale * value, digits)} {unit}"
 
 
+def beside(value: float | None, largest: float | None) -> str:
+    """Write a length in mm in the unit of the largest one it stands beside, with digits of its own."""
+    if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
+        return mm(value)
+    unit, scale = _unit_of(largest)
+    return f"{number(scale * value)} {unit}"
+
+
 def chance(value: float) -> str:
     """Write a probability: as a number where people read it so, as a power of ten where it is tiny."""
     return f"{value:.0e}".replace("e-0", "e-") if value < 1e-3 else number(value, 2)
@@ -146,18 +154,18 @@ def ticked(text: str) -> Markup:
     return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
 
 
-def listed(names: Sequence[str]) -> str:
+def joined_by_and(names: Sequence[str]) -> str:
     """Join names by commas and *and*."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def of_joints(numbers: Sequence[int]) -> str:
     """Name joints by their numbers."""
-    return f"joint{'s' if len(numbers) > 1 else ''} {listed([str(number) for number in numbers])}"
+    return f"joint{'s' if len(numbers) > 1 else ''} {joined_by_and([str(number) for number in numbers])}"
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "within": within, "like": like, "chance": chance,
+    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "chance": chance,
     "age": age, "moment": moment, "percent": percent, "count": count,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
     "left_out": left_out,

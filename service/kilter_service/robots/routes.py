@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.kinematics import Flanges, JointRows, Postures
 from kilter_service.contract.references import RobotChange, Tombstone
@@ -19,7 +20,6 @@ from kilter_service.limits import MAX_CIRCLE_MB
 from kilter_service.page_query import PageOfList
 from kilter_service.robots import service
 from kilter_service.robots.wire import DOCUMENT
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 from kilter_service.tables import reading
 
@@ -95,7 +95,7 @@ def _found(path: Path, media: str, name: str, to: Target, base: str, follows: li
 @router.get("")
 def listed(database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> RobotList:
     """List the robots; with `retired` also those that are out of use."""
-    return service.listed(database, page, retired)
+    return service.list_robots(database, page, retired)
 
 
 @router.get("/{robot}")

@@ -15,21 +15,15 @@ if TYPE_CHECKING:
 
 MOST_CHECKED = 500  # poses of a campaign that a check looks at
 REMEDY = "Plan its poses with `kilter plan --purpose iso9283`, and drive them as often as the standard demands."
-REFITS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
 
 
 def check(options: EvaluateOptions) -> None:
     """Refuse options that do not go together.
 
     Raises:
-        OptionError: a tool refitted without its base, or criteria without their standard.
+        OptionError: criteria without their standard.
 
     """
-    if options.refit not in REFITS:
-        raise OptionError(
-            f'options.refit is {options.refit}: give [], ["base"] or ["base", "tool"], for a job of kind evaluate.',
-            option="refit",
-        )
     if options.criteria and options.metrics != "iso9283":
         raise OptionError('options.criteria goes with metrics "iso9283": give both, or none.', option="criteria")
 

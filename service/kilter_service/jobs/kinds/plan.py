@@ -62,6 +62,11 @@ def check(options: PlanOptions) -> None:
         raise OptionError(
             f"options.count is {options.count}: a check needs {FEWEST_CHECKED} poses, better five.", option="count"
         )
+    if options.prior is not None and (options.purpose, options.method) != ("identify", "d_optimal"):
+        raise OptionError(
+            "options.prior is 'fleet': it goes with purpose identify and method d_optimal, leave it out.",
+            option="prior",
+        )
     if options.method in CYCLES and options.purpose != "iso9283":
         raise OptionError(
             f"options.method is {options.method!r}: it is a cycle of ISO 9283, give purpose iso9283.", option="method"
@@ -197,7 +202,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method == "views":
         rows = view_poses(_with_cameras(job), driven=job.driven, **given)
     else:
-        rows = d_optimal_poses(_begin(job), **given)
+        rows = d_optimal_poses(_begin(job), fleet=None if job.options.prior is None else job.fleet, **given)
     return document_of(job.robot, poses_of(rows))
 
 

@@ -7,6 +7,8 @@ import htmx from "htmx.org";
 import "./versions.js";
 import "./drop.js";
 import "./jobs.js";
+import "./correct.js";
+import "./login.js";
 import "./shapes.js";
 import * as rows from "./rows.js";
 import { savable } from "./saving.js";

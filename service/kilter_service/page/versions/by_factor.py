@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_service.campaigns import looking
 from kilter_service.db import Database
-from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, Plot
+from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
+from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.left import residuals, size_of
 from kilter_service.page.words import mm
@@ -124,10 +125,10 @@ def _course(seen: Seen, cause: Cause) -> Plot:
         part = drawn[seen.held_out[drawn] == held]
         if len(part):
             xs, ys, rows = cause.values[part].tolist(), seen.sizes[part].tolist(), [seen.rows[k] for k in part]
-            plot.points(xs, ys, label, number, (GREY, ORANGE)[number], rows=rows)
+            plot.points(xs, ys, label, number, (FITTED, HELD_OUT)[number], rows=rows)
     xs, means, lows, highs = ([one[k] for one in bins] for k in range(4))
     if xs:
-        plot.band(xs, lows, highs, "95 % of the mean").line(xs, means, "mean of a bin", colour=BLUE)
+        plot.band(xs, lows, highs, "95 % of the mean").line(xs, means, "mean of a bin", colour=CORRECTED)
     return plot
 
 

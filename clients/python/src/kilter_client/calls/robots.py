@@ -86,7 +86,7 @@ def frame(points: Mapping[str, Any]) -> Steps[Document]:
     return post("/v1/frames", points, again=True)
 
 
-def listed(retired: bool = False) -> Steps[list[Document]]:
+def list_robots(retired: bool = False) -> Steps[list[Document]]:
     """Return the robots, by name."""
     found = yield from get("/v1/robots", **also(retired))
     return list(found["robots"])
