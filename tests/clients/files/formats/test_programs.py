@@ -288,3 +288,42 @@ def test_poses_of_which_too_little_is_known_are_named_with_their_reason(
     for line, said in left.items():
         assert said in told[line]
     assert sorted(pose.line for pose in program.cartesian if not pose.why_left()) == taken
+
+
+SIX = "X {},Y 0,Z 0,A 0,B 0,C 0"
+MOVE = f"LIN {{{SIX.format(500)},S 2,T 2}}"
+ONE, TWO = (f"$TOOL={{{SIX.format(k)}}}" for k in (1, 2))
+
+
+@pytest.mark.parametrize(
+    ("lines", "tools"),
+    [
+        ([ONE, MOVE, TWO, MOVE], [1, 2]),
+        ([MOVE, ONE], [None]),
+        ([ONE, "IF $IN[1] THEN", MOVE, "ENDIF", MOVE], [1, 1]),
+        ([ONE, "IF $IN[1] THEN", TWO, MOVE, "ENDIF", MOVE], [2, "way"]),
+        ([ONE, "IF $IN[1] THEN", ONE, "ENDIF", MOVE], [1]),
+        ([ONE, "LOOP", MOVE, TWO, "ENDLOOP"], ["way"]),
+        ([ONE, "GOTO far", TWO, "far:", MOVE], ["way"]),
+        (["BAS(#TOOL,3)", MOVE, "BAS(#TOOL,0)", MOVE], [3, 0]),
+        (["FDAT_ACT=FP1", "BAS(#PTP_PARAMS,100)", MOVE, "FDAT_ACT=FP2", MOVE], [3, "stands still"]),
+        (["$TOOL=TOOL_DATA[3]", MOVE, "$TOOL=other", MOVE], [3, "is not known"]),
+        ([ONE, "END", "DEF other()", MOVE], [None]),
+    ],
+)  # fmt: skip
+def test_the_tool_of_a_move_is_the_one_that_is_surely_set(
+    tmp_path: Path, lines: list[str], tools: list[int | str | None]
+) -> None:
+    declared = [
+        f"TOOL_DATA[3]={{{SIX.format(3)}}}",
+        "DECL FDAT FP1={TOOL_NO 3,BASE_NO 0,IPO_FRAME #BASE}",
+        "DECL FDAT FP2={TOOL_NO 3,BASE_NO 0,IPO_FRAME #TCP}",
+    ]
+    base = f"$BASE={{{SIX.format(0)}}}"
+    path = pair(tmp_path, [base, *lines, "PTP {A1 1,A2 2}"], declared)
+    found: list[int | str | None] = []
+    for pose in read_programs(path)[0].cartesian:
+        tool = pose.uses[0].tool
+        known = tool.numbers[0] if not isinstance(tool, str) else next((w for w in tools if str(w) in tool), None)
+        found.append(known if isinstance(known, str | None) else int(known))
+    assert found == tools
