@@ -8,7 +8,6 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI
-from kilter_service.slots import ConcurrencyLimit, Slots
 
 from kilter_service.app import create_app
 from kilter_service.auth.policy import RULES

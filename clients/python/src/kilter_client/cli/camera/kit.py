@@ -107,7 +107,7 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
     with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
-    told = exported.told(kilter.versions.export(version, "mdh-csv"))
+    told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     offsets = {one["joint"]: one["offset_deg"] for one in told.get("zero_offsets", []) if "offset_deg" in one}
     lines = lines_of(result, arm["joints"], offsets, REACH_M)
     warnings = [str(one["message"]) for one in result.get("warnings") or []]
