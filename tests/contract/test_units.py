@@ -29,8 +29,11 @@ AT_THE_EDGE = (
     "core/kilter_core/arm/conversions/*.py",
     "core/kilter_core/parameters.py",  # where the core has its functions for it
 )
-# Times of the stream, in nanoseconds and microseconds.
-NO_LENGTHS = ("service/kilter_service/corrector/fast_path.py",)
+# Times, in nanoseconds, microseconds and milliseconds.
+NO_LENGTHS = (
+    "service/kilter_service/corrector/fast_path.py",
+    "core/kilter_core/identify/plausibility/timing.py",
+)
 # Where the core converts by itself: options whose names are promised, factors that data are tried with, and the simulated
 # arm's data. Number of lines; only ever fewer.
 STILL = {

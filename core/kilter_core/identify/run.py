@@ -329,8 +329,7 @@ def _reported(
     shares = Shares.of(fit, marginal(fit).names)
     plain, (fit, scatter) = fit, with_own_scatter(fit)
     views = views_said(calibration, fit, scatter)
-    stated = options.noise_m
-    beyond = BeyondNoise.of(fit, repeats, stated)
+    beyond = BeyondNoise.of(fit, repeats, options.noise_m)
     masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
     fit = predicted = fit if beyond is None else beyond.widen(fit)
     if masses is not None:
@@ -346,7 +345,7 @@ def _reported(
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
         predictive=predictive_of(fit_of_all, scatter)
-        or predictive(marginal(predicted), repeats, stated, Structure.of(plain)),
+        or predictive(marginal(predicted), repeats, options.noise_m, Structure.of(plain)),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
         warnings=(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from kilter_core.types import Each
     from kilter_service.contract.fits import Remark
     from kilter_service.contract.instruments import Instrument
-    from kilter_service.jobs.foresight import Foresight
+    from kilter_service.jobs.job_preview import JobPreview
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class JobKind:
     ``instead_of_campaigns`` which options replace campaigns. ``long`` kinds have a queue of their own: whoever
     identifies does not wait for somebody's gap search. ``history`` kinds want to know where the arm was driven before,
     ``against_fit`` kinds what their version was fitted to. ``most_campaigns`` is how many a request may name.
-    ``foresee`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
+    ``preview_job`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
     """
 
     name: str
@@ -141,7 +141,7 @@ class JobKind:
     history: bool = False
     against_fit: bool = False
     most_campaigns: int | None = None
-    foresee: Callable[[JobInput, Foresight], None] | None = None
+    preview_job: Callable[[JobInput, JobPreview], None] | None = None
 
     @property
     def queue(self) -> Queue:

@@ -48,7 +48,7 @@ from kilter_service.contract.jobs.plan import PlanResult
 from kilter_service.contract.jobs.rezero import RezeroResult
 from kilter_service.contract.units import Asked
 from kilter_service.contract.written import as_written
-from kilter_service.jobs.foresight import Foresight
+from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.wire import to_mm
@@ -122,7 +122,7 @@ def _summary_fields(record: ListedJob) -> dict[str, Any]:
 
 
 def check(
-    kind: str, robot: str, version: str | None, found: Foresight, campaigns: list[CheckedCampaign], duration: Duration
+    kind: str, robot: str, version: str | None, found: JobPreview, campaigns: list[CheckedCampaign], duration: Duration
 ) -> JobCheck:
     """Say what a job would do."""
     own: dict[str, Any] = {}

@@ -23,7 +23,7 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.contract.written import as_written
 from kilter_service.versions.objections import objections_of
-from kilter_service.versions.records import ActivationRecord, Foreseen, VersionRecord
+from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
 from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 
 if TYPE_CHECKING:
@@ -96,7 +96,11 @@ def rival(difference: Difference, errors: Floats) -> Rival:
 
 
 def preview(
-    version_id: str, robot: Robot, found: Foreseen, within: Literal["campaigns", "limits"], temperature_c: float | None
+    version_id: str,
+    robot: Robot,
+    found: PreviewedPoses,
+    within: Literal["campaigns", "limits"],
+    temperature_c: float | None,
 ) -> VersionPreview:
     """Say how a version would correct."""
     scale, units, counts = joint_scale(robot), joint_units(robot), found.counts
