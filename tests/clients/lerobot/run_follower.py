@@ -9,6 +9,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 
 import draccus
+import scservo_sdk
 from lerobot.processor import RobotProcessorPipeline
 from lerobot.processor.converters import (
     observation_to_transition,
@@ -20,6 +21,7 @@ from lerobot.robots import RobotConfig, make_robot_from_config
 from lerobot.utils.import_utils import register_third_party_plugins
 from servo_bus import GOAL, PRESENT, Bus, Servo
 
+LONGEST_MS = 60_000.0
 STEPS = 90  # of a loop: three seconds, over which a correction comes in
 
 
@@ -28,6 +30,11 @@ class Command:
     """As the commands of LeRobot are told which robot."""
 
     robot: RobotConfig
+
+
+def patient() -> None:
+    """Wait for an answer as long as it takes: on a busy machine the servos are late, and none is missing."""
+    scservo_sdk.PortHandler.isPacketTimeout = lambda port: port.getCurrentTime() - port.packet_start_time > LONGEST_MS
 
 
 def servos_of(calibration: dict[str, Any]) -> Bus:
@@ -82,6 +89,7 @@ def steps(asked: dict[str, Any], observation: dict[str, float]) -> dict[str, Any
 
 def main() -> None:
     asked = json.loads(sys.stdin.read())
+    patient()
     bus = servos_of(json.loads(Path(asked["calibration"]).read_text()))
     register_third_party_plugins()
     config = draccus.parse(Command, args=[*asked["options"], f"--robot.port={bus.port}"]).robot
