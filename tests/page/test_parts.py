@@ -11,14 +11,14 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.contract.fits import Errors, StageErrors
+from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.db.row import now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today
 from kilter_service.page.shared.correcting import Correcting
 from kilter_service.page.shared.state import state_of
-from kilter_service.page.words import beside
+from kilter_service.page.words import beside, sigma_of
 
 from .conftest import opened
 from .made import Made, made
@@ -79,6 +79,13 @@ def test_the_state_says_what_is_worst(today: Today, seen: Correcting, word: str)
 def test_lengths_beside_each_other_have_the_unit_of_the_largest() -> None:
     assert [beside(one, 1.25) for one in (0.0171, 0.834, 1.25)] == ["0.0171 mm", "0.834 mm", "1.25 mm"]
     assert [beside(one, 0.05) for one in (0.0171, 0.05)] == ["17.1 µm", "50.0 µm"]
+
+
+def test_standard_deviation_and_interval_of_a_line_are_of_one_estimate() -> None:
+    told = {"name": "a_2", "unit": "mm", "value": 190.0, "sigma": 0.01, "lower": 189.902, "upper": 190.098}
+    assert sigma_of(Parameter(**told, interval_from="profile")) == pytest.approx(0.05)
+    assert sigma_of(Parameter(**told, interval_from="sigma")) == 0.01
+    assert sigma_of(Parameter(name="a_2", unit="mm", value=190.0, sigma=0.01)) == 0.01
 
 
 def test_the_settings_hold_what_is_rarely_changed(server: httpx.Client, there: Made) -> None:

@@ -7,7 +7,7 @@ gain. Repeating old poses under another load or direction is compared first, sin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,8 +25,6 @@ from kilter_core.parameters import DEG, MM, mm
 from kilter_core.types import Floats
 
 POOL = 250
-TOLD_APART = 22.0  # lambda (1 - rho squared) from which a name is wrong in one of a thousand
-MOST_POSES = 1000  # nobody measures more to tell two effects apart
 WARMER_K = 5.0
 LATER_S = 600.0
 CHANGE_FIRST = 0.9  # a condition change is proposed first from this share of the new poses' information
@@ -77,23 +75,6 @@ def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot)
     """Proposals as documents: joint angles in degrees (prismatic joints in mm), load, directions and gain."""
     scale = wire_scale(robot)
     return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
-
-
-def beyond_poses(proposals: Sequence[Proposal], names: tuple[str, str]) -> Iterator[dict[str, Any]]:
-    """Say that no proposed poses tell two effects apart, how many would, and what does instead."""
-    best = max(proposals, key=lambda p: p.after[-1] if p.after else p.before, default=None)
-    if best is None or not best.after or best.after[-1] >= TOLD_APART:
-        return
-    count, gained = len(best.rows), best.after[-1] - best.before
-    factor = best.after[-1] / max(best.before, 1e-12)
-    many = count * (TOLD_APART - best.before) / max(gained, 1e-12)
-    enough = f"about {many:.0f} such poses would" if many < MOST_POSES else "no number of poses like these would"
-    yield {
-        "code": "poses_will_not_tell",
-        "message": f"{count} poses will not tell {names[0]} from {names[1]} (information times {factor:.3g} after all of them; "
-        f"{enough}). Do this instead: carry a second known payload, read a link-side encoder, move the joint through a full "
-        "turn, or put an inclinometer on the link.",
-    }  # fmt: skip
 
 
 def wire_scale(robot: Robot) -> Floats:

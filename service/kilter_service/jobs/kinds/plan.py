@@ -89,7 +89,8 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     plans = {"iso9283": _iso, "identify": _identify, "separate": _separate, "check": _check}
     purpose = job.options.purpose
     made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
-    return JobOutput(plain({**made, "within": _within(job), "warnings": [UNCHECKED]}))
+    warnings = [UNCHECKED, *made.pop("warned", ())]
+    return JobOutput(plain({**made, "within": _within(job), "warnings": warnings}))
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
@@ -311,6 +312,8 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
         "separates": list(plan.labels),
         "correlation": round(plan.alike, 4),
         "proposals": [_about(p) for p in plan.proposals],
+        "told_apart": None if plan.told is None else plan.told.to_document(),
+        "warned": [] if plan.told is None else list(plan.told.warnings()),
     }
     poses = [
         pose

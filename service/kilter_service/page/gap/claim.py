@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
-from kilter_service.page.gap.called import chance, claimed
+from kilter_service.page.shared.called import chance, claimed
 from kilter_service.page.words import joined_by_and, number, percent
 from kilter_service.texts import plural
 

@@ -12,9 +12,9 @@ from kilter_service.contract.jobs.job import GapJob
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
-from kilter_service.page.gap import answers, claim, curves, own_curves, rivals, tested, where
-from kilter_service.page.gap.called import claimed
-from kilter_service.page.shared import steps
+from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
+from kilter_service.page.shared import own_curves, steps
+from kilter_service.page.shared.called import claimed
 from kilter_service.paging import Page
 from kilter_service.suspicious import service as suspicious
 

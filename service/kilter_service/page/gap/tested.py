@@ -8,7 +8,7 @@ from itertools import groupby
 
 from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Refused, Untestable
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.page.gap.called import called, chance, joint_of, named
+from kilter_service.page.shared.called import called, chance, joint_of, named
 from kilter_service.page.words import joined_by_and, number, percent
 
 MIMICKED = 0.1  # share of a signature that geometry leaves, below which it is said to imitate it

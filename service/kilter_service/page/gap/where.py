@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from kilter_service.contract.gap_details import Place
 from kilter_service.page.figures.heat_map import HeatMap
-from kilter_service.page.gap.called import chance
+from kilter_service.page.shared.called import chance
 from kilter_service.page.words import number
 
 SURE = 0.05

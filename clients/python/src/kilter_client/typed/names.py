@@ -181,6 +181,7 @@ MODULE_OF = {
     "Text": "fits",
     "Today": "server",
     "Token": "others",
+    "ToldApart": "searches",
     "Tombstone": "comparisons",
     "ToolScatter": "cameras",
     "UnknownParameter": "checks",

@@ -9,7 +9,7 @@ from kilter_service.contract.effect_curves import CurveSide, CurveVisits, Effect
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, THIN, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.gap.called import called, named
+from kilter_service.page.shared.called import called, named
 from kilter_service.page.words import number
 
 WIDTH, HEIGHT = 440.0, 340.0  # what is written can be read where the window is narrow, too
