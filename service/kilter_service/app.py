@@ -18,6 +18,7 @@ from kilter_service.auth.rates import Rates
 from kilter_service.auth.slow_bodies import Unhurried
 from kilter_service.auth.token import admin_token
 from kilter_service.campaigns.routes import router as campaigns
+from kilter_service.concurrency import Slots
 from kilter_service.correction.routes import router as correction
 from kilter_service.db import Database, revision
 from kilter_service.docs_page import router as docs_page
@@ -41,7 +42,6 @@ from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
 from kilter_service.signing.routes import router as streams
 from kilter_service.signing.service import end_sessions
-from kilter_service.slots import Slots
 from kilter_service.suspicious.routes import router as suspicious
 from kilter_service.today.routes import router as today
 from kilter_service.token_routes import router as tokens

@@ -14,9 +14,9 @@ from fastapi.routing import APIRoute
 
 from kilter_service.auth.access import admit
 from kilter_service.bodies import is_json, parsed, read_document
+from kilter_service.concurrency import in_turn, slots_of
 from kilter_service.contract.problems import REFUSALS
 from kilter_service.request_values import check_address, check_names
-from kilter_service.slots import in_turn, slots_of
 
 Handler = Callable[[Request], Awaitable[Response]]
 

@@ -96,6 +96,7 @@ def test_parts_have_intervals_where_something_is_known(there: Made) -> None:
 def test_a_length_and_its_interval_have_one_unit() -> None:
     assert within(0.0408, 0.035, 0.047) == "41 µm (35 to 47)"
     assert within(0.4592, 0.4555, 0.4629) == "0.4592 mm (0.4555 to 0.4629)"
+    assert within(0.09, 0.07, 0.11) == "0.090 mm (0.070 to 0.110)"  # the unit of the largest
     assert within(0.4592, None, None) == "0.459 mm"
 
 

@@ -180,3 +180,11 @@ def test_what_was_cut_or_rewritten_is_seen_by_the_journal(
     for name, change in (("cut", lambda raw: raw.execute("DELETE FROM audit WHERE number = 3")), ("forged", rewritten)):
         found = checked(f"{name}.sqlite", change)
         assert (found.returncode, "does not hold entry 3" in found.stderr) == (1, True), (name, found)
+
+
+def test_a_link_to_log_in_with_is_printed_once(said: Said, client: httpx.Client) -> None:
+    code, printed = said("login", "--minutes", "2")
+    address, _, secret = printed.strip().partition("#")
+    assert (code, address) == (0, f"{str(client.base_url).rstrip('/')}/login")
+    used = [httpx.post(f"{address}/link", data={"link": secret}, timeout=60).status_code for _ in range(2)]
+    assert used == [303, 401]
