@@ -136,7 +136,7 @@ def _at_encoder(candidate: Candidate) -> bool:
 
 
 def _place(candidate: Candidate) -> float:
-    """How far out on the arm it begins to act: 0 the base, then the joints; beyond all of them what turns nothing."""
+    """How far out on the arm it begins to act: 0 the base, then the joints; beyond all of them what rotates nothing."""
     if candidate.joints:
         return float(min(candidate.joints) + 1)
     return 0.0 if candidate.effects[0].physical in TILTING else np.inf
