@@ -5,7 +5,7 @@ READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
 # Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first.
-TESTERS ?= 3
+TESTERS ?= 4
 SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
@@ -157,6 +157,15 @@ FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 	[ -x .venv-franka/bin/python ] || "$(PYTHON)" -m venv .venv-franka
 	.venv-franka/bin/pip install --disable-pip-version-check -q --constraint $(FRANKA_PINS) franka-sim pylibfranka
 	.venv-franka/bin/pip install --disable-pip-version-check -q --upgrade --no-deps --target .venv-franka/bridge --constraint $(FRANKA_PINS) pylibfranka
+	touch $@
+
+test-lerobot: $(KERNELS) .venv-lerobot/.ready ## run LeRobot's own follower through Kilter on simulated servos (needs Python 3.12, 5 GB)
+	KILTER_LEROBOT=.venv-lerobot $(BIN)/python -m pytest -q --timeout 1800 tests/clients/lerobot
+
+# LeRobot needs Python 3.12 and brings PyTorch: an environment of its own, with Kilter's distributions as they are here.
+LEROBOT_PINS := tests/clients/lerobot/constraints.txt
+.venv-lerobot/.ready: $(LEROBOT_PINS) clients/lerobot/pyproject.toml
+	sh tools/lerobot_environment.sh $(LEROBOT_PINS)
 	touch $@
 
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)

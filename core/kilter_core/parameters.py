@@ -1,4 +1,7 @@
-"""Named parameters: unit, prior and physical range; and the packing of a subset of them into a vector."""
+"""Named parameters: unit, prior and physical range; the packing of a subset of them into a vector; their units in reports.
+
+Reports, messages and documents have mm and degrees; whatever else the core has is in SI units and radians.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +20,30 @@ from kilter_core.types import Floats, Ints
 # outweigh them a thousandfold wherever they see the parameter.
 LENGTH_PRIOR_M = 0.005
 ANGLE_PRIOR_RAD = 0.02
+MM, DEG = 1e3, 180.0 / math.pi  # of them in a metre and in a radian
+_REPORTED = {"m": ("mm", MM), "rad": ("deg", DEG), "rad/(N m)": ("deg/(N m)", DEG), "m/N": ("mm/N", MM)}
+
+T = TypeVar("T", float, Floats)
+
+
+def reported(unit: str) -> tuple[str, float]:
+    """Return the unit that reports have for an SI unit, and how many of it one of those is."""
+    return _REPORTED.get(unit, (unit, 1.0))
+
+
+def mm(metres: T) -> T:
+    """Return a length in mm."""
+    return metres * MM
+
+
+def degrees(radians: T) -> T:
+    """Return an angle in degrees."""
+    return radians * DEG
+
+
+def metres(of_mm: float) -> float:
+    """Return a length that was stated in mm in m."""
+    return of_mm / MM
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "no_active_version": (409, "The robot has no active version"),
     "nothing_held_out": (409, "No row is left that was not fitted"),
     "rows_not_reached": (409, "Rows are not corrected to within what is stated"),
+    "calibration_differs": (409, "Rows of another calibration of the servos"),
     "activation_refused": (409, "The version predicts worse than the one it would replace"),
     "corrected_twice": (409, "The controller corrects the arm already"),
     "activation_overtaken": (409, "Other versions were activated meanwhile"),

@@ -38,6 +38,19 @@ def test_effects_that_wait_for_the_same_are_one_line(capsys: pytest.CaptureFixtu
     assert [len(group) for group in groups.values()] == [2, 1]
 
 
+def test_poses_that_do_not_tell_are_said_to_once_and_where_they_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    sentence = "2 poses will not tell a from b (the factor of information after all of them is 1.05); turn joint 2."
+    poses = [{"kind": "new", "change": None, "separates": ["a", "b"], "information_factor": f} for f in (1.02, 1.05)]
+    warning = {"code": "poses_will_not_tell", "message": sentence}
+    out = printed(capsys, next_poses=poses, told_apart={"sentence": sentence}, warnings=[warning])
+    asked = out.splitlines().index("Measure next, to tell a from b (2 poses):")
+    assert out.splitlines()[asked + 1 : asked + 3] == [
+        "  new poses: 2, information times 1.05 after all",
+        f"  {sentence}",
+    ]
+    assert out.count(sentence) == 1
+
+
 def test_a_gain_of_weighed_errors_is_said_to_be_one(capsys: pytest.CaptureFixture[str]) -> None:
     out = printed(capsys, effects=[WALK])
     assert "random_walk adds 0.006 to the plain rms error" in out

@@ -58,6 +58,11 @@ def test_poses_for_every_purpose(client: httpx.Client, katana: Any, worker: Any,
         assert {"repeat", "new"} == {p["kind"] for p in found["proposals"]}
         first = found["proposals"][0]
         assert first["information_factor"] > 1
+        told = found["told_apart"]
+        assert told["separates"] == found["separates"]
+        assert told["information_factor"] == max(p["information_factor"] for p in found["proposals"])
+        assert told["sentence"] in [w["message"] for w in found["warnings"]] or told["enough"]
+        assert bool(told["instead"]) != told["enough"]
         assert found["poses"][0]["kind"] == first["kind"]
         assert "payload_kg" in found["csv"].splitlines()[0]
 

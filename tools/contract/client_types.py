@@ -14,6 +14,7 @@ Schema = Mapping[str, Any]
 MODULES: Mapping[str, Sequence[str]] = {
     "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame", "Mesh"),
     "budgets": ("Budget",),
+    "kinematics": ("Flanges", "Postures"),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
     "acceptance": ("Acceptance",),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),

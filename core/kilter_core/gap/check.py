@@ -61,7 +61,7 @@ def check_gap(
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         refuse_mixed_up(begin, confirmation)
-    searched, _ = parted(observations, validation, options.seed)
+    searched, held = parted(observations, validation, options.seed)
     rows = _fewer(searched)
 
     def begun() -> Prepared:
@@ -69,6 +69,7 @@ def check_gap(
         return prepare_data(begin, rows, options, unheard)
 
     prepared, took = timed(begun)
+    unseen = held is not None or confirmation is not None
     seen = testability(prepared.problem, prepared.library)
     judged = _of_all(seen, prepared.library, len(rows) / len(searched))
     return GapCheck(
@@ -76,7 +77,7 @@ def check_gap(
         untestable(prepared.library, judged, prepared.problem, prepared.visits.observations),
         poses_of(rows),
         poses_of(searched),
-        probe(prepared, seen, options, took).search(len(searched) / len(rows)),
+        probe(prepared, seen, options, took, unseen).search(len(searched) / len(rows)),
     )
 
 

@@ -2,28 +2,31 @@
 
 Every stage of a search repeats a few pieces of work: a fit, a look for wrong readings, a null distribution, a selection on
 the linearised problem. Each is done once, on the machine that will search, and the selection also says how many names to
-expect; how often a search repeats each of them was counted on campaigns.
+expect, and whether they leave something: then no verdict waits for resamples, of which a few are drawn, but both halves
+of the campaign are asked. How often a search repeats each piece was counted on campaigns.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from kilter_core.gap.evidence.intervals import MOST_ROWS
-from kilter_core.gap.evidence.stability import MANY
+from kilter_core.gap.evidence.stability import FEW, MANY, reweighted
 from kilter_core.gap.evidence.testability import Testability, to_search
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
+from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.linearized import refit
 from kilter_core.gap.search.outliers import outliers
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.scan import Scorer, null_of
-from kilter_core.gap.search.select import Selector
+from kilter_core.gap.search.select import HIDING, Selector
+from kilter_core.types import Floats
 
 T = TypeVar("T")
 
@@ -32,7 +35,7 @@ clock: Callable[[], float] = time.perf_counter
 ALWAYS = 8.0  # null distributions that all that is made without any name takes as long as
 SEARCHES = 3.0  # rounds of a search for each name: another noise, or causes instead of shapes, begin a second one
 PROFILED = 6.0  # fits for the intervals of a name
-DRAWN = 100.0  # resamples and shuffles that decide
+DECIDING = 40.0  # resamples that decide where all return a name: the second look at them leaves no doubt
 
 
 @dataclass(frozen=True)
@@ -40,29 +43,32 @@ class Probe:
     """Seconds of the pieces of a search, each made once.
 
     ``begun`` until the geometry is fitted and wrong readings are aside, then a ``null`` distribution, a selection from
-    nothing (``selected``) and ``again`` for other data on the same candidates, a ``fit`` with all that was selected, and a
-    look for wrong readings (``looked``). ``names`` is how many were selected, from ``numbers`` that were measured.
+    nothing (``selected``), from either of the ``halves`` of the campaign and ``again`` from a resample, a ``fit`` with all
+    that was selected, and a look for wrong readings (``looked``). ``names`` is how many were selected, from ``numbers``
+    that were measured; ``settled`` whether they leave nothing and poses that they were not selected from can judge them.
     """
 
     begun: float
     null: float
     selected: float
+    halves: float
     again: float
     fit: float
     looked: float
     names: int
     numbers: float
+    settled: bool
 
     def search(self, more: float) -> float:
         """Seconds of the whole search, on ``more`` times the rows that were looked at."""
-        drawn = self.again if self.numbers * more > MANY else self.selected
         profiled = PROFILED * self.names * self.fit if self.numbers * more <= MOST_ROWS else 0.0
         rounds = SEARCHES * self.names * (more * (self.null + self.looked + self.fit) + self.selected)
-        return more * self.begun + ALWAYS * more * self.null + rounds + profiled + DRAWN * min(self.names, 1) * drawn
+        tried = DECIDING * self.again if self.settled else FEW * self.again + self.halves
+        return more * self.begun + ALWAYS * more * self.null + rounds + profiled + min(self.names, 1) * tried
 
 
-def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: float) -> Probe:
-    """Make and time the pieces of a search whose beginning took ``begun`` seconds."""
+def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: float, unseen: bool) -> Probe:
+    """Make and time the pieces of a search whose beginning took ``begun`` seconds; ``unseen`` poses judge what it finds."""
     problem, library = prepared.problem, prepared.library
     noise = problem.settings.noise
     candidates = with_testable(library, to_search(judged, library))
@@ -71,13 +77,27 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
     selector = Selector(scorer, problem.rows, limits * problem.size)
     null, made = timed(lambda: null_of(problem, scorer, [], options.bootstraps, options.seed))
 
-    def select() -> tuple[int, ...]:
-        return selector.searched(problem.gram, null.critical(options.alpha), options.max_effects)
+    def select(gram: Gram, by: Selector, most: int) -> tuple[int, ...]:
+        return by.searched(gram, null.critical(options.alpha), most)
 
-    (chosen, first), (_, again) = timed(select), timed(select)
+    def part(weight: Floats) -> Gram:
+        return reweighted(problem, weight[problem.row_visit])
+
+    chosen, first = timed(lambda: select(problem.gram, selector, options.max_effects))
+    visits = np.arange(len(problem.settings.used))
+    sides = [part((side == (2 * visits < len(visits))).astype(np.float64)) for side in (True, False)]
+    _, halves = timed(lambda: [select(side, selector, options.max_effects) for side in sides])
+    drawn = np.random.default_rng(options.seed).exponential(size=len(visits))
+    alone = replace(selector, pairs=scorer.absolute)
+    many = problem.rows > MANY  # the candidates of a resample are those of the data
+    other = problem.gram.with_data(problem.gram.c, problem.gram.yy)
+    _, again = timed(lambda: select(other if many else part(drawn), alone, len(chosen) + 2))
     _, fit = timed(lambda: refit(problem.settings, problem.values, selector.columns(chosen)))
     _, looked = timed(lambda: outliers(problem))
-    return Probe(begun, made, first, again, fit, looked, len(chosen), problem.settings.numbers)
+    left = problem.gram.given(selector.columns(chosen))
+    settled = unseen and scorer.absolute and left.yy < left.nu + HIDING * np.sqrt(2.0 * max(left.nu, 1.0))
+    numbers = problem.settings.numbers
+    return Probe(begun, made, first, halves, again, fit, looked, len(chosen), numbers, bool(settled))
 
 
 def timed(work: Callable[[], T]) -> tuple[T, float]:

@@ -49,9 +49,10 @@ from kilter_core.gap.report.effect_curves import effect_curves
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
-from kilter_core.gap.report.next_poses import beyond_poses, rows_of, separate
+from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
+from kilter_core.gap.report.told_apart import Proposed, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
 from kilter_core.gap.search.events import numbered
@@ -72,9 +73,9 @@ from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, metres, reported
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
@@ -215,7 +216,7 @@ class _Run:
         judging = held.report()
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
-        poses, beyond = self._next_poses(found, effects)
+        poses, told = self._next_poses(found, effects)
         lacking = missing_directions(problem, found.columns)
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
@@ -226,13 +227,13 @@ class _Run:
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
             smallest_detectable=smallest_rows(prepared.library, judged), refused=refused(found),
-            next_poses=poses, negative_control=control,
+            next_poses=poses, told_apart=told, negative_control=control,
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *incomplete_warnings(lacking),
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *self._unplanned(effects), *kept.alike(), *beyond,
+                *self._unplanned(effects), *kept.alike(), *(() if told is None else told.warnings()),
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if j.verdict == "provisional" or j.claim.followed},
@@ -317,7 +318,7 @@ class _Run:
         self, found: SearchResult, place: int, rivals: tuple[Alias, ...], sizes: dict[int, Amplitude], held: HoldoutEvaluator,
     ) -> Evidence:  # fmt: skip
         candidate = found.selector.scorer.candidates[place]
-        unit = 180.0 / np.pi if found.problem.settings.source.unit == "rad" else 1e3
+        unit = reported(found.problem.settings.source.unit)[1]
         joints, any_ = seen_joints(found, place)
         return Evidence(
             place, candidate, rivals, (1.0, 1.0), held.gain_of(place), None,
@@ -335,8 +336,8 @@ class _Run:
             source = problem.settings.source
             points = source.model.predict(source.batch, source.model_values(problem.values)).position
             yield from large_residual(size, points)
-        elif np.degrees(size) > LARGE_DEG:
-            yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
+        elif degrees(size) > LARGE_DEG:
+            yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
 
     def _unsearched(self) -> Iterator[dict[str, Any]]:
         """Say which effects were not looked for because nothing is known to load the joints."""
@@ -374,27 +375,24 @@ class _Run:
         unseen = Measurement.of(self.validation, calibration.marker_points, held=True)
         yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
-    def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> tuple[list[dict[str, Any]], ...]:
+    def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> Proposed:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects or self.budget.over(PLANNING, "poses to measure next"):
-            return [], []
+            return [], None
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)
-        if asked is None:
-            weak = [j for j in effects if j.verdict == "provisional"]
-            if not weak:
-                return [], []
-            asked = (weak[0], [])
-        j, rivals = asked
+        weak = [(j, list[Alias]()) for j in effects if j.verdict == "provisional"]
+        if asked is None and not weak:
+            return [], None
+        j, rivals = asked or weak[0]
         target = j.evidence.candidate
         others = [k for k in found.columns if k not in target.columns]
-        values = np.array([a.value for a in j.evidence.amplitudes])
-        proposals = separate(
-            found.problem, self.prepared.visits.observations, target, [a.candidate for a in rivals[:1]], others, values,
-            self.options.next_poses, self.options.seed,
-        )  # fmt: skip
-        names = (target.label, rivals[0].candidate.label if rivals else "geometry")
-        return rows_of(proposals, names, self.robot), list(beyond_poses(proposals, names) if rivals else ())
+        values, rows = np.array([a.value for a in j.evidence.amplitudes]), self.prepared.visits.observations
+        rival = rivals[0].candidate if rivals else None
+        asked_for = (self.options.next_poses, self.options.seed)
+        proposals = separate(found.problem, rows, target, [rival] if rival else [], others, values, *asked_for)
+        names = (target.label, rival.label if rival else "geometry")
+        return rows_of(proposals, names, self.robot), told_apart(proposals, target, rival, rows, self.robot)
 
 
 __all__ = ["GapReport", "Library", "Testability", "find_gap"]

@@ -32,6 +32,7 @@ from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 ASSUMED_M = 5e-5  # standard deviation of a coordinate where neither repeats nor options say it
@@ -105,7 +106,7 @@ def check_identification(
     measurement = measurement_for(train, options, begin.marker_points)
     begin = gated(with_cameras(begin, train, measurement), train, options, None)[0]
     noise, source = _noise(train, options)
-    problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=noise * 1e3))
+    problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=mm(noise)))
     whole = fit_at(problem, values, problem.linearised(values))
     fit = marginal(whole)
     names, prior = fit.names, fit.problem.prior_sigma
@@ -124,8 +125,8 @@ def check_identification(
 
 
 def _noise(train: Observations, options: IdentifyOptions) -> tuple[float, Literal["stated", "repeats", "assumed"]]:
-    if options.noise_mm is not None:
-        return options.noise_mm * 1e-3, "stated"
+    if options.noise_m is not None:
+        return options.noise_m, "stated"
     found = Repeats.of(train).between
     return (ASSUMED_M, "assumed") if found is None else (found, "repeats")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
@@ -64,6 +65,22 @@ class IdentifyOptions:
     mass_sigma_percent: float | None = None
     com_sigma_mm: float | None = None
     prior: str | None = None
+
+    @property
+    def noise_m(self) -> float | None:
+        """Stated standard deviation of a coordinate, m."""
+        return None if self.noise_mm is None else self.noise_mm * 1e-3
+
+    @property
+    def search_span(self) -> dict[str, float]:
+        """Half the box of a global search by unit, m and rad."""
+        return {"m": self.search_mm * 1e-3, "rad": math.radians(self.search_deg)}
+
+    @property
+    def socket_distances(self) -> dict[tuple[int, int], float]:
+        """Known distances between the sockets of each pair, m."""
+        pairs = ((pair.split("-"), length) for pair, length in self.socket_distances_mm.items())
+        return {(int(a), int(b)): length * 1e-3 for (a, b), length in pairs}
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))

@@ -35,6 +35,8 @@ from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.plausibility.flat_boards import bent_boards
+from kilter_core.identify.plausibility.timing import bad_timing
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
@@ -56,9 +58,10 @@ from kilter_core.identify.view_report import (
     with_own_scatter,
 )
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors, metrics_document, mm
+from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, mm
 from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 
 Validation = Observations | float | Folds | None
@@ -128,7 +131,7 @@ class Identification:
         by_views = "pixels" in self.views  # their noise is in px: the length that weighs them means nothing
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
-            "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
+            "scale": {"point_mm": mm(self.scale[0]), "turn_deg": float(degrees(self.scale[1]))},
             "set_aside": self.set_aside,
             "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
@@ -136,7 +139,7 @@ class Identification:
             "noise_source": None if by_views else self.noise_source,
             "noise": {
                 "residuals_mm": None if by_views else mm(left_of(self.fit)),
-                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                "inadequacy_mm": mm(self.predictive.inadequacy),
                 **self.repeats.to_document(),
             },
             "warnings": list(self.warnings),
@@ -326,8 +329,7 @@ def _reported(
     shares = Shares.of(fit, marginal(fit).names)
     plain, (fit, scatter) = fit, with_own_scatter(fit)
     views = views_said(calibration, fit, scatter)
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
-    beyond = BeyondNoise.of(fit, repeats, stated)
+    beyond = BeyondNoise.of(fit, repeats, options.noise_m)
     masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
     fit = predicted = fit if beyond is None else beyond.widen(fit)
     if masses is not None:
@@ -343,7 +345,7 @@ def _reported(
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
         predictive=predictive_of(fit_of_all, scatter)
-        or predictive(marginal(predicted), repeats, stated, Structure.of(plain)),
+        or predictive(marginal(predicted), repeats, options.noise_m, Structure.of(plain)),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
         warnings=(
@@ -351,6 +353,8 @@ def _reported(
             *(() if learned is None else (learned.warning(),)),
             *another_arm(calibration),
             *gauges(fit_of_all),
+            *bent_boards(fit_of_all),
+            *bad_timing(fit_of_all),
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
@@ -386,7 +390,7 @@ def _intervals(
 
 def _together(fit: Fit) -> dict[str, Any]:
     """Observability of the poses, per prior sigma and in mm, and the parameters that go together."""
-    millimetre = float(np.mean(fit.problem.weights.points)) * 1e3
+    millimetre = mm(float(np.mean(fit.problem.weights.points)))
     poses = int(fit.problem.measurement.observations.pose_groups().max()) + 1
     groups = correlated_groups(fit.covariance, fit.names)
     J, _, prior_sigma = beside_masses(fit)

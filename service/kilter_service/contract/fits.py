@@ -171,6 +171,11 @@ class Covariance(Stored):
         None, description="Standard deviation of a coordinate that the fit left beyond the noise, m."
     )
     noise_m: Metres | None = Field(None, description="Standard deviation of a coordinate of the noise, m.")
+    noise_of: str | None = Field(
+        None,
+        description="Kind of measurement whose noise that is, as `points`, `pixels` or `contacts`; null: not known. That of "
+        "pixels and contacts is not taken for rows that an instrument measured.",
+    )
     freedom: float | None = Field(
         None, description="Degrees of freedom of what the fit left, by which all of it is scaled; null: not known."
     )

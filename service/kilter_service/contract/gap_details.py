@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import ConfigDict, Field
 
 from kilter_service.contract.fits import UNIT
-from kilter_service.contract.units import Deg, Kg, Mm, PointMm, Stored
+from kilter_service.contract.units import Deg, Mm, Stored
 
 JOINTS = "Joints it acts at, from 1; null: it does not act at joints."
 ID = "Id of the effect."
@@ -345,21 +345,6 @@ class Refused(AtJoints):
     explains: float | None = Field(None, description="Share of the squared residuals that it would take away, 0 to 1.")
     p_value: float | None = Field(
         None, description="How often chance alone explains as much, of all candidates the best."
-    )
-
-
-class NextPose(Stored):
-    """A pose to measure next."""
-
-    kind: str | None = Field(None, description="`new`, or what is done again.")
-    change: str | None = Field(None, description="What to change before it, in words; null: nothing.")
-    q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for prismatic ones.")
-    payload_kg: Kg | None = Field(None, description="Load to carry, kg; null: any.")
-    payload_com_mm: PointMm | None = Field(None, description="Its centre in the tool frame, mm; null: the tool point.")
-    direction: list[int] | None = Field(None, description="Direction to reach each joint from, -1 or 1; null: any.")
-    separates: list[str] | None = Field(None, description="The two that it tells apart.")
-    information_factor: float | None = Field(
-        None, description="How much more is known after it and all before it, as a factor."
     )
 
 

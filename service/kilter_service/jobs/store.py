@@ -98,7 +98,7 @@ def places(session: Session) -> dict[str, Place]:
     return found
 
 
-def listed(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
+def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
     columns = (
@@ -192,6 +192,7 @@ def input_of(
         names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
         instruments=campaigns.instruments(session, (*request.campaigns, *request.held)),
+        certificates=campaigns.certificates(session, (*request.campaigns, *request.held, *request.confirmation)),
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         fit=fit_of(session, named, request.campaigns) if kind.against_fit and named is not None else FitOfVersion(),

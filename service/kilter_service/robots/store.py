@@ -228,7 +228,7 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
+def robots_on_page(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
     """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
     query = visible(_records()).order_by(RobotRow.name).limit(page.fetched)
     if not with_retired:

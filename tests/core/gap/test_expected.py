@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import pytest
 
-from kilter_core.gap import GapOptions, expected
+from kilter_core.gap import GapOptions, check, expected, find_gap
 from kilter_core.gap.check import check_gap
+from kilter_core.gap.evidence import stability
 from kilter_core.gap.expected import Probe, timed
 from tests.core.gap.simulated import campaign, katana
 
 QUICK = GapOptions(bootstraps=299, effects=("backlash", "eccentricity", "axial_compliance"))
 HIDDEN = [("backlash", (1,), (6e-4,)), ("eccentricity", (2,), (6e-4, 4e-4))]
-ONE = Probe(begun=1.0, null=0.1, selected=0.02, again=0.01, fit=0.3, looked=0.2, names=2, numbers=1000.0)
+PIECES = (1.0, 0.1, 0.02, 0.015, 0.01, 0.3, 0.2)
+ONE = Probe(*PIECES, names=2, numbers=1000.0, settled=True)
 
 
 @pytest.fixture
@@ -28,7 +30,7 @@ def test_every_piece_is_timed_once_and_what_the_selection_names_is_counted() -> 
     assert timed(lambda: "made") == ("made", 1.0)
     hidden, clean = (campaign(katana(), what, poses=60, seed=5) for what in (HIDDEN, []))
     named, nothing = (check_gap(katana(), rows, QUICK).seconds for rows in (hidden, clean))
-    seconds = [Probe(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, names, 135.0).search(1.0) for names in (0, 2)]
+    seconds = [Probe(*(1.0,) * 7, names, 135.0, True).search(1.0) for names in (0, 2)]
     assert [nothing, named] == pytest.approx(seconds)
 
 
@@ -36,5 +38,37 @@ def test_more_rows_more_names_and_slower_pieces_take_longer() -> None:
     least = ONE.search(1.0)
     assert least < ONE.search(2.0) < 2.0 * least  # what is selected from does not grow with the rows
     assert replace(ONE, names=0).search(1.0) < least < replace(ONE, names=5).search(1.0)
-    slower = Probe(*(3.0 * v for v in (1.0, 0.1, 0.02, 0.01, 0.3, 0.2)), names=2, numbers=1000.0)
+    slower = Probe(*(3.0 * v for v in PIECES), names=2, numbers=1000.0, settled=True)
     assert slower.search(1.0) == pytest.approx(3.0 * least)
+
+
+def test_no_verdict_waits_for_resamples_where_something_is_left() -> None:
+    """Forty decide where names may rise; else a few are drawn, and the halves of the campaign are asked."""
+    settled, left = ONE.search(1.0), replace(ONE, settled=False).search(1.0)
+    assert settled - left == pytest.approx(35 * ONE.again - ONE.halves)
+
+
+def test_a_search_draws_as_many_resamples_as_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where poses held out may confirm what repeats bear out, and where some are lacking for both."""
+    drawn: list[int] = []
+    plain = stability._resampled
+
+    def counted(search, rng):
+        draw = plain(search, rng)
+        drawn.append(0)
+
+        def one():
+            drawn[-1] += 1
+            return draw()
+
+        return one
+
+    monkeypatch.setattr(stability, "_resampled", counted)
+    probes: list[Probe] = []
+    monkeypatch.setattr(check, "probe", lambda *given: probes.append(expected.probe(*given)) or probes[-1])
+    for poses in (80, 40):
+        rows = campaign(katana(), HIDDEN, poses=poses, seed=5)
+        check_gap(katana(), rows, QUICK)
+        find_gap(katana(), rows, replace(QUICK, permutations=1, next_poses=0))
+    assert [p.settled for p in probes] == [True, False]
+    assert drawn == [expected.DECIDING, stability.FEW]

@@ -10,8 +10,9 @@ from kilter_core.errors import OptionError
 from kilter_core.gap import find_gap, plan_separation
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.next_poses import Proposal, _Question, beyond_poses, rows_of, separate
+from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
 from kilter_core.gap.report.separation import imagined, undecided
+from kilter_core.gap.report.told_apart import told_apart
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
@@ -146,14 +147,75 @@ def test_a_plan_without_campaigns_carries_the_default_load():
     assert imagined(Calibration.nominal(katana()), GapOptions()).payload_com is None
 
 
-def test_poses_that_cannot_decide_are_said_to_and_how_many_would() -> None:
-    rows = Observations(np.zeros((12, 6)))
-    weak = Proposal(rows, "new", "", 4.0, tuple(np.linspace(4.02, 4.2, 12)))
-    (said,) = beyond_poses([weak], ("eccentricity j2", "gravity_spring j2"))
-    assert "12 poses will not tell eccentricity j2 from gravity_spring j2 (information times 1.05" in said["message"]
-    assert "no number of poses like these would" in said["message"]  # 12 (22 - 4) / 0.2 = 1080
-    some = Proposal(rows, "new", "", 4.0, (*np.linspace(4.5, 9.5, 11), 10.0))
-    (said,) = beyond_poses([weak, some], ("a", "b"))
-    assert "about 36 such poses would" in said["message"]
-    enough = Proposal(rows, "repeat", "another load", 4.0, (*np.linspace(5.0, 30.0, 11), 40.0))
-    assert not list(beyond_poses([weak, enough], ("a", "b")))
+@pytest.fixture(scope="module")
+def library():
+    rows = campaign(katana(), seed=1, poses=40, loads=(0.0,))
+    p = prepare_data(Calibration.nominal(katana()), rows, GapOptions())
+    return {c.label: c for c in p.library.candidates}
+
+
+def told(library, pair, after, rows=None, robot=None):
+    """What 12 poses say that bring what is known from 4 to ``after``."""
+    robot = robot or katana()
+    rows = campaign(robot, seed=1, poses=40, loads=(0.0,)) if rows is None else rows
+    proposal = Proposal(Observations(np.zeros((12, 5))), "new", "", 4.0, tuple(np.linspace(4.0, after, 12)))
+    one, other = (library[label] for label in pair)
+    said = told_apart([proposal], one, other, rows, robot)
+    assert said is not None
+    return said
+
+
+def test_poses_that_cannot_decide_are_said_to_and_how_many_would(library):
+    pair = ("axial_compliance j2", "eccentricity j2")
+    none = told(library, pair, 4.2)  # 12 (22 - 4) / 0.2 = 1080 poses
+    assert (none.enough, none.needed, none.factor) == (False, None, pytest.approx(1.05))
+    assert none.sentence.startswith(
+        "12 poses will not tell axial_compliance j2 from eccentricity j2 (the factor of information after all of them is "
+        "1.05); no number of poses like these would. Do this instead: "
+    )
+    some = told(library, pair, 10.0)
+    assert some.needed == 36
+    assert "about 36 such poses would" in some.sentence
+    assert [w["code"] for w in some.warnings()] == ["poses_will_not_tell"]
+    assert some.to_document()["instead"] == list(some.instead)
+    enough = told(library, pair, 40.0)
+    assert (enough.enough, enough.needed, enough.instead, list(enough.warnings())) == (True, 12, (), [])
+    assert enough.sentence.startswith("12 poses will tell axial_compliance j2 from eccentricity j2")
+    assert told_apart([], library[pair[0]], library[pair[1]], campaign(katana(), poses=5, revisits=0), katana()) is None
+
+
+def test_what_does_instead_is_what_only_one_of_the_two_shows(library):
+    robot = katana()
+    compliance = ("axial_compliance j2", "eccentricity j2")
+    assert told(library, compliance, 4.2).instead[0].startswith("repeat old poses with a second known payload")
+    two = campaign(robot, seed=1, poses=40, loads=(0.0, 2.0))
+    assert told(library, compliance, 4.2, two).instead[0].startswith("repeat old poses with a heavier known payload")
+    both = told(library, ("axial_compliance j2", "link_bending j2"), 4.2).instead
+    assert not any("payload, which" in one for one in both)  # both follow it
+    assert any("a link-side encoder of joint 2, which sees only axial_compliance j2" in one for one in both)
+    assert not any("inclinometer" in one for one in both)  # behind joint 2 it would see both
+    behind = next(label for label in library if label.startswith("link_torsion"))  # of the class of the gear's twist
+    encoder = "read a link-side encoder of joint 2, which sees only axial_compliance j2"
+    assert encoder in told(library, (behind, "axial_compliance j2"), 4.2).instead
+    further = told(library, ("link_bending j2", "axial_compliance j4"), 4.2).instead
+    assert "read an inclinometer behind joint 2, which tilts with link_bending j2 alone" in further
+    curves = ("eccentricity j2", "second_harmonic j2")
+    short = told(library, curves, 4.2).instead
+    assert short[0].startswith(
+        "for eccentricity j2, move the joint over more than 180 degrees"
+    )  # it cannot make a turn
+    turning = replace(robot.joints[1], lower=-3.5, upper=3.5)
+    free = replace(robot, joints=(robot.joints[0], turning, *robot.joints[2:]))
+    assert told(library, curves, 4.2, robot=free).instead == (
+        "move joint 2 through a full turn, after which a true error of the joint repeats",
+    )
+
+
+def test_a_plan_says_whether_its_poses_tell_the_two_apart():
+    robot = katana()
+    rows = campaign(robot, seed=1, poses=40, loads=(2.0,))
+    plan = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=2)
+    assert plan.told is not None
+    assert (plan.told.poses, plan.told.names) == (2, plan.labels)
+    assert plan.told.enough == (max(p.after[-1] for p in plan.proposals) >= 22.0)
+    assert plan_separation(robot, rows, ("axial_compliance", (1,)), count=2).told is None  # from geometry: made surer

@@ -7,7 +7,7 @@ gain. Repeating old poses under another load or direction is compared first, sin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,11 +21,10 @@ from kilter_core.gap.search.source import Source
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.parameters import DEG, MM, mm
 from kilter_core.types import Floats
 
 POOL = 250
-TOLD_APART = 22.0  # lambda (1 - rho squared) from which a name is wrong in one of a thousand
-MOST_POSES = 1000  # nobody measures more to tell two effects apart
 WARMER_K = 5.0
 LATER_S = 600.0
 CHANGE_FIRST = 0.9  # a condition change is proposed first from this share of the new poses' information
@@ -78,31 +77,14 @@ def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot)
     return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
 
 
-def beyond_poses(proposals: Sequence[Proposal], names: tuple[str, str]) -> Iterator[dict[str, Any]]:
-    """Say that no proposed poses tell two effects apart, how many would, and what does instead."""
-    best = max(proposals, key=lambda p: p.after[-1] if p.after else p.before, default=None)
-    if best is None or not best.after or best.after[-1] >= TOLD_APART:
-        return
-    count, gained = len(best.rows), best.after[-1] - best.before
-    factor = best.after[-1] / max(best.before, 1e-12)
-    many = count * (TOLD_APART - best.before) / max(gained, 1e-12)
-    enough = f"about {many:.0f} such poses would" if many < MOST_POSES else "no number of poses like these would"
-    yield {
-        "code": "poses_will_not_tell",
-        "message": f"{count} poses will not tell {names[0]} from {names[1]} (information times {factor:.3g} after all of them; "
-        f"{enough}). Do this instead: carry a second known payload, read a link-side encoder, move the joint through a full "
-        "turn, or put an inclinometer on the link.",
-    }  # fmt: skip
-
-
 def wire_scale(robot: Robot) -> Floats:
     """What a joint value (n,) in SI is multiplied by for ``q_deg``: to degrees, a prismatic joint's to mm."""
-    return np.array([1e3 if joint.kind == "prismatic" else 180.0 / np.pi for joint in robot.joints])
+    return np.array([MM if joint.kind == "prismatic" else DEG for joint in robot.joints])
 
 
 def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str, Any]:
     com = None if p.rows.payload_kg is None or p.rows.payload_com is None else p.rows.payload_com[k]
-    place = {} if com is None else {"payload_com_mm": [round(float(v) * 1e3, 3) for v in com]}
+    place = {} if com is None else {"payload_com_mm": [round(mm(float(v)), 3) for v in com]}
     return place | {
         "kind": p.kind, "change": p.change or None,
         "q_deg": [round(float(v), 3) for v in p.rows.q[k] * scale],

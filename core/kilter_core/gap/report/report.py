@@ -17,9 +17,10 @@ from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
 from kilter_core.gap.report.remedies import to_confirm
 from kilter_core.gap.report.stored import Stored
+from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.candidates import Library, Untestable
-from kilter_core.identify.report import on_wire
 from kilter_core.model import Calibration
+from kilter_core.parameters import reported
 from kilter_core.types import Ints
 
 MOST_PLACES = 60
@@ -70,6 +71,7 @@ class GapReport:
     smallest_detectable: list[dict[str, Any]]
     refused: list[dict[str, Any]]
     next_poses: list[dict[str, Any]]
+    told_apart: ToldApart | None
     negative_control: dict[str, Any]
     alias_matrix: dict[str, Any]
     noise: dict[str, Any]
@@ -125,6 +127,7 @@ class GapReport:
             "smallest_detectable": self.smallest_detectable,
             "refused": self.refused,
             "next_poses": self.next_poses,
+            "told_apart": None if self.told_apart is None else self.told_apart.to_document(),
             "negative_control": self.negative_control,
             "alias_matrix": self.alias_matrix,
             "warnings": list(self.warnings),
@@ -181,7 +184,7 @@ def amplitude_row(
 ) -> dict[str, Any]:
     """A parameter in wire units, its interval conditional on the library."""
     parameter = library.parameters[column]
-    unit, scale = on_wire(parameter.unit)
+    unit, scale = reported(parameter.unit)
     return {
         "name": parameter.name, "value": value * scale, "unit": unit, "sigma": sigma * scale,
         "interval_low": interval[0] * scale, "interval_high": interval[1] * scale,

@@ -15,6 +15,7 @@ from kilter_core.gap.evidence.aliases import correlation
 from kilter_core.gap.evidence.testability import testability
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, separate
+from kilter_core.gap.report.told_apart import ToldApart, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library
 from kilter_core.gap.search.linearized import LinearizedProblem, fitted
 from kilter_core.gap.search.prepare import Prepared, prepare_data
@@ -33,11 +34,15 @@ BARELY_SEEN = 3.0  # times what the data could just show: the amount of an effec
 
 @dataclass(frozen=True)
 class Plan:
-    """Proposals, best first, for distinguishing ``labels``; ``alike`` is their correlation in what was measured."""
+    """Proposals, best first, for distinguishing ``labels``; ``alike`` is their correlation in what was measured.
+
+    ``told`` says whether the proposals do it; None for an effect and the geometry.
+    """
 
     proposals: tuple[Proposal, ...]
     labels: tuple[str, str]
     alike: float
+    told: ToldApart | None
 
 
 def plan_separation(
@@ -80,7 +85,8 @@ def plan_separation(
     if not proposals:
         raise OptionError("Poses can be planned for measurements of the tool only: name campaigns with positions.")
     alike = correlation(prepared.problem.A, target.columns, rivals[0].columns) if rivals else 0.0
-    return Plan(proposals, (target.label, rivals[0].label if rivals else "geometry"), float(alike))
+    told = told_apart(proposals, target, rivals[0] if rivals else None, prepared.visits.observations, robot)
+    return Plan(proposals, (target.label, rivals[0].label if rivals else "geometry"), float(alike), told)
 
 
 def imagined(begin: Calibration, options: GapOptions) -> Observations:

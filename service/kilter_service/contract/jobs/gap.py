@@ -19,7 +19,6 @@ from kilter_service.contract.gap_details import (
     GapSize,
     NamedEffect,
     NegativeControl,
-    NextPose,
     Place,
     Predictive,
     Refused,
@@ -43,6 +42,7 @@ from kilter_service.contract.jobs.shared import (
     Seed,
     Version,
 )
+from kilter_service.contract.next_poses import NextPose, ToldApart
 from kilter_service.contract.units import Asked, Micrometres
 
 
@@ -103,6 +103,9 @@ class GapResult(MadeVersion):
     smallest_detectable: list[Detectable] | None = Field(None, description="Smallest amplitude that would be seen.")
     refused: list[Refused] | None = Field(None, description="What was tested and not named, with its score.")
     next_poses: list[NextPose] | None = Field(None, description="Poses to measure next.")
+    told_apart: ToldApart | None = Field(
+        None, description="Whether they tell two effects apart; null: they make one surer, or there are none."
+    )
     next_poses_csv: str | None = Field(None, description="The same as a CSV file of columns of a measurement.")
     negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")
     alias_matrix: AliasMatrix | None = Field(None, description="How well signatures correlate in these rows.")

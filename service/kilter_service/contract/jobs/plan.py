@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field
 from kilter_service.contract.fits import Remark
 from kilter_service.contract.jobs.drift import SmallestChange
 from kilter_service.contract.jobs.shared import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
+from kilter_service.contract.next_poses import ToldApart
 from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
 
 MAX_POSES = 2000
@@ -108,6 +109,7 @@ class PlanResult(Stored):
     cycles_demanded: int | None = Field(None, description="Cycles that the standard demands.")
     separates: list[str] | None = Field(None, description="The two that the poses tell apart.")
     correlation: float | None = Field(None, description="Correlation of their signatures so far, 0 to 1.")
+    told_apart: ToldApart | None = Field(None, description="Of `separate`: whether the poses tell the two apart.")
     proposals: list[Proposal] | None = Field(None, description="The poses, by what to change before them.")
     false_alarm: float | None = Field(
         None, description="Of `check`: chance of a false alarm at which it will say `moved`."

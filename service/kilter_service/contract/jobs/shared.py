@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, PlainSerializer
+from pydantic import AfterValidator, Field, PlainSerializer
 
 from kilter_service.contract.effects import AnyEffect
 from kilter_service.contract.fits import Remark
@@ -22,6 +22,15 @@ Version = Id | None
 PriorName = Literal["fleet"] | None
 AskedLimits = Annotated[CorrectionLimits, PlainSerializer(lambda limits: limits.model_dump(exclude_unset=True))]
 Limits = AskedLimits | None
+
+
+def _base_first(frames: list[str]) -> list[str]:
+    if frames == ["tool"]:
+        raise ValueError('give [], ["base"] or ["base", "tool"]')
+    return frames
+
+
+NewFrames = Annotated[list[Literal["base", "tool"]], Field(max_length=2), AfterValidator(_base_first)]
 
 FREE = "Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."
 FIX = "Parameters to hold, by name or pattern (`alpha_*`)."

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.plan import PlanOptions
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.poses import Pose, document_of, poses_of
@@ -89,14 +89,15 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     plans = {"iso9283": _iso, "identify": _identify, "separate": _separate, "check": _check}
     purpose = job.options.purpose
     made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
-    return JobOutput(plain({**made, "within": _within(job), "warnings": [UNCHECKED]}))
+    warnings = [UNCHECKED, *made.pop("warned", ())]
+    return JobOutput(plain({**made, "within": _within(job), "warnings": warnings}))
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Plan a single pose, which is refused as the whole plan would be, and say what the plan has to do without."""
     options: PlanOptions = job.options
     found.learn_from(*job.campaigns.values())
-    with found.foreseen():
+    with found.noting_refusals():
         few = FEWEST_CHECKED if options.purpose == "check" else 1
         run(replace(job, options=options.model_copy(update={"count": few})), lambda fraction, stage: None)
         planned = "Three poses were" if options.purpose == "check" else "A single pose was"
@@ -311,6 +312,8 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
         "separates": list(plan.labels),
         "correlation": round(plan.alike, 4),
         "proposals": [_about(p) for p in plan.proposals],
+        "told_apart": None if plan.told is None else plan.told.to_document(),
+        "warned": [] if plan.told is None else list(plan.told.warnings()),
     }
     poses = [
         pose
@@ -332,5 +335,12 @@ def _count(job: JobInput) -> int:
 
 
 PLAN = JobKind(
-    "plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True, foresee=foresee
+    "plan",
+    PlanOptions,
+    check,
+    run,
+    version_option="version",
+    needs_campaigns=False,
+    history=True,
+    preview_job=preview_job,
 )

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kilter_service.contract.gap_details import AliasMatrix, AtJoints, NamedEffect, NextPose
+from kilter_service.contract.gap_details import AliasMatrix, AtJoints, NamedEffect
 from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.next_poses import NextPose
 from kilter_service.page.figures.heat_map import HeatMap
-from kilter_service.page.gap.called import called
+from kilter_service.page.shared.called import called
 from kilter_service.page.words import number, percent
 from kilter_service.texts import plural
 

@@ -23,8 +23,10 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "campaigns": Entry("campaigns", "List, name, retire and purge campaigns."),
         "inspect": Entry("files.inspect", "Show how a file is read; nothing is sent."),
         "match": Entry("files.match", "Join a recording of markers with a joint log."),
+        "episodes": Entry("files.episodes", "Name joints that moved within a LeRobot data set."),
         "board": Entry("camera.board", "Write a board to print for a camera."),
         "see": Entry("camera.see", "Find boards in pictures and write their corners as rows."),
+        "live": Entry("camera.live", "Show a camera's picture, and take views when the arm rests."),
         "sheet": Entry("files.sheet", "Write the sheet to print for measuring with a pencil."),
         "sheet-read": Entry("files.sheet", "Read a scan or photo of a drawn sheet."),
         "sheet-join": Entry("files.sheet", "Join a drawn sheet and the height with the joint log."),
@@ -77,6 +79,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     },
     "Server": {
         "whoami": Entry("access", "Show who one is to the server, and in which role."),
+        "login": Entry("access", "Print a link that logs a browser in, once."),
         "token": Entry("access", "Make, list and revoke tokens."),
         "audit": Entry("access", "Show who changed what, and check that record."),
         "status": Entry("correct", "Show whether the server is ready."),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownPlan
 from kilter_client.typed.fits import Remark
+from kilter_client.typed.searches import ToldApart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,6 +90,8 @@ class PlanResult(ShownPlan, Record):
     """Of `check`: the smallest changes that these poses show in 95 % of the checks."""
     start: str | None
     """The version it was planned with; None: the nominal robot."""
+    told_apart: ToldApart | None
+    """Of `separate`: whether the poses tell the two apart."""
     unseen: tuple[str, ...]
     """Of `check`: what these poses do not show, in words."""
     warnings: Records[Remark]

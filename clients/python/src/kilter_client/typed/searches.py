@@ -278,6 +278,26 @@ class Refused(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ToldApart(Record):
+    """Whether proposed poses tell two effects apart, and what does where they do not."""
+
+    enough: bool | None
+    """Whether they tell the two apart, but for one case in a thousand."""
+    information_factor: float | None
+    """How much more is known after all of them, as a factor; near 1: nothing."""
+    instead: tuple[str, ...]
+    """What to do instead, in words, the quickest first."""
+    poses: int | None
+    """How many poses are proposed for it."""
+    poses_needed: int | None
+    """How many such poses would; None: more than 1000."""
+    sentence: str | None
+    """All of it in words."""
+    separates: tuple[str, ...]
+    """The two in question."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Untestable(Record):
     """What these rows cannot say."""
 
@@ -341,6 +361,8 @@ class GapResult(ShownSearch, Record):
     """Smallest amplitude that would be seen."""
     start: str | None
     """The version it continued from; None: the nominal robot."""
+    told_apart: ToldApart | None
+    """Whether they tell two effects apart; None: they make one surer, or there are none."""
     verdict: str | None
     """`no_gap`, `closed`, `provisional` or `unexplained`."""
     version_id: str | None

@@ -54,6 +54,8 @@ class Covariance(Record):
     """Names of the parameters, in the order of the matrix."""
     noise_m: float | None
     """Standard deviation of a coordinate of the noise, m."""
+    noise_of: str | None
+    """Kind of measurement whose noise that is, as `points`, `pixels` or `contacts`; None: not known. That of pixels and contacts is not taken for rows that an instrument measured."""
     units: str | None
     """`SI`."""
 

@@ -38,11 +38,12 @@ def show_gap(result: Mapping[str, Any]) -> None:
         say(result["prior"]["sentence"])
     show_load_model(result.get("load_model") or [])
     _not_testable(result.get("not_testable") or [])
-    _next_poses(result.get("next_poses") or [])
+    _next_poses(result.get("next_poses") or [], result.get("told_apart") or {})
     if result.get("version_id") and result.get("reference"):
         say(corrected_in(result["reference"]))
     for warning in result.get("warnings") or ():
-        say(f"warning: {warning['message']}")
+        if warning.get("code") != "poses_will_not_tell":  # said with the poses
+            say(f"warning: {warning['message']}")
 
 
 def _where(places: Sequence[Mapping[str, Any]]) -> None:
@@ -217,7 +218,7 @@ def _not_testable(rows: Sequence[Mapping[str, Any]]) -> None:
             say(f"    how to test it: {own[0]['remedy']}")
 
 
-def _next_poses(poses: Sequence[Mapping[str, Any]]) -> None:
+def _next_poses(poses: Sequence[Mapping[str, Any]], told: Mapping[str, Any]) -> None:
     if not poses:
         return
     say(f"Measure next, to tell {' from '.join(poses[0].get('separates') or ['?'])} ({len(poses)} poses):")
@@ -226,6 +227,8 @@ def _next_poses(poses: Sequence[Mapping[str, Any]]) -> None:
         say(
             f"  {change or 'new poses'}: {len(own)}, information times {number(own[-1].get('information_factor'), 3)} after all"
         )
+    if told.get("sentence"):
+        say(f"  {told['sentence']}")
 
 
 def _name(effect: Mapping[str, Any]) -> str:

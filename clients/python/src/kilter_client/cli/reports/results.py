@@ -64,6 +64,8 @@ def show_plan(result: Mapping[str, Any]) -> None:
     for proposal in result.get("proposals") or ():
         worth = number(proposal["information_factor"], 3)
         say(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")
+    if (result.get("told_apart") or {}).get("enough"):  # that they do not is a warning
+        say(f"  {result['told_apart']['sentence']}")
     if result.get("within") == "campaigns":
         say("all where the robot was driven in its campaigns; --anywhere goes to its limits")
     for warning in result.get("warnings") or ():

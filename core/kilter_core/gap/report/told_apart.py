@@ -1,0 +1,147 @@
+"""Whether proposed poses tell two effects apart, how many would, and what does where poses do not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kilter_core.arm.robot import Robot
+from kilter_core.effects.physical import (
+    BASE_TILT,
+    JOINT_CURVE,
+    JOINT_TILT,
+    JOINT_TWIST,
+    JOINT_ZERO,
+    LINK_SAG,
+    REVERSAL,
+    SMOOTH_CURVE,
+    STATION,
+    Separator,
+)
+from kilter_core.gap.report.next_poses import Proposal
+from kilter_core.gap.search.candidates import Candidate
+from kilter_core.observations import Observations
+
+TOLD_APART = 22.0  # lambda (1 - rho squared) from which a name is wrong in one of a thousand
+MOST_POSES = 1000  # nobody measures more to tell two effects apart
+# What a link-side encoder reads: not the twist of the link behind it, which is of the class of the gear's.
+AT_ENCODER = (JOINT_TWIST, JOINT_CURVE, SMOOTH_CURVE, REVERSAL, JOINT_ZERO)
+TILTING = (JOINT_TILT, BASE_TILT, LINK_SAG, STATION)  # what an inclinometer reads
+
+
+@dataclass(frozen=True)
+class ToldApart:
+    """What all of ``poses`` do for telling the two of ``names`` apart, and what does ``instead`` where that is too little.
+
+    ``factor`` is by how much more is known after all of them; ``needed`` how many such poses would tell, None where it
+    would take more than anybody measures.
+    """
+
+    names: tuple[str, str]
+    poses: int
+    factor: float
+    enough: bool
+    needed: int | None
+    instead: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """All of it in words."""
+        pair = f"{self.names[0]} from {self.names[1]}"
+        factor = f"the factor of information after all of them is {self.factor:.3g}"
+        if self.enough:
+            return f"{self.poses} poses will tell {pair} ({factor})."
+        many = "no number of poses like these would" if self.needed is None else f"about {self.needed} such poses would"
+        return f"{self.poses} poses will not tell {pair} ({factor}); {many}. Do this instead: {'; or '.join(self.instead)}."
+
+    def to_document(self) -> dict[str, Any]:
+        """Plain numbers and words."""
+        return {
+            "separates": list(self.names), "poses": self.poses, "information_factor": round(self.factor, 3),
+            "enough": self.enough, "poses_needed": self.needed, "instead": list(self.instead), "sentence": self.sentence,
+        }  # fmt: skip
+
+    def warnings(self) -> Iterator[dict[str, Any]]:
+        """Warn where the poses are not enough."""
+        if not self.enough:
+            yield {"code": "poses_will_not_tell", "message": self.sentence}
+
+
+Proposed = tuple[list[dict[str, Any]], ToldApart | None]  # poses as documents, and whether they tell two apart
+
+
+def told_apart(
+    proposals: Sequence[Proposal], target: Candidate, rival: Candidate | None, rows: Observations, robot: Robot
+) -> ToldApart | None:
+    """What the best of the proposals does for telling ``target`` from ``rival``; None without a rival or proposals."""
+    best = max((p for p in proposals if p.after), key=lambda p: p.after[-1], default=None)
+    if best is None or rival is None:
+        return None
+    count, gained = len(best.rows), best.after[-1] - best.before
+    enough = best.after[-1] >= TOLD_APART
+    many = count * (TOLD_APART - best.before) / max(gained, 1e-12)
+    needed = count if enough else None if many > MOST_POSES else int(np.ceil(many))
+    instead = () if enough else tuple(_instead(target, rival, rows, robot))
+    factor = best.after[-1] / max(best.before, 1e-12)
+    return ToldApart((target.label, rival.label), count, factor, enough, needed, instead)
+
+
+def _instead(target: Candidate, rival: Candidate, rows: Observations, robot: Robot) -> Iterator[str]:
+    """What tells the two apart that no poses are: what only one of them would show; else what each effect asks for."""
+    found = [*_by_load(target, rival, rows), *_by_turn(target, rival, rows, robot), *_by_sensor(target, rival)]
+    yield from found or (f"for {c.label}, {c.effects[0].remedy}" for c in (target, rival))
+
+
+def _by_load(target: Candidate, rival: Candidate, rows: Observations) -> Iterator[str]:
+    """A load that only one of them follows."""
+    loaded = ["moments" in c.effects[0].needs for c in (target, rival)]
+    if loaded[0] == loaded[1]:
+        return
+    used = 1 if rows.payload_kg is None else len(np.unique(rows.payload_kg))
+    follows = (target if loaded[0] else rival).label
+    what = "a second known payload" if used < 2 else "a heavier known payload"
+    yield f"repeat old poses with {what}, which only {follows} follows"
+
+
+def _by_turn(target: Candidate, rival: Candidate, rows: Observations, robot: Robot) -> Iterator[str]:
+    """A full turn of a joint whose error curve is in question, if the joint can make one."""
+    turning = {j for c in (target, rival) if Separator.TURN in c.effects[0].separated_by for j in c.joints or ()}
+    able = [
+        j for j in sorted(turning) if robot.joints[j].kind != "prismatic" and np.ptp(robot.limits[j]) >= 2.0 * np.pi
+    ]
+    short = [str(j + 1) for j in able if np.ptp(rows.q[:, j]) < 2.0 * np.pi]
+    if short:
+        what = f"joint{'s' if len(short) > 1 else ''} {', '.join(short)}"
+        yield f"move {what} through a full turn, after which a true error of the joint repeats"
+
+
+def _by_sensor(target: Candidate, rival: Candidate) -> Iterator[str]:
+    """A sensor at the place, which one of them moves and the other does not."""
+    for own, other in ((target, rival), (rival, target)):
+        if _at_encoder(own) and not (_at_encoder(other) and set(own.joints or ()) & set(other.joints or ())):
+            yield f"read a link-side encoder of {_joints(own)}, which sees only {own.label}"
+            break
+    for own, other in ((target, rival), (rival, target)):
+        if own.effects[0].physical in TILTING and _place(own) < _place(other):
+            where = f"behind {_joints(own)}" if own.joints else "on the base"
+            yield f"read an inclinometer {where}, which tilts with {own.label} alone"
+            break
+
+
+def _at_encoder(candidate: Candidate) -> bool:
+    return bool(candidate.joints) and candidate.effects[0].physical in AT_ENCODER
+
+
+def _place(candidate: Candidate) -> float:
+    """How far out on the arm it begins to act: 0 the base, then the joints; beyond all of them what turns nothing."""
+    if candidate.joints:
+        return float(min(candidate.joints) + 1)
+    return 0.0 if candidate.effects[0].physical in TILTING else np.inf
+
+
+def _joints(candidate: Candidate) -> str:
+    numbers = [j + 1 for j in candidate.joints or ()]
+    return f"joint{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
