@@ -151,6 +151,9 @@ bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and
 test-franka: $(KERNELS) .venv-franka/.ready ## move a simulated Franka robot through a bridge, its limits enforced (SECONDS=16)
 	KILTER_FRANKA=.venv-franka $(if $(SECONDS),SECONDS=$(SECONDS)) $(BIN)/python -m pytest -q -s --timeout 1800 tests/clients/bridges/test_fci_bridge.py
 
+test-linuxcnc: $(KERNELS) ## move a calibrated arm in LinuxCNC's own simulation (Debian: apt-get install linuxcnc-uspace-dev)
+	$(BIN)/python -m pytest -m slow -q -rs tests/clients/linuxcnc
+
 # The simulator needs numpy below 2, so it has an environment of its own; the bridge gets the robot's library alone.
 FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 .venv-franka/.ready: $(FRANKA_PINS)

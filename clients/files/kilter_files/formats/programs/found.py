@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span
@@ -169,4 +171,9 @@ def blanked(text: str, comment: str) -> str:
 
 def line_at(text: str, at: int) -> int:
     """Return the line of a place in a text."""
-    return text.count("\n", 0, at) + 1
+    return bisect_left(_line_ends(text), at) + 1
+
+
+@lru_cache(maxsize=4)
+def _line_ends(text: str) -> list[int]:
+    return [match.start() for match in re.finditer("\n", text)]

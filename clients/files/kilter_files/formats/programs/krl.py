@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Program, blanked, line_at, sign
 from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Use
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.krl import NAME, POSE, note_changes, pose_of
 from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
@@ -47,8 +47,9 @@ def find(program: Program) -> None:
     if declared is not None:
         known.joints |= {target.name.upper(): target for target in declared.targets}
         known.poses |= {pose.name.upper(): pose for pose in declared.cartesian}
+    away = Spans(relative)
     for match in lists:
-        if not any(start <= match.start() < end for start, end in relative):
+        if match.start() not in away:
             known.written[match.start()] = known.joints[(match[1] or "").upper()] = _take(program, match)
     frames = KrlFrames(program, text)
     _take_poses(program, text, moves, relative, frames, known)
@@ -67,16 +68,17 @@ def _take_poses(
     frames: KrlFrames,
     known: _Known,
 ) -> None:
-    moved = [match.span(2) for match in moves]
+    moved = Spans([match.span(2) for match in moves])
+    away = Spans(relative)
     seen: Mapping[str, PoseTarget] = dict(known.poses)
     for match in POSE.finditer(text):
         at = text.index("{", match.start())
         if at in frames.literals:
             continue
-        if any(start <= at < end for start, end in relative) or text[:at].rstrip(" \t").endswith(":"):
+        if at in away or text[max(0, at - 99) : at].rstrip(" \t").endswith(":"):
             program.poses.append(("a move", line_at(program.text, at)))
             continue
-        inline = any(start <= match.start() < end for start, end in moved)
+        inline = match.start() in moved
         pose = program.add_pose(pose_of(program, match), counted=bool(match[1] or match[3] or inline))
         if inline:
             known.written[at] = pose

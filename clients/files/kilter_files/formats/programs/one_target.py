@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -11,6 +12,18 @@ from kilter_files.formats.programs.poses.notations import Frame, Notation
 Span = tuple[int, int]
 UNUSED = "no move of the program goes to it, so its frames are not known"
 SEVERAL = "moves go to it with different frames or tools"
+
+
+class Spans:
+    """Spans of a text that do not overlap, in their order: ``place in spans``."""
+
+    def __init__(self, spans: Sequence[Span]) -> None:
+        """Take them."""
+        self._starts, self._ends = [start for start, _ in spans], [end for _, end in spans]
+
+    def __contains__(self, place: int) -> bool:
+        k = bisect_right(self._starts, place) - 1
+        return k >= 0 and place < self._ends[k]
 
 
 @dataclass(frozen=True)

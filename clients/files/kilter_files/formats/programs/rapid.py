@@ -97,6 +97,8 @@ def _to_poses(program: Program, text: str, match: re.Match[str], poses: Poses, f
 def _goal(program: Program, text: str, move: str, at: int, said: str, poses: Poses) -> PoseTarget | None:
     said = re.sub(r"\\\s*ID\s*:=.*", "", said).strip()
     if not WRITTEN.fullmatch(said):
+        for pose in poses.get(said.partition("{")[0].strip().lower(), ()):
+            pose.problem = pose.problem or "a move to it has a computed index"
         return None
     if said[0] == "[":
         written = TARGET.match(text, at)

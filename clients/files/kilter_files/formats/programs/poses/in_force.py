@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-JUMP = None  # a control line from which or to which the program jumps
+
+@dataclass(frozen=True)
+class _Part:
+    """The settings of one subprogram: their places and values, and whether each holds for all that follows it."""
+
+    places: list[int]
+    values: list[object]
+    same: bool
+    plain: bool
+    jumps: bool
 
 
 @dataclass
@@ -19,32 +29,42 @@ class InForce:
     control: Sequence[tuple[int, int | None]]
     starts: Sequence[int]
     settings: list[tuple[int, object]] = field(default_factory=list)
+    _parts: dict[int, _Part] = field(default_factory=dict)
 
     def set(self, at: int, value: object) -> None:
-        """Note a setting; they are noted in the order of the text."""
+        """Note a setting; they are noted in the order of the text, before anything is asked."""
         self.settings.append((at, value))
 
     def at(self, place: int) -> tuple[bool, object]:
         """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
-        part = bisect_right(self.starts, place)
-        inside = [(at, value) for at, value in self.settings if bisect_right(self.starts, at) == part]
-        before = [(at, value) for at, value in inside if at < place]
-        if not before:
-            return not inside or not self._jumps(part), None
-        at, value = before[-1]
-        same = all(other == value for _, other in inside)
-        plain = not self._jumps(part) and all(self._depth(at) == 0 for at, _ in inside)
-        return self.joined(at, place) or same or plain, value
+        number = bisect_right(self.starts, place)
+        part = self._parts.get(number) or self._parts.setdefault(number, self._part(number))
+        k = bisect_left(part.places, place) - 1
+        if k < 0:
+            return not part.places or not part.jumps, None
+        return self.joined(part.places[k], place) or part.same or part.plain, part.values[k]
 
     def joined(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
-        return bisect_right(self.starts, first) == bisect_right(self.starts, second) and not any(
-            first < at < second for at, _ in self.control
-        )
+        between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
+        return not between and bisect_right(self.starts, first) == bisect_right(self.starts, second)
 
-    def _jumps(self, part: int) -> bool:
-        return any(way is None and bisect_right(self.starts, at) == part for at, way in self.control)
+    def _part(self, number: int) -> _Part:
+        control = [(at, way) for at, way in self.control if bisect_right(self.starts, at) == number]
+        inside = [(at, value) for at, value in self.settings if bisect_right(self.starts, at) == number]
+        jumps = any(way is None for _, way in control)
+        depth, steps = 0, iter([*control, (math.inf, 0)])
+        step = next(steps)
+        plain = not jumps
+        for at, _ in inside:
+            while step[0] < at:
+                depth += step[1] or 0
+                step = next(steps)
+            plain = plain and depth == 0
+        values = [value for _, value in inside]
+        same = all(value == values[0] for value in values)
+        return _Part([at for at, _ in inside], values, same, plain, jumps)
 
-    def _depth(self, place: int) -> int:
-        part = bisect_right(self.starts, place)
-        return sum(way or 0 for at, way in self.control if at < place and bisect_right(self.starts, at) == part)
+
+def _place(control: tuple[int, int | None]) -> int:
+    return control[0]
