@@ -60,12 +60,12 @@ def judged(
     """Identify an arm from so many poses, random or ``planned`` ones, without and with its type."""
     q, unseen = poses(count, rng), poses(UNSEEN, rng)
     truth, robot = arm.points(unseen), robot_from_document(document())
-    errors = []
+    rows, errors = arm.measured(q, rng, NOISE_MM * 1e-3), []
     for options in (IdentifyOptions(), IdentifyOptions(prior="fleet")):
         if planned:
             fleet = None if options.prior is None else others
             q = d_optimal_poses(Calibration.nominal(robot), count, seed=int(rng.integers(2**31)), fleet=fleet).q
-        rows = arm.measured(q, rng, NOISE_MM * 1e-3)
+            rows = arm.measured(q, rng, NOISE_MM * 1e-3)
         try:
             found = identify(robot, rows, options=options, fleet=others).calibration
         except CoreError:

@@ -86,6 +86,19 @@ class TypePrior:
         factor = np.where(np.isin(self.names, list(names)), by, 1.0)
         return replace(self, covariance=self.covariance * np.outer(factor, factor))
 
+    def told(self) -> TypePrior:
+        """The same of those parameters alone that arms of the type could tell."""
+        own = np.array([k for k, name in enumerate(self.names) if name not in self.untold], dtype=np.int64)
+        names = tuple(self.names[k] for k in own)
+        return TypePrior(names, self.mean[own], self.covariance[np.ix_(own, own)], self.freedom)
+
+    def alone(self, names: Sequence[str], mean: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+        """Mean and standard deviations (F,) of parameters ``names``, each by itself, as in :meth:`over`."""
+        known, own = self.places(names)
+        mean, sigma = mean.copy(), sigma.copy()
+        mean[known], sigma[known] = self.mean[own], np.sqrt(np.diag(self.covariance)[own])
+        return mean, sigma
+
     def places(self, names: Sequence[str]) -> tuple[Ints, Ints]:
         """Where those of ``names`` are that it knows, and where they are in its own."""
         own = {name: k for k, name in enumerate(self.names)}
@@ -98,9 +111,8 @@ class TypePrior:
         ``mean`` and ``sigma (F,)`` are those of their own priors, which those keep that it does not know.
         """
         known, own = self.places(names)
-        mean, sigma, precision = mean.copy(), sigma.copy(), np.eye(len(names))
-        C = self.covariance[np.ix_(own, own)]
-        mean[known], sigma[known] = self.mean[own], np.sqrt(np.diag(C))
+        mean, sigma = self.alone(names, mean, sigma)
+        precision, C = np.eye(len(names)), self.covariance[np.ix_(own, own)]
         precision[np.ix_(known, known)] = np.linalg.inv(C / np.outer(sigma[known], sigma[known]))
         return mean, sigma, precision
 

@@ -148,7 +148,7 @@ def test_poses_are_planned_with_what_the_type_tells(
     for options in ({"prior": "fleet"}, {}):
         answer = planned(**options)
         assert answer.status_code == 202, answer.text
-        run_plan(database)
+        run_one(database, "plan")
         made.append(client.get(f"/v1/jobs/{answer.json()['id']}").json()["result"]["poses"])
     assert len(made[0]) == len(made[1]) == 8
     assert made[0] != made[1]
@@ -157,8 +157,27 @@ def test_poses_are_planned_with_what_the_type_tells(
     assert "purpose identify and method d_optimal" in refused.json()["detail"]
 
 
-def run_plan(database: Database) -> None:
+def run_one(database: Database, kind: str) -> None:
     with database.transaction() as session:
-        claim = lease.claim(session, "here", ["plan"])
+        claim = lease.claim(session, "here", [kind])
     assert claim is not None
     Runner(database).run(claim)
+
+
+def test_a_gap_search_begins_with_what_the_type_tells(
+    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+) -> None:
+    kind, rng = shop
+    campaign = measured(client, "new", kind.arm(rng), 20, rng)
+    options = {"prior": "fleet", "noise_mm": 0.05, "bootstraps": 99, "resamples": 5, "permutations": 2, "next_poses": 0}
+    asked = {"kind": "gap", "robot": "new", "campaigns": [campaign], "options": options}
+    check = client.post("/v1/jobs/check", json=asked).raise_for_status().json()
+    assert check["problems"] == []
+    name = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    run_one(database, "gap")
+    found = client.get(f"/v1/jobs/{name}").raise_for_status().json()
+    assert found["state"] == "succeeded", found["error"]
+    assert len(found["result"]["prior"]["versions"]) == 6
+    version = client.get(f"/v1/versions/{found['result']['version_id']}").raise_for_status().json()
+    assert version["details"]["prior"]["source"] == "fleet"
+    assert all(one["from_prior"] is not None for one in version["parameters"])

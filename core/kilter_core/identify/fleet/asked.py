@@ -32,7 +32,7 @@ def of_its_type(
 def freed(begin: Calibration, train: Observations, options: IdentifyOptions) -> list[str]:
     """Names of what a fit of these rows frees; views place base and tool by cameras and boards, which is the same gauge."""
     measurement = measurement_for(train, options, begin.marker_points)
-    turns, base = measurement.observes_orientation, measurement.observes_base
-    free = options.free_parameters(begin.model, observes_orientation=turns, observes_base=base)
+    rotation, base = measurement.observes_orientation, measurement.observes_base
+    free = options.free_parameters(begin.model, observes_orientation=rotation, observes_base=base)
     names = [begin.names[k] for k in free]
     return [*names, *(f"{frame}x" for frame in FRAMES)] if measurement.tool.places_itself else names

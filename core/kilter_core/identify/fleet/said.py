@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,19 +11,24 @@ from kilter_core.identify.fleet.conflict import NOTICED
 from kilter_core.identify.fleet.prior import FleetPrior, said_left_out
 from kilter_core.identify.identifiability import WEAK
 from kilter_core.identify.least_squares import Fit
-from kilter_core.types import Bools
+from kilter_core.parameters import TypePrior
+from kilter_core.types import Bools, Floats
 
 
 def resting(fit: Fit) -> Bools:
-    """Which parameters (F,) of a fit rest on its type: the rows take off less than half of the variance it leaves them.
+    """Which parameters (F,) of a fit rest on its type."""
+    return resting_on(fit.problem.model.of_type, fit.names, fit.sigma, fit.problem.prior_sigma)
+
+
+def resting_on(prior: TypePrior | None, names: Sequence[str], sigma: Floats, prior_sigma: Floats) -> Bools:
+    """Which parameters (F,) rest on a type: the rows take off less than half of the variance that it leaves them.
 
     Of those that no arm of the type could tell it says nothing.
     """
-    prior = fit.problem.model.of_type
     if prior is None:
-        return np.zeros(len(fit.names), dtype=bool)
-    told = np.isin(fit.names, prior.names) & ~np.isin(fit.names, prior.untold)
-    return np.asarray(told & (1.0 - (fit.sigma / fit.problem.prior_sigma) ** 2 < WEAK))
+        return np.zeros(len(names), dtype=bool)
+    told = np.isin(names, prior.names) & ~np.isin(names, prior.untold)
+    return np.asarray(told & (1.0 - (sigma / prior_sigma) ** 2 < WEAK))
 
 
 def prior_document(fleet: FleetPrior, fit: Fit) -> dict[str, Any]:

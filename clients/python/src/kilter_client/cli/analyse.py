@@ -139,6 +139,7 @@ def gap(
     base: Annotated[Frame | None, typer.Option(help=GAP["base"])] = None,
     tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     reference: Reference = None,
+    prior: Annotated[Literal["fleet"] | None, typer.Option(help=GAP["prior"])] = None,
     seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
     budget: Annotated[float | None, typer.Option(metavar="SECONDS", help=GAP["budget_s"])] = None,
     figures: Figures = None,
@@ -164,6 +165,7 @@ def gap(
         base=base,
         tool=tool,
         reference=reference,
+        prior=prior,
         seed=seed,
         budget_s=budget,
     )

@@ -59,6 +59,8 @@ class GapOptions(TypedDict, total=False):
     """Standard deviation of a coordinate, mm, above 0, where no pose was measured twice."""
     permutations: int
     """Shuffles of the negative control, 1 to 10000."""
+    prior: Literal["fleet"] | None
+    """`fleet`: add what versions of at least five other robots of this type say before the rows; None: none of them is asked."""
     reference: Literal["auto", "robot", "registration"]
     """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
     resamples: int
