@@ -5,7 +5,7 @@ READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
 # Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first.
-TESTERS ?= 3
+TESTERS ?= 4
 SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
@@ -173,6 +173,9 @@ bench-watched: $(KERNELS) ## measure the stream with and without an open page, i
 
 bench-drift: $(KERNELS) ## watch simulated arms day after day and print one page: false alarms, steps, causes, ramps, seasons (ROBOTS=1000 DAYS=250)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift --robots $(or $(ROBOTS),1000) --days $(or $(DAYS),250)
+
+bench-fleet: $(KERNELS) ## identify simulated arms of a type from a few poses with the prior of the others, each left out once (TYPES=4 ROBOTS=12)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fleet --types $(or $(TYPES),4) --robots $(or $(ROBOTS),12)
 
 bench-page: $(KERNELS) ## measure the page: the first view, memory over LOADS=1000 of them, a campaign of a million rows
 	$(BIN)/python -m benchmarks.page --loads $(or $(LOADS),1000)

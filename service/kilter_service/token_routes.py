@@ -41,7 +41,7 @@ def link(wanted: NewLoginLink, request: Request, response: Response, database: D
 @router.get("/tokens")
 def listed(database: DatabaseOfApp, page: PageOfList) -> TokenList:
     """List the tokens, newest first; also those that expired or were revoked."""
-    return service.listed(database, page)
+    return service.list_tokens(database, page)
 
 
 @router.delete("/tokens/{token}")

@@ -67,7 +67,7 @@ SEARCH = (
     "search.select.FAMILY_MARGIN",
     "search.select.MOST_JOINTS",
     "search.select.SMALLEST_GAIN",
-    "search.select.CLEARLY_WRONG",
+    "search.candidate_sets.CLEARLY_WRONG",
     "search.select.HIDING",
     "search.scan.CAUTION",
     "search.scan.STRICTER",

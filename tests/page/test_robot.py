@@ -155,7 +155,6 @@ def picture(page: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(shot)).convert("L"), dtype=float)
 
 
-@pytest.mark.short_path
 def test_a_linkage_is_drawn_and_no_other_drive(there: Made, page: Page) -> None:
     """Rods from the axis of the joint that drives to the axis that they tie to it, beside the links."""
     seen = {}
@@ -245,3 +244,16 @@ def test_the_shape_of_a_link_is_drawn_in_its_place(there: Made, chromium: Browse
         there.client.delete(address).raise_for_status()
         arm_of(page, "other")
         assert np.abs(picture(page) - plain).mean() < 0.2
+
+
+def test_the_form_about_the_controller_is_of_ordinary_width(page: Page, there: Made) -> None:
+    page.goto(f"/robots/{there.robot}")
+    page.get_by_text("Say whether the controller corrects by itself").click()
+    chosen, button = page.locator("select[name=compensation]"), page.get_by_role("button", name="Say so")
+    longest = max(chosen.locator("option").all_inner_texts(), key=len)
+    box, card = chosen.bounding_box(), page.locator("section.card", has=chosen).bounding_box()
+    assert box is not None
+    assert card is not None
+    assert box["width"] > 5.5 * len(longest)  # every answer is read whole
+    assert card["x"] <= box["x"] < box["x"] + box["width"] <= card["x"] + card["width"]
+    assert button.bounding_box()["height"] < 60.0  # type: ignore[index]  # on one line

@@ -12,9 +12,10 @@ from kilter_core.identify.estimate import new_frames, refitted
 from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors, mm
+from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats, Ints
 
 COVERED = 0.9  # share of coordinates below which 95 % intervals do not hold: poses share errors, so no closer
@@ -77,8 +78,8 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
         if Difference.of(found, plain).worse:
             yield {
                 "code": code, "simpler_mm": mm(float(plain.mean())), "identified_mm": mm(float(found.mean())),
-                "message": f"These rows are predicted worse with it ({found.mean() * 1e3:.3g} mm, mean by pose) than with "
-                f"{simpler} ({plain.mean() * 1e3:.3g} mm): {advice}",
+                "message": f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
+                f"{simpler} ({mm(plain.mean()):.3g} mm): {advice}",
             }  # fmt: skip
             return
 

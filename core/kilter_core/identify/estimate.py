@@ -118,7 +118,7 @@ def estimate(
     if options.loss == "tukey":
         return _redescended(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
     problem, values = prepared(start, measurement, options, anchor=anchor)
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     still = problem.anchor if problem.anchor is not None else values[problem.free]
     first = fit_at(problem, values, problem.linearised(values))
     sigmas, held = _promised(first, stated)
@@ -195,9 +195,12 @@ def prepared(
     if not registered:
         refuse_too_few(model, measurement, free)
         model = model.in_frames(*_start_frames(model, values, measurement, options, free))
-    sigma = START_SIGMA_M if options.noise_mm is None else options.noise_mm * 1e-3
+    sigma = START_SIGMA_M if options.noise_m is None else options.noise_m
     weights = Weights(_row_sigmas(measurement, sigma), START_SIGMA_RAD)
     still = (values if anchor is None else anchor)[free]
+    if model.of_type is not None:  # what the poses do not see stays where the type has it
+        known, own = model.of_type.places([model.names[k] for k in free])
+        still[known] = model.of_type.mean[own]
     return Problem(model, measurement, free, weights, options.loss, None, still), values
 
 
@@ -215,7 +218,7 @@ def _start_frames(
 
 def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
     """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     return _weights(fit.problem.measurement, _bounded_below(scatter(fit), stated))
 
 
@@ -259,10 +262,12 @@ def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
 def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> None:
     """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns.
 
-    Masses that are carried as uncertain count as known: their priors say how well.
+    Masses that are carried as uncertain count as known: their priors say how well. So does what arms of the type say.
     """
     poses, numbers = measurement.poses, measurement.numbers()
     free = free[~of_masses(model)[free]]
+    if model.of_type is not None:
+        free = np.delete(free, model.of_type.places([model.names[k] for k in free])[0])
     needed = poses + math.ceil((len(free) - numbers) / measurement.equations_per_pose)
     if numbers < len(free):
         raise TooFewPosesError(

@@ -20,6 +20,7 @@ from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
@@ -188,7 +189,7 @@ def _about_the_best(
 def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> None:
     if misfit > FOREIGN * reach(calibration.robot) and left > BROUGHT_NEAR * misfit:
         raise ObservationError(
-            f"The rows miss what the version predicts by {misfit * 1e3:.4g} mm (rms), and no one cause explains it: they "
+            f"The rows miss what the version predicts by {mm(misfit):.4g} mm (rms), and no one cause explains it: they "
             "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
             'of this robot with the tool of its version, or say what was set up anew, new_setup ["base"] or '
             '["base", "tool"].',

@@ -17,6 +17,7 @@ from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats, Ints
 from kilter_core.watch.causes import Cause
 from kilter_core.watch.check import Check, absorbed, check
@@ -78,7 +79,7 @@ def rezero(
     after = check(at, rows, now, noise=noise, fitted_c=fitted_c)
     if after.verdict != "ok":
         raise CoreError(
-            f"After the change the rows still miss the arm by {after.misfit * 1e3:.3g} mm, more than chance explains (p = "
+            f"After the change the rows still miss the arm by {mm(after.misfit):.3g} mm, more than chance explains (p = "
             f"{after.p_value:.1g}): more has changed than {_listed(chosen)}. Measure a campaign and identify a version anew.",
             code=CODE, causes=[one.name for one in chosen],
         )  # fmt: skip

@@ -83,6 +83,8 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/robots/convert": OPERATE.timed(SMALLER),
     "POST /v1/robots/from-circles": OPERATE.timed("Send fewer rows of each circle."),
     "POST /v1/frames": OPERATE.timed(SMALLER),
+    "POST /v1/robots/{robot}/forward": OPERATE.timed("Send fewer rows."),
+    "POST /v1/robots/{robot}/inverse": OPERATE.timed("Send fewer poses."),
     "POST /v1/robots/{robot}/correct": OPERATE.timed("Send the path in parts with fewer rows."),
     "POST /v1/robots/{robot}/observations/check": OPERATE.timed("Send fewer rows."),
     "POST /v1/robots/{robot}/campaigns": OPERATE,

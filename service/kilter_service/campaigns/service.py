@@ -22,8 +22,8 @@ from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.fits import Remark
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
 from kilter_service.instruments import store as instruments
-from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import retired
 from kilter_service.robots import store as robots
@@ -141,13 +141,13 @@ def discard(database: Database, campaign_id: str) -> None:
         store.discard(session, campaign_id)
 
 
-def listed(
+def list_campaigns(
     database: Database, robot: str, page: Page, staged: bool = False, with_retired: bool = False
 ) -> CampaignList:
     """List the campaigns of a robot, or those whose parts are not all there yet; ``with_retired`` those out of use too."""
     with database.reading() as session:
         owner = robots.get(session, robot)
-        read = store.listed(session, owner.id, staged, page, with_retired)
+        read = store.campaigns_on_page(session, owner.id, staged, page, with_retired)
         found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
         uploads = store.uploads_of_all(session, [campaign.id for campaign in found])
         used = instruments.of_names(session, {one.instrument for one in found if one.instrument})

@@ -179,7 +179,7 @@ def staged_before(session: Session, robot_id: int, moment: datetime) -> list[str
     return list(session.execute(query.where(CampaignRow.created_at < moment)).scalars())
 
 
-def listed(
+def campaigns_on_page(
     session: Session, robot_id: int, staged: bool, page: Page, with_retired: bool = False
 ) -> list[CampaignRecord]:
     """Return campaigns of a robot, oldest first, one more than the page shows; those out of use only when asked for."""

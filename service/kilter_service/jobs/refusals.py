@@ -63,7 +63,7 @@ def _refused(kind: str, problem: Problem, options: object, loc: tuple[Any, ...])
     if not loc:
         return OptionError(f"options of {kind}: {_needed(kind, problem, options)}", option="options")
     where = ".".join(str(part) for part in ("options", *_in_body(loc, options)))
-    return OptionError(f"{where}{_said(kind, problem, loc, options)}", option=str(loc[0]))
+    return OptionError(f"{where}{_complaint(kind, problem, loc, options)}", option=str(loc[0]))
 
 
 def _needed(kind: str, problem: Problem, options: object) -> str:
@@ -72,7 +72,7 @@ def _needed(kind: str, problem: Problem, options: object) -> str:
     return f"they are {_shown(options)}. Give an object with {', '.join(_names(kind))}."
 
 
-def _said(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) -> str:
+def _complaint(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) -> str:
     """What follows the place."""
     value, sort = problem.get("input"), problem["type"]
     if sort == "extra_forbidden":

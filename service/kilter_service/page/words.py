@@ -162,14 +162,14 @@ def ticked(text: str) -> Markup:
     return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
 
 
-def listed(names: Sequence[str]) -> str:
+def joined_by_and(names: Sequence[str]) -> str:
     """Join names by commas and *and*."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def of_joints(numbers: Sequence[int]) -> str:
     """Name joints by their numbers."""
-    return f"joint{'s' if len(numbers) > 1 else ''} {listed([str(number) for number in numbers])}"
+    return f"joint{'s' if len(numbers) > 1 else ''} {joined_by_and([str(number) for number in numbers])}"
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {

@@ -1,4 +1,4 @@
-"""The table [orientation] of a column map: the columns that say how the tool is turned."""
+"""The table [orientation] of a column map: the columns that say how the tool is oriented."""
 
 from __future__ import annotations
 

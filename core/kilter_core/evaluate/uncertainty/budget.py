@@ -19,8 +19,8 @@ import numpy as np
 from kilter_core.evaluate.uncertainty.instrument import RECTANGULAR, PermissibleError
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 K = 2.0  # coverage factor, about 95 %: JCGM 100:2008, 6.3.3

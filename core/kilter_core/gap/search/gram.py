@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class Gram:
     K: Floats | None = None
     held: Callable[[], Gram] | None = field(default=None, repr=False, compare=False)
     there: frozenset[int] = frozenset()
+    exchanges: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)  # found on these very data
 
     @property
     def firm(self) -> Gram:
@@ -90,12 +91,12 @@ class Gram:
         K = self.whole[:, index] @ self.inverse(index)[0]  # not kept: it is large, and soon made
         return replace(
             self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
-            taken=tuple(index), K=K,
+            taken=tuple(index), K=K, exchanges={},
         )  # fmt: skip
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""
-        return replace(self, c=c, yy=yy, held=None)
+        return replace(self, c=c, yy=yy, held=None, exchanges={})
 
 
 def _inverted(A: Floats) -> tuple[Floats, int]:

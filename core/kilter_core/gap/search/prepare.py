@@ -44,10 +44,10 @@ from kilter_core.identify.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
-from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
+from kilter_core.parameters import metres
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
 
 NOT_FITTED = "geometry_not_fitted"

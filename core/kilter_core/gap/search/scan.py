@@ -79,7 +79,7 @@ class Scorer:
         return self if freedom == self.freedom else replace(self, freedom=freedom)
 
     @cached_property
-    def _number(self) -> int:
+    def number(self) -> int:
         """A number no other scorer has, unlike an address, which is given again."""
         return next(_NUMBERS)
 
@@ -98,11 +98,14 @@ class Scorer:
         """Candidates (K,) of the empirical tier."""
         return np.array([c.empirical for c in self.candidates], dtype=bool)
 
-    def reductions(self, gram: Gram, data: Floats) -> tuple[Floats, Ints]:
-        """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,)."""
+    def reductions(self, gram: Gram, data: Floats, among: Bools | None = None) -> tuple[Floats, Ints]:
+        """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,); zero of sizes of which none is ``among`` them."""
         S = np.zeros((len(data), len(self.candidates)))
         d = np.zeros(len(self.candidates), dtype=np.int64)
-        for block, (half, degrees) in zip(self.blocks, self._halves(gram), strict=True):
+        for n, block in enumerate(self.blocks):
+            if among is not None and not among[block.place].any():
+                continue
+            half, degrees = self._halves(gram, n)
             z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
             taken = np.sum(z**2, axis=2).T
             if block.one_sided.any():
@@ -111,23 +114,30 @@ class Scorer:
             S[:, block.place], d[block.place] = taken, degrees
         return S, d
 
-    def _halves(self, gram: Gram) -> list[tuple[Floats, Ints]]:
-        """Per block, roots (K, d, d) of the inverse of each candidate's own matrix, and its rank (K,)."""
+    def _halves(self, gram: Gram, n: int) -> tuple[Floats, Ints]:
+        """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, and its rank (K,)."""
+        columns = self.blocks[n].columns
+        return gram.kept(("halves", self.number, n), (), lambda: _rooted(gram.blocks(columns)))
 
-        def made() -> list[tuple[Floats, Ints]]:
-            out = []
-            for block in self.blocks:
-                w, V = np.linalg.eigh(gram.blocks(block.columns))
-                keep = w > VISIBLE
-                root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
-                out.append((V * root[:, None, :], keep.sum(axis=1)))
-            return out
+    def new_columns(self, beside: Sequence[int]) -> Ints:
+        """How many columns each candidate (K,) adds to some."""
+        out = np.zeros(len(self.candidates), dtype=np.int64)
+        new = np.ones(1 + max((int(block.columns.max()) for block in self.blocks), default=0), dtype=bool)
+        new[list(beside)] = False
+        for block in self.blocks:
+            out[block.place] = new[block.columns].sum(axis=1)
+        return out
 
-        return gram.kept(("halves", self._number), (), made)
+    def tail_of(self, gram: Gram, place: int) -> float:
+        """Tail probability of one candidate, as :meth:`scores` has it."""
+        kind = next(n for n, block in enumerate(self.blocks) if place in block.place)
+        among = np.zeros(len(self.candidates), dtype=bool)
+        among[self.blocks[kind].place] = True
+        return float(self.scores(gram, among).p[place])
 
-    def scores(self, gram: Gram) -> Scores:
-        """Scores of the data themselves."""
-        S, d = self.reductions(gram, gram.c[None])
+    def scores(self, gram: Gram, among: Bools | None = None) -> Scores:
+        """Scores of the data themselves, of all candidates or of those sizes that are ``among`` them."""
+        S, d = self.reductions(gram, gram.c[None], among)
         T = self.scaled(S, d, np.array([gram.yy]), gram.nu, np.ones(1))[0]
         return Scores(S[0], d, T, self.tail(T[None], d, gram.nu)[0])
 
@@ -223,6 +233,14 @@ class Null:
 
         worst = max(counted(s) for s in (self.bootstrap, self.flips) if s is not None)
         return worst if p * tests > 1.0 / (len(self.bootstrap) + 1.0) else min(worst, max(p * tests, 1e-300))
+
+
+def _rooted(A: Floats) -> tuple[Floats, Ints]:
+    """Roots (K, d, d) of the pseudo-inverses of matrices (K, d, d), and their ranks (K,)."""
+    w, V = (A[:, :, 0], np.ones_like(A)) if A.shape[1] == 1 else np.linalg.eigh(A)
+    keep = w > VISIBLE
+    root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
+    return V * root[:, None, :], keep.sum(axis=1)
 
 
 def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:

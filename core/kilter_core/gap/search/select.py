@@ -12,10 +12,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from kilter_core.gap.search.candidate_sets import CandidateSets
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.linearized import Tick, go_on
-from kilter_core.gap.search.scan import Scorer, Scores
+from kilter_core.gap.search.reach import Reach
+from kilter_core.gap.search.scan import Scores
 from kilter_core.gap.search.tails import tail
 from kilter_core.types import Bools, Floats
 
@@ -26,23 +28,15 @@ MOST_OF_IT = 0.5  # of what is left, from which an addition is tried plain when 
 TRIED = 4
 SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
 SAME = 1e-6  # criterion points that are rounding errors
-CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 HIDING = 3.0  # standard deviations of chi-square above its freedom at which effects may hide one another
 PAIRED = 25
 TIME_FIRST = ("time_offset", "tracking_lag")
 
 
 @dataclass(frozen=True)
-class Selector:
-    """A search over sets of candidates; a set is a tuple of places in ``scorer.candidates``.
+class Selector(CandidateSets):
+    """A search over sets of candidates."""
 
-    ``rows`` is the number of measured scalars N in the price d ln N of d parameters; ``limits (Q,)`` the largest
-    plausible amplitude of each library column, in units of unit columns.
-    """
-
-    scorer: Scorer
-    rows: int
-    limits: Floats
     closed: frozenset[int] = frozenset()  # candidates that may not enter
     pairs: bool = True  # whether two that hide each other are looked for
     tick: Tick = field(default=go_on, compare=False)  # called before every exchange; may raise
@@ -51,24 +45,6 @@ class Selector:
     def causes(self) -> Selector:
         """The same search among physical candidates only."""
         return replace(self, closed=frozenset(np.flatnonzero(self.scorer.empirical).tolist()))
-
-    def shapes(self, chosen: Sequence[int]) -> bool:
-        """Whether a set holds an empirical term."""
-        return any(self.scorer.candidates[k].empirical for k in chosen)
-
-    def columns(self, chosen: Sequence[int]) -> list[int]:
-        """Library columns of a set, each once."""
-        return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
-
-    def without(self, gram: Gram, out: Collection[int]) -> Gram:
-        """Where a set without some members is to be compared: errors of the loads act through those that are taken out.
-
-        If such an error is itself among them, it is what the comparison is about: loads held would presume its answer.
-        """
-        members = [self.scorer.candidates[k] for k in out]
-        if any(c.changes_loads for c in members):
-            return gram
-        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in members) else gram
 
     def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
         """What parameters cost; an empirical term must beat every physical one by the margin."""
@@ -84,12 +60,6 @@ class Selector:
         """Chi-square taken over the noise variance, less the price."""
         columns = self.columns(chosen)
         return gram.reduction(columns) / variance - self.price(chosen, [gram.rank(columns)])
-
-    def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
-        """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
-        columns = self.columns(chosen)
-        free = max(gram.nu - gram.rank(columns), 1.0)
-        return float(self.scorer.variance(np.asarray((gram.yy - gram.reduction(columns)) / free), free))
 
     def entry(
         self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
@@ -124,26 +94,6 @@ class Selector:
         variance = float(np.min(self.scorer.variance((given.yy - scores.S) / free, free)))
         return np.asarray(np.round(scores.S / variance - scores.d * np.log(self.rows) - self.extra, 1))
 
-    def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
-        """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
-        return self.within(gram, chosen, place) and self.signed(gram, chosen, place)
-
-    def within(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
-        """Whether no parameter of a member comes out clearly larger than is plausible."""
-        amount, sigma = self._amounts(gram, chosen, place)
-        limits = self.limits[list(self.scorer.candidates[place].columns)]
-        return not np.any(np.abs(amount) > limits + CLEARLY_WRONG * sigma)
-
-    def signed(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
-        """Whether no parameter of a member comes out clearly negative against its known sign."""
-        amount, sigma = self._amounts(gram, chosen, place)
-        return not self.scorer.candidates[place].positive or bool(np.all(amount > -CLEARLY_WRONG * sigma))
-
-    def _amounts(self, gram: Gram, chosen: Sequence[int], place: int) -> tuple[Floats, Floats]:
-        columns = self.columns(chosen)
-        index = [columns.index(k) for k in self.scorer.candidates[place].columns]
-        return gram.solve(columns)[index], np.sqrt(np.diag(gram.inverse(columns)[0]))[index]
-
     def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Swap, merge and drop until nothing improves."""
         seen = {chosen}
@@ -173,17 +123,42 @@ class Selector:
         return path[-1]
 
     def _exchanged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
-        """Replace the one or two members by the one outside with which the criterion grows most, if it does."""
-        best, gain = chosen, SMALLEST_GAIN
+        """Replace the one or two members by the one outside with which the criterion grows most, if it does.
+
+        Sets come back in other orders, entry after entry: each is looked at once.
+        """
+        key = (self.scorer.number, self.closed, self.rows, critical, frozenset(chosen))
+        if key not in gram.exchanges:
+            gram.exchanges[key] = self._exchange(gram, chosen, critical)
+        out, entered = gram.exchanges[key]
+        return chosen if entered is None else (*(m for m in chosen if m not in out), entered)
+
+    def _exchange(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[tuple[int, ...], int | None]:
+        """Which members leave, and which candidate enters, None where nothing does."""
+        best: tuple[tuple[int, ...], int | None] = ((), None)
+        gain = SMALLEST_GAIN
+        reaches: list[Reach] = []
         for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
             self.tick()
             rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
-            variance = self.variance(problem, chosen)
-            now = self.criterion(problem, chosen, variance)
-            k, value = self._best_instead(problem, rest, variance, critical, set(chosen), now + gain)
-            if k is not None and value - now > gain:
-                best, gain = (*rest, k), value - now
+            reach = next((one for one in reaches if one.gram is problem), None)
+            if reach is None:
+                reach = self._reach(problem, chosen)
+                reaches.append(reach)
+            k, value = self._best_instead(problem, rest, reach.variance, critical, set(chosen), reach.now + gain, reach)
+            if k is not None and value - reach.now > gain:
+                best, gain = (out, k), value - reach.now
         return best
+
+    def _reach(self, gram: Gram, chosen: tuple[int, ...]) -> Reach:
+        """Bounds of exchanges by what every candidate would do beside all that is chosen."""
+        variance = self.variance(gram, chosen)
+        price, now = np.r_[np.log(self.rows), self.extra], self.criterion(gram, chosen, variance)
+        reach, columns = Reach(self.scorer, gram, variance, price, now), self.columns(chosen)
+        given = gram.given(columns)
+        S, d = self.scorer.reductions(given, given.c[None])
+        reach.scanned(columns, S[0], d)
+        return reach
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
@@ -247,7 +222,7 @@ class Selector:
         out = []
         for k in chosen:
             rest = tuple(m for m in chosen if m != k)
-            p = float(self.scorer.scores(self.without(gram, (k,)).given(self.columns(rest))).p[k])
+            p = self.scorer.tail_of(self.without(gram, (k,)).given(self.columns(rest)), k)
             out.append(p if self.signed(gram, chosen, k) else 1.0)
         return out
 
@@ -356,18 +331,27 @@ class Selector:
         critical: float,
         taken: set[int],
         least: float = -np.inf,
+        reach: Reach | None = None,
     ) -> tuple[int | None, float]:
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
         columns = self.columns(rest)
-        given = gram.given(columns)
-        reductions, d = self.scorer.reductions(given, given.c[None])
-        value = np.round(reductions[0] / variance - d * np.log(self.rows) - self.extra, 1)
-        able = d > 0
+        able = np.ones(len(self.scorer.candidates), dtype=bool)
         able[list(taken)] = False
+        if reach is not None:
+            able &= reach.able(columns, self.price(rest, [gram.rank(columns)]), least)
+            if not able.any():
+                return None, -np.inf
+        given = gram.given(columns)
+        among = None if reach is None else able.copy()
+        reductions, d = self.scorer.reductions(given, given.c[None], among)
+        if reach is not None and len(rest) + 1 == len(taken):  # of smaller sets this says what they reach at most
+            reach.scanned(columns, reductions[0], d)
+        value = np.round(reductions[0] / variance - d * np.log(self.rows) - self.extra, 1)
+        able &= d > 0
         without = self.criterion(gram, rest, variance)
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # no tail needs to be computed
             return None, -np.inf
-        able &= self.scorer.scores(given).p < critical
+        able &= self.scorer.scores(given, among).p < critical
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # its signs need not be looked at
             return None, -np.inf
         k, worth = self._first(gram, rest, np.asarray(value), able)

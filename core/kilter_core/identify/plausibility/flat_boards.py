@@ -7,7 +7,7 @@ from typing import Any
 
 from kilter_core.identify.least_squares import Fit
 from kilter_core.measurement.board_shape import QUANTILE, board_shapes
-from kilter_core.measurement.metrics import mm
+from kilter_core.parameters import mm
 
 CHANCE = 1e-3  # of saying it of a flat board, all boards together
 LITTLE_M = 2e-5  # from the highest to the lowest corner: no printed sheet is flatter

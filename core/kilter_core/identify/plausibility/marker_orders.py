@@ -13,6 +13,7 @@ from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees
 from kilter_core.transforms import rotation_log
 from kilter_core.types import Bools, Floats
 
@@ -49,7 +50,7 @@ def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
         place = np.flatnonzero(usable)[rows]
         raise ObservationError(
             f"In {len(rows)} of {len(rotations)} rows, the first is row {place[0] + 1}, the markers show the tool rotated by "
-            f"{np.degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
+            f"{degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
             "number them the same in all rows, and space them unevenly so that it is noticed at once.",
             code="markers_swapped",
             row=int(place[0]) + 1,

@@ -37,7 +37,7 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     taken = float(np.mean(problem.weights.points)) / views.metres_per_px
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
     scaled = fit.J * problem.prior_sigma
-    H = scaled.T @ scaled / max(factor, 1e-12) + np.eye(len(fit.names))
+    H = scaled.T @ scaled / max(factor, 1e-12) + problem.prior_information()
     scale = as_normal(problem.prior_sigma, found.freedom)
     inverse_ = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return replace(fit, covariance=inverse_ * np.outer(scale, scale), freedom=found.freedom)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.jobs.budgets import budget_of
-from kilter_service.jobs.foresight import Foresight
+from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
 from kilter_service.jobs.plain import plain
 from kilter_service.wire import to_metres_if_known, to_mm
@@ -26,10 +26,10 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(plain(_document(job, rows, known, found)))
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Check, which takes no time, and say only what would be refused."""
     found.learn_from(*job.campaigns.values())
-    with found.foreseen():
+    with found.noting_refusals():
         checked(job, rows_of(job), known_of(job))
 
 
@@ -126,5 +126,5 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
 
 DRIFT = JobKind(
     "drift", DriftOptions, refuse_nothing, run, version_option="version", takes_folds=False, against_fit=True,
-    most_campaigns=1, foresee=foresee,
+    most_campaigns=1, preview_job=preview_job,
 )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.cancellable import cancellable
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.gap import gap_figures
@@ -81,14 +81,14 @@ def _set_aside(
     return [*by_campaign(searched, counts), *({**one, "held_out": True} for one in apart)]
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be searched and held out, and which effects these rows can test."""
     from kilter_core.gap.check import check_gap
     from kilter_core.gap.evidence.holding_out import parted
     from kilter_core.observations import Observations
 
     options = _core(job.options)
-    with found.foreseen():
+    with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
         found.learn_from(rows)
         _, held = parted(rows, validation, options.seed)
@@ -191,5 +191,5 @@ GAP = JobKind(
     takes_folds=False,
     takes_confirmation=True,
     long=True,
-    foresee=foresee,
+    preview_job=preview_job,
 )

@@ -90,7 +90,7 @@ class Said:
     reason: str
 
 
-def said(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
+def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
     """Put entries in words, with names instead of ids."""
     known = _Names(database)
     return [Said(one, _what(one, known), _reason(one)) for one in entries]

@@ -20,4 +20,6 @@ NEWEST = Page(limit=50)
 def view(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Ask for a path."""
     found = robots.get(database, robot)
-    return render(request, "correct/path.html", robot=found, versions=versions.listed(database, robot, NEWEST).versions)
+    return render(
+        request, "correct/path.html", robot=found, versions=versions.list_versions(database, robot, NEWEST).versions
+    )

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kilter_service.limited import confine
+from kilter_service.sandbox import confine
 
 MOST_ROWS = 2_000_000
 MOST_COLUMNS = 400  # of the file, that are described one by one

@@ -11,6 +11,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.auth.access import caller_of
 from kilter_service.bodies import spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.errors import ServiceError
 from kilter_service.instruments import service as instruments
 from kilter_service.logins import service as logins
@@ -22,7 +23,6 @@ from kilter_service.page.shared.measured import seen
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.tokens.service import hash_of
 
@@ -153,7 +153,7 @@ def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: st
     shown = None if draft.facts is None else seen(draft.facts, draft.understood.get("lines") or ())
     return render(
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
-        instruments=instruments.listed(database, Page()).instruments, problem=problem,
+        instruments=instruments.list_instruments(database, Page()).instruments, problem=problem,
         here=_place(request, draft), **service.form_of(draft, kinds),
     )  # fmt: skip
 

@@ -79,7 +79,7 @@ def cards(database: Database, settings: Settings) -> list[Card]:
     open_jobs, active = jobs.open_of_robots(database), versions.active_of_robots(database)
     known, checked = today.of_robots(database), {one.robot: one for one in drift.of_robots(database).robots}
     made = []
-    for robot in robots.listed(database, Page()).robots:
+    for robot in robots.list_robots(database, Page()).robots:
         version = active.get(robot.name)
         now = known.get(robot.name)
         accuracy = None if now is None else accuracy_today(now)

@@ -66,7 +66,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "others_moved": own_curves.without(result),
         "curves": curves.curves(result.figures, unit),
         "steps": None if read is None else steps.plot(read),
-        "steps_said": "" if read is None else steps.said(read),
+        "steps_said": "" if read is None else steps.describe(read),
         "rivals": rivals.rivals(result),
         "alias_map": rivals.heat_map(result.alias_matrix),
         "claims": [claim.claim_of(effect) for effect in result.effects or []],
@@ -92,6 +92,6 @@ def used_by(job: GapJob) -> list[str]:
 def newer(database: Database, job: GapJob) -> list[Campaign]:
     """Return campaigns of the robot that the search did not use, the newest first."""
     used = {*used_by(job), *job.confirmation}
-    found = campaigns.listed(database, job.robot, Page()).campaigns
+    found = campaigns.list_campaigns(database, job.robot, Page()).campaigns
     rest = [campaign for campaign in found if campaign.id not in used]
     return sorted(rest, key=lambda campaign: campaign.created_at, reverse=True)[:MOST_CAMPAIGNS]

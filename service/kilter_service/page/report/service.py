@@ -213,7 +213,15 @@ def _parameter(one: Parameter) -> list[str]:
         interval = f"{_fine(low, one.sigma)} to {_fine(high, one.sigma)}"
     else:
         interval = words.NONE
-    known = "no" if one.identifiable is False else "unusually large" if one.plausible is False else "yes"
+    known = (
+        "by other robots"
+        if one.from_prior
+        else "no"
+        if one.identifiable is False
+        else "unusually large"
+        if one.plausible is False
+        else "yes"
+    )
     return [
         one.name, unit, _fine(one.nominal, one.sigma), _unsigned(words.measured(one.value, one.sigma)),
         _fine(one.change, one.sigma), interval, known,

@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import MESH, spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.contract.meshes import MeshUnit
 from kilter_service.contract.references import RobotChange
 from kilter_service.contract.units import ControllerCompensation
@@ -21,7 +22,6 @@ from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import is_part, render
 from kilter_service.robots import service as robots
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)

@@ -73,9 +73,9 @@ def of(
     robot, now = robots.get(database, name), today.of_robot(database, name)
     active = None if robot.active_version is None else versions.get(database, robot.active_version)
     log = versions.activations(database, name, Page(limit=1)).activations
-    made = versions.listed(database, name, NEWEST).versions
-    newest = jobs.listed(database, name, Page(limit=1)).jobs
-    measured = [one for one in campaigns.listed(database, name, Page()).campaigns if one.rows]
+    made = versions.list_versions(database, name, NEWEST).versions
+    newest = jobs.list_jobs(database, name, Page(limit=1)).jobs
+    measured = [one for one in campaigns.list_campaigns(database, name, Page()).campaigns if one.rows]
     looked_at = next((one for one in made if one.id == (version or robot.active_version)), made[0] if made else None)
     return Shown(
         robot=robot,

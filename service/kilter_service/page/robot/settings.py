@@ -32,4 +32,4 @@ class Settled:
 
 def of(database: Database, name: str) -> Settled:
     """Return what the settings of a robot show."""
-    return Settled(robots.get(database, name), meshes.listed(database, name).meshes)
+    return Settled(robots.get(database, name), meshes.list_meshes(database, name).meshes)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
-from kilter_service.page.words import listed, number, of_joints
+from kilter_service.page.words import joined_by_and, number, of_joints
 
 JOINT = re.compile(r"_(\d+)$")
 SMALLEST_P = 1e-4
@@ -21,7 +21,7 @@ def claimed(effect: NamedEffect) -> str:
     """Say what is claimed of an effect: the narrowest set that the data single out."""
     if effect.claim is None:  # an earlier result, without claims
         rivals = [called(one) for one in effect.alias_set or []]
-        return called(effect) + (f", or its alias {listed(rivals)}" if rivals else "")
+        return called(effect) + (f", or its alias {joined_by_and(rivals)}" if rivals else "")
     if effect.claim.said == "member":
         return called(effect)
     return effect.claim.words.replace("_", " ")

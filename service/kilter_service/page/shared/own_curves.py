@@ -31,7 +31,7 @@ class OwnCurve:
 
 def own_curves(curves: Sequence[EffectCurve] | None) -> list[OwnCurve]:
     """Draw every curve of a result; none of an earlier one."""
-    return [OwnCurve(_called(curve), _plot(curve), tuple(_said(curve))) for curve in curves or []]
+    return [OwnCurve(_called(curve), _plot(curve), tuple(_describe_curve(curve))) for curve in curves or []]
 
 
 def without(result: GapResult) -> bool:
@@ -49,7 +49,7 @@ def _plot(curve: EffectCurve) -> Plot:
     drawn = Plot(
         title[0].upper() + title[1:], around(f"{_quantity(curve)}, {_shown(curve.x_unit)}", _places(curve)),
         around(f"what joint {curve.joint} {_does(curve)} by, {curve.unit}", _values(curve)), width=WIDTH, height=HEIGHT,
-        table=_table(curve), description=" ".join(_said(curve)),
+        table=_table(curve), description=" ".join(_describe_curve(curve)),
     )  # fmt: skip
     for side in curve.sides:
         if side.low is not None and side.high is not None:
@@ -142,7 +142,7 @@ def _values(curve: EffectCurve) -> list[float]:
     return [y for side in (*curve.sides, *others) for y in side.y] + ends
 
 
-def _said(curve: EffectCurve) -> Iterator[str]:
+def _describe_curve(curve: EffectCurve) -> Iterator[str]:
     visits = curve.visits
     inside = sum(abs(y - c) <= h for y, c, h in zip(visits.y, visits.curve, visits.half, strict=True))
     yield f"The model lies within the 95 % interval of {inside} of {len(visits.x)} visits."

@@ -71,7 +71,7 @@ def plot(read: Steps, colours: tuple[str, str] = (FITTED, HELD_OUT)) -> Plot:
     values = [step.fitted for step in read.steps] + held + [floor] + [s.high for s in read.steps if s.high is not None]
     drawn = Plot(
         "The gap closing step by step", named("", [step.label for step in read.steps]),
-        around(f"rms error, {read.unit}", values, zero=True), height=340.0, table=_table(read), description=said(read),
+        around(f"rms error, {read.unit}", values, zero=True), height=340.0, table=_table(read), description=describe(read),
     )  # fmt: skip
     shift = WIDTH / 2 if held else 0.0
     places = [place + 0.5 for place in range(len(read.steps))]
@@ -86,7 +86,7 @@ def plot(read: Steps, colours: tuple[str, str] = (FITTED, HELD_OUT)) -> Plot:
     return drawn.level(floor, f"what noise alone would leave{' of held-out poses' if held else ''}")
 
 
-def said(read: Steps) -> str:
+def describe(read: Steps) -> str:
     """Say in a sentence how far the gap closes."""
     first, last, noise = read.steps[0], read.steps[-1], read.noise
     if first.held_out is not None and last.held_out is not None:

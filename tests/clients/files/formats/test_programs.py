@@ -114,7 +114,11 @@ def test_what_is_left_is_named_with_its_line(tmp_path: Path, name: str, text: st
         ("a.csv", "q1_deg,q2_deg\n1,nan\n", "line 2: q2 is empty or not a number"),
         ("a.csv", "x,y\n1,2\n", "lacks joints"),
         ("a.src", "PTP {A1 1,A2 2}\nPTP {A1 1,A2 2,A3 3}\n", "line 2: axis target has 3 joints, the first target 2"),
-        ("a.src", "\nLIN {X 1,Y 2,Z 3}\n", "holds no joint targets. Store its targets as joints. Line 2: a pose."),
+        (
+            "a.src",
+            "\nLIN {X 1,Y 2,Z 3}\n",
+            "Store them as joints, or state their frames. Line 2: a move, a pose: without A, B, C.",
+        ),
     ],
 )
 def test_bad_input_is_refused_with_its_place(tmp_path: Path, name: str, text: str, said: str) -> None:
@@ -169,12 +173,15 @@ def test_each_line_of_two_files_is_rewritten_kept_or_named(tmp_path: Path) -> No
         assert sorted(moving[target.line - 2] for target in moves.targets) == sorted(rewritten)
 
 
+MOVED = "Line 2 of w.src: PTP XP1: a pose that is left."
+
+
 @pytest.mark.parametrize(
     ("moving", "declaring", "said"),
     [
         (["PTP XP1"], ["DECL E6AXIS XP1={A1 1,A2 x}"], "w.dat, line 2: XP1 is not A1"),
         (["PTP {A1 1,A2 2}"], ["DECL E6AXIS XP1={A1 1,A2 2,A3 3}"], "w.dat, line 2: XP1 has 3 joints, the first target 2"),
-        (["PTP XP1"], ["DECL E6POS XP1={X 1,Y 2,Z 3}"], "Line 2 of w.src: PTP XP1: a pose. Line 2 of w.dat: a pose."),
+        (["PTP XP1"], ["DECL E6POS XP1={X 1,Y 2,Z 3}"], f"{MOVED} Line 2 of w.dat: XP1, a pose: without A, B, C."),
         (["PTP XP1"], ["ENDDAT", "DEFDAT other"], None),
     ],
 )  # fmt: skip

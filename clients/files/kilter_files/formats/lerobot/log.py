@@ -121,10 +121,10 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
     columns = {f"q{k + 1}_deg": q[:, k] for k in range(len(recorded.joints))}
     log = checked_log(path, columns | {"t_s": time + _starts(recorded.dataset)[episode.astype(int)]}, [], "row")
     sha256 = None if recorded.calibration is None else recorded.calibration.sha256
-    return replace(log, notes=tuple(told(recorded)), calibration_sha256=sha256)
+    return replace(log, notes=tuple(log_notes(recorded)), calibration_sha256=sha256)
 
 
-def told(recorded: Recorded) -> Iterator[str]:
+def log_notes(recorded: Recorded) -> Iterator[str]:
     """What is to be known of a log: its joints, its zero, and the hash of its calibration."""
     dataset = recorded.dataset
     yield dataset.told

@@ -13,6 +13,8 @@ from kilter_client.results.record import Record, Records
 class JointSummary(Record):
     """A joint as Kilter understood it."""
 
+    drive_stiffness_nm_rad: float | None
+    """Rough stiffness of the drive, N m/rad, where it is known."""
     gear_ratio: float | None
     """Turns of the motor per turn of the joint, where it is known."""
     kind: str

@@ -27,7 +27,7 @@ class Lack:
 
 
 @dataclass
-class Foresight:
+class JobPreview:
     """What was found; a kind fills it as far as it comes. ``rows`` are those to learn from, with what is held out."""
 
     rows: int = 0
@@ -43,7 +43,7 @@ class Foresight:
     seconds: float | None = None  # that the job would take, where its beginning says so
 
     @contextmanager
-    def foreseen(self) -> Iterator[None]:
+    def noting_refusals(self) -> Iterator[None]:
         """Note why the job would fail, instead of failing."""
         try:
             yield

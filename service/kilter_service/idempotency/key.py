@@ -17,7 +17,7 @@ from pydantic import BaseModel, TypeAdapter
 from kilter_service.auth.access import caller_of
 from kilter_service.db import Session
 from kilter_service.errors import ServiceError
-from kilter_service.once import store
+from kilter_service.idempotency import store
 
 A = TypeVar("A")
 M = TypeVar("M", bound=BaseModel)

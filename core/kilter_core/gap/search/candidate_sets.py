@@ -1,0 +1,73 @@
+"""Sets of candidates on a linearised problem: their columns, the noise beside them, and amounts that physics allows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.types import Floats
+
+CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
+
+
+@dataclass(frozen=True)
+class CandidateSets:
+    """A set is a tuple of places in ``scorer.candidates``.
+
+    ``rows`` is the number of measured scalars N in the price d ln N of d parameters; ``limits (Q,)`` the largest
+    plausible amplitude of each library column, in units of unit columns.
+    """
+
+    scorer: Scorer
+    rows: int
+    limits: Floats
+
+    def shapes(self, chosen: Sequence[int]) -> bool:
+        """Whether a set holds an empirical term."""
+        return any(self.scorer.candidates[k].empirical for k in chosen)
+
+    def columns(self, chosen: Sequence[int]) -> list[int]:
+        """Library columns of a set, each once."""
+        return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
+
+    def without(self, gram: Gram, out: Collection[int]) -> Gram:
+        """Where a set without some members is to be compared: errors of the loads act through those that are taken out.
+
+        If such an error is itself among them, it is what the comparison is about: loads held would presume its answer.
+        """
+        members = [self.scorer.candidates[k] for k in out]
+        if any(c.changes_loads for c in members):
+            return gram
+        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in members) else gram
+
+    def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
+        """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
+        columns = self.columns(chosen)
+        free = max(gram.nu - gram.rank(columns), 1.0)
+        return float(self.scorer.variance(np.asarray((gram.yy - gram.reduction(columns)) / free), free))
+
+    def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
+        return self.within(gram, chosen, place) and self.signed(gram, chosen, place)
+
+    def within(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of a member comes out clearly larger than is plausible."""
+        amount, sigma = self._amounts(gram, chosen, place)
+        limits = self.limits[list(self.scorer.candidates[place].columns)]
+        return not np.any(np.abs(amount) > limits + CLEARLY_WRONG * sigma)
+
+    def signed(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of a member comes out clearly negative against its known sign."""
+        if not self.scorer.candidates[place].positive:
+            return True
+        amount, sigma = self._amounts(gram, chosen, place)
+        return bool(np.all(amount > -CLEARLY_WRONG * sigma))
+
+    def _amounts(self, gram: Gram, chosen: Sequence[int], place: int) -> tuple[Floats, Floats]:
+        columns = self.columns(chosen)
+        index = [columns.index(k) for k in self.scorer.candidates[place].columns]
+        return gram.solve(columns)[index], np.sqrt(np.diag(gram.inverse(columns)[0]))[index]

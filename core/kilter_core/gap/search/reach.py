@@ -1,0 +1,50 @@
+"""What exchanges could reach at most, from scans already made: of those that cannot win nothing is computed.
+
+Whatever a candidate explains beside some of a set, all of the set and the candidate explain too. So a scan beside more
+members bounds what the same candidate can do beside fewer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.types import Bools, Floats, Ints
+
+ROUNDING = 0.2  # criterion points that rounded values, and rounding errors, may hide
+
+
+@dataclass
+class Reach:
+    """Bounds of one exchange after another, on one linearised problem ``gram`` at one noise ``variance``.
+
+    ``scans`` are, for sets of library columns, what every candidate (K,) beside them reaches less its own price: infinite
+    where a scan says nothing of smaller sets, because the columns are nearly dependent or a sign was held against it.
+    """
+
+    scorer: Scorer
+    gram: Gram
+    variance: float
+    price: Floats  # of a direction, then beyond directions of each candidate (1 + K,)
+    now: float  # the criterion of the set as it is
+    scans: dict[frozenset[int], Floats] = field(default_factory=dict)
+
+    def scanned(self, columns: list[int], S: Floats, d: Ints) -> None:
+        """Remember a scan: chi-square ``S (K,)`` that candidates take beside the columns in ``d (K,)`` directions."""
+        reaches = (self.gram.reduction(columns) + S) / self.variance - d * self.price[0] - self.price[1:]
+        told = (d > 0) & (d == self.scorer.new_columns(columns)) & ~(self.scorer.one_sided & (S == 0.0))
+        if self.gram.rank(columns) < len(columns):
+            told = np.zeros_like(told)
+        self.scans[frozenset(columns)] = np.where(told, reaches, np.inf)
+
+    def able(self, columns: list[int], price: float, least: float) -> Bools:
+        """Candidates (K,) that beside these columns, which cost ``price``, may come to the criterion ``least``."""
+        own = frozenset(columns)
+        most = np.full(len(self.scorer.candidates), np.inf)
+        for beside, reaches in self.scans.items():
+            if own <= beside:
+                np.minimum(most, reaches, out=most)
+        return np.asarray(most - price >= least - ROUNDING)
