@@ -85,7 +85,8 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
 
     chosen, first = timed(lambda: select(problem.gram, selector, options.max_effects))
     visits = np.arange(len(problem.settings.used))
-    sides = [part((side == (2 * visits < len(visits))).astype(np.float64)) for side in (True, False)]
+    begins = np.asarray(2 * visits < len(visits), dtype=np.float64)
+    sides = [part(begins), part(1.0 - begins)]
     _, halves = timed(lambda: [select(side, selector, options.max_effects) for side in sides])
     drawn = np.random.default_rng(options.seed).exponential(size=len(visits))
     alone = replace(selector, pairs=scorer.absolute)

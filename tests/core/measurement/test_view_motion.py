@@ -56,8 +56,8 @@ def test_an_identification_says_both_and_nothing_of_an_arm_at_rest() -> None:
     robot = robot_from_document(SCENE.drawn.document())
     rows = moving(np.random.default_rng(2), 50, LATE, LINES)
     said = {w["code"]: w for w in identify(robot, rows, None, IdentifyOptions(level=1)).warnings}
-    assert said["pictures_late"]["time_ms"] == pytest.approx(1e3 * LATE, rel=0.2)
-    assert said["rolling_shutter"]["time_ms"] == pytest.approx(1e3 * LINES, rel=0.2)
+    assert said["pictures_late"]["time_s"] == pytest.approx(LATE, rel=0.2)
+    assert said["rolling_shutter"]["time_s"] == pytest.approx(LINES, rel=0.2)
     rest = replace(moving(np.random.default_rng(2), 50, 0.0, 0.0), qd=np.zeros((50, 6)))
     codes = {w["code"] for w in identify(robot, rest, None, IdentifyOptions(level=1)).warnings}
     assert not codes & {"pictures_late", "rolling_shutter"}

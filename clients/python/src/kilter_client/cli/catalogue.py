@@ -42,6 +42,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "identify": Entry("analyse", "Identify parameters from campaigns; makes a version."),
         "gap": Entry("analyse", "Find and name what the model lacks; makes a version."),
         "evaluate": Entry("analyse", "Compare a version with a campaign."),
+        "kit": Entry("camera.kit", "Take a low-cost arm from views to one page."),
         "hand-eye": Entry("camera.hand_eye", "Find where cameras stand on a robot, and export it."),
         "check": Entry("drift", "Say whether an arm has moved since its version."),
         "drift": Entry("drift", "Show the checks of a robot, or how all robots stand."),

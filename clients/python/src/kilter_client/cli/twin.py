@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 group = typer.Typer(
     help="Score a simulator's model on measured poses, and calibrate it.", rich_markup_mode=None, no_args_is_help=True
 )  # fmt: skip
-MODELS = {"nominal": "registration_only", "identified": "identified"}
+MODELS = {"nominal": "registration_only", "rigid": "geometry_only", "identified": "identified"}
 Model = Annotated[
     Path, typer.Argument(help="An MJCF file.", metavar="MODEL", show_default=False, exists=True, dir_okay=False)
 ]
@@ -62,7 +62,7 @@ def compare(
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
-    """Score a model on measured poses, settled, beside the nominal and the identified arm; base and tool fitted for each."""
+    """Score a model on measured poses, settled, beside the nominal, rigid and identified arm; base and tool fitted for each."""
     from kilter_client.settled import Settings, errors_of, loaded, rows_of
 
     found = loaded(model)
