@@ -5,7 +5,7 @@ READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
 # Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first.
-TESTERS ?= 3
+TESTERS ?= 4
 SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
@@ -151,6 +151,9 @@ bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and
 test-franka: $(KERNELS) .venv-franka/.ready ## move a simulated Franka robot through a bridge, its limits enforced (SECONDS=16)
 	KILTER_FRANKA=.venv-franka $(if $(SECONDS),SECONDS=$(SECONDS)) $(BIN)/python -m pytest -q -s --timeout 1800 tests/clients/bridges/test_fci_bridge.py
 
+test-linuxcnc: $(KERNELS) ## move a calibrated arm in LinuxCNC's own simulation (Debian: apt-get install linuxcnc-uspace-dev)
+	$(BIN)/python -m pytest -m slow -q -rs tests/clients/linuxcnc
+
 # The simulator needs numpy below 2, so it has an environment of its own; the bridge gets the robot's library alone.
 FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 .venv-franka/.ready: $(FRANKA_PINS)
@@ -159,11 +162,23 @@ FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 	.venv-franka/bin/pip install --disable-pip-version-check -q --upgrade --no-deps --target .venv-franka/bridge --constraint $(FRANKA_PINS) pylibfranka
 	touch $@
 
+test-lerobot: $(KERNELS) .venv-lerobot/.ready ## run LeRobot's own follower through Kilter on simulated servos (needs Python 3.12, 5 GB)
+	KILTER_LEROBOT=.venv-lerobot $(BIN)/python -m pytest -q --timeout 1800 tests/clients/lerobot
+
+# LeRobot needs Python 3.12 and brings PyTorch: an environment of its own, with Kilter's distributions as they are here.
+LEROBOT_PINS := tests/clients/lerobot/constraints.txt
+.venv-lerobot/.ready: $(LEROBOT_PINS) clients/lerobot/pyproject.toml
+	sh tools/lerobot_environment.sh $(LEROBOT_PINS)
+	touch $@
+
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
 	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
 
 bench-drift: $(KERNELS) ## watch simulated arms day after day and print one page: false alarms, steps, causes, ramps, seasons (ROBOTS=1000 DAYS=250)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift --robots $(or $(ROBOTS),1000) --days $(or $(DAYS),250)
+
+bench-fleet: $(KERNELS) ## identify simulated arms of a type from a few poses with the prior of the others, each left out once (TYPES=4 ROBOTS=12)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fleet --types $(or $(TYPES),4) --robots $(or $(ROBOTS),12)
 
 bench-page: $(KERNELS) ## measure the page: the first view, memory over LOADS=1000 of them, a campaign of a million rows
 	$(BIN)/python -m benchmarks.page --loads $(or $(LOADS),1000)

@@ -65,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the demo from start to end."""
     parser = argparse.ArgumentParser(description="Calibrate and correct a simulated Katana 450.")
     parser.add_argument("--record", type=Path, help="write the error along the circle to this JSON file")
+    parser.add_argument("--circle-s", type=float, default=CIRCLE_S, help="how many seconds the circle takes")
     given = parser.parse_args(arguments)
     start = time.monotonic()
     twin = thesis_katana(PRESET)
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             best = min(found, key=lambda one: one.held_out_mm)
             kilter.versions.activate(best.version)
             say(f"\nThe best on poses it has not seen is '{best.name}': version {best.version} is active now.")
-        record = stream_circle(twin, server)
+        record = stream_circle(twin, server, given.circle_s)
     if given.record:
         given.record.write_text(json.dumps(record), encoding="utf-8")
     say_farewell(time.monotonic() - start)
@@ -129,9 +130,9 @@ def show_table(found: Sequence[Identified]) -> None:
     say(f"(Noise of {NOISE_MM} mm an axis alone gives a mean of {NOISE_MM * np.sqrt(8.0 / np.pi):.3f} mm.)")
 
 
-def stream_circle(twin: Twin, server: LocalServer) -> dict[str, list[float]]:
+def stream_circle(twin: Twin, server: LocalServer, seconds: float) -> dict[str, list[float]]:
     """Stream the thesis's circle through the corrector and compare what the true arm does with and without it."""
-    path = demo_path.circle(twin.robot, seconds=CIRCLE_S, rate_hz=RATE_HZ)
+    path = demo_path.circle(twin.robot, seconds=seconds, rate_hz=RATE_HZ)
     say(f"\nStreaming the thesis's circle through zenoh: {len(path.q)} setpoints at {RATE_HZ:.0f} Hz.")
     statistics = Statistics()
     answers: list[Setpoint] = list(

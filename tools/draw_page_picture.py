@@ -20,7 +20,7 @@ PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "page.png
 MOST_BYTES = 200_000
 # Chromium draws WebGL without a graphics card only when it is told to; as root it has no sandbox.
 ARGUMENTS = ("--no-sandbox", "--enable-unsafe-swiftshader")
-SIZE = {"width": 1366, "height": 1560}
+SIZE = {"width": 1440, "height": 900}
 SETTLE_MS = 20_000  # plots fill, the arm is drawn
 
 

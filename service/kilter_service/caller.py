@@ -41,7 +41,8 @@ def as_document() -> dict[str, Any]:
     caller = CALLER.get()
     if caller is None:
         return {}
-    return {"actor": caller.actor, "role": caller.role, "token_id": caller.token_id, "address": caller.address}
+    kept = {"actor": caller.actor, "role": caller.role, "token_id": caller.token_id, "address": caller.address}
+    return kept if caller.robots is None else {**kept, "robots": sorted(caller.robots)}
 
 
 @contextmanager

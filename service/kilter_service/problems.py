@@ -34,12 +34,6 @@ STOPPING = (
 )
 
 
-# For the OpenAPI document: the answers every route may give besides its own.
-RESPONSES: dict[int | str, dict[str, Any]] = {
-    status: {"model": Problem, "description": "Problem document"} for status in ("4XX", 422, "5XX")
-}
-
-
 def declared(document: dict[str, Any]) -> dict[str, Any]:
     """Say in an OpenAPI document that refusals have the media type they are sent as: FastAPI gives them the answer's."""
     for methods in document["paths"].values():

@@ -14,8 +14,9 @@ from fastapi.routing import APIRoute
 
 from kilter_service.auth.access import admit
 from kilter_service.bodies import is_json, parsed, read_document
+from kilter_service.concurrency import in_turn, slots_of
+from kilter_service.contract.problems import REFUSALS
 from kilter_service.request_values import check_address, check_names
-from kilter_service.slots import in_turn, slots_of
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -26,6 +27,11 @@ class GuardedRoute(APIRoute):
     Who sends the request, and whether that is enough, is settled before the body is read. A JSON document is read up to the
     size limit, parsed and validated in a thread, and answered when a slot is free. Endpoints receive files themselves.
     """
+
+    def __init__(self, path: str, endpoint: Callable[..., Any], **more: Any) -> None:
+        if more.get("include_in_schema", True):
+            more["responses"] = {**REFUSALS, **(more.get("responses") or {})}
+        super().__init__(path, endpoint, **more)
 
     def get_route_handler(self) -> Callable[[Request], Any]:
         """Return what answers a request."""

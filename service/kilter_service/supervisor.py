@@ -21,11 +21,11 @@ from typing import IO, Any
 
 from kilter_service.auth.listen_rules import check_binding
 from kilter_service.auth.token import admin_token
+from kilter_service.child import Child
+from kilter_service.child_output import ChildOutput
 from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.corrector.orphan import goes_on_alone
 from kilter_service.errors import ServiceError
-from kilter_service.health.pulse import stopped
-from kilter_service.last_words import LastWords
 from kilter_service.private_files import private_folder
 from kilter_service.server_file import ServerFile
 from kilter_service.serving import listener, url_of
@@ -43,33 +43,29 @@ SETTLED_S = 3.0  # what is missing for so long, and not because it starts, is no
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
 REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
-FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
 KILLED = (-signal.SIGKILL, -signal.SIGTERM)
 REMEDY = "Mend what it says, `kilterd doctor` checks the rest"
 MOST_ENDS = 3  # before the server ever stood; a process that ended so often ends the same the next time
 
 
-class Child:
-    """A process of Kilter; `watch` restarts it when it has ended."""
+class Program(Child):
+    """A process of Kilter with a command of its own; it ends by itself when this one does: its standard input closes."""
 
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
-        self.name = name
+        super().__init__(name)
         self._command = [sys.executable, "-m", "kilter_service", name, *arguments]
-        said = {SUPERVISED: "1", BESIDE: _beside(settings), BEGAN: str(time.monotonic())}
-        self._environment = {**os.environ, **settings.environment(), **said}
+        stated = {SUPERVISED: "1", BESIDE: _beside(settings), BEGAN: str(time.monotonic())}
+        self._environment = {**os.environ, **settings.environment(), **stated}
         self._keep = keep
         self._process: subprocess.Popen[bytes] | None = None
-        self._started = 0.0
-        self._pause = FIRST_PAUSE_S
-        self._again_at: float | None = None
-        self._said = LastWords(name)
-        self._frozen = False
-        self._ending = ""
-        self._ends = 0
+        self._output = ChildOutput(name)
 
-    def start(self) -> None:
-        """Start the process; it ends by itself when this one does, because its standard input closes."""
-        self._started, self._again_at, self._frozen = time.monotonic(), None, False
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.poll() is None
+
+    def _launch(self) -> None:
         self._process = subprocess.Popen(
             self._command,
             env=self._environment,
@@ -79,46 +75,8 @@ class Child:
             pass_fds=self._keep,
             start_new_session=True,  # Ctrl-C is for the supervisor, which ends its children in order
         )
-        self._said.follow(self._process.stdout)
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the running process."""
-        return None if self._process is None else self._process.pid
-
-    def watch(self) -> None:
-        """Restart the process when it has ended: at once, and more slowly when it keeps ending."""
-        if self._process is None:
-            return
-        if self._process.poll() is None:
-            self._say_if_frozen(self._process.pid)
-            return
-        time_s = time.monotonic()
-        if self._again_at is None:
-            if time_s - self._started > STEADY_S:
-                self._pause = FIRST_PAUSE_S
-            self._ends += 1
-            self._ending = self._how_it_ended()
-            log.error("%s %s: it starts again", self.name, self._ending)
-            if self._process.returncode in KILLED:  # by somebody, not by its own failure: it need not be slowed down
-                self._pause = FIRST_PAUSE_S
-            self._again_at = time_s + self._pause
-            self._pause = min(2 * self._pause, LONGEST_PAUSE_S)
-        if time_s >= self._again_at:
-            self._close()
-            self.start()
-
-    def _say_if_frozen(self, pid: int) -> None:
-        """Say that somebody stopped the process (SIGSTOP, a debugger); whoever did it may want to go on."""
-        frozen = stopped(pid)
-        if frozen == self._frozen:
-            return
-        self._frozen = frozen
-        if frozen:
-            remedy = f"`kill -CONT {pid}` lets it go on, after `kill -KILL {pid}` it starts again"
-            log.error("%s is frozen (SIGSTOP or a debugger): %s", self.name, remedy)
-        else:
-            log.warning("%s goes on", self.name)
+        self.pid = self._process.pid
+        self._output.follow(self._process.stdout)
 
     def refuse_if_refused(self) -> None:
         """End this process as the other ended, when it cannot run with these settings; it has said why.
@@ -132,9 +90,7 @@ class Child:
 
     def hopeless(self) -> str | None:
         """How it ended, when it ended again and again at the start of the server, with what it said last; None else."""
-        if self._ends < MOST_ENDS:
-            return None
-        return f"{self._ending}, {self._ends} times in a row"
+        return f"{self.ending}, {self.ends} times in a row" if self.ends >= MOST_ENDS else None
 
     def refuse_if_hopeless(self) -> None:
         """Give up a process that ends again and again before the server was ever ready.
@@ -151,34 +107,34 @@ class Child:
                 process=self.name,
             )
 
-    def _how_it_ended(self) -> str:
-        assert self._process is not None
-        code = self._process.returncode
+    def _how_it_ended(self) -> tuple[str, bool]:
+        code = 0 if self._process is None else self._process.returncode
         if code in KILLED:  # from outside: it had nothing to say about it
-            return f"was killed ({signal.Signals(-code).name})"
-        return f"ended with {code} ({self._said.last()})"
+            return f"was killed ({signal.Signals(-code).name})", True
+        return f"ended with {code} ({self._output.last_line()})", False
 
     def ask_to_stop(self) -> None:
         """Send SIGTERM."""
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None:
             self._process.terminate()
 
-    def wait(self, deadline: float) -> None:
-        """Wait for the end; kill the process when the deadline passes."""
-        if self._process is None:
-            return
-        try:
-            self._process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            log.warning("%s did not stop: it is killed", self.name)
+    def _kill(self) -> None:
+        if self._process is not None:
             self._process.kill()
             self._process.wait()
-        self._close()
+
+    def _wait_until_ended(self, seconds: float) -> bool:
+        try:
+            if self._process is not None:
+                self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
 
     def _close(self) -> None:
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
-        self._said.close()
+        self._output.close()
 
 
 def _beside(settings: Settings) -> str:
@@ -205,12 +161,12 @@ def serve(settings: Settings) -> None:
         if not went_on:
             check_free(settings.zenoh_listen)
         children = [
-            Child("api", settings, "--fd", str(opened.fileno()), keep=(opened.fileno(),)),
-            Child("worker", settings),
-            Child("corrector", settings),
+            Program("api", settings, "--fd", str(opened.fileno()), keep=(opened.fileno(),)),
+            Program("worker", settings),
+            Program("corrector", settings),
         ]
         if settings.ros2:
-            children.append(Child("ros2", settings))
+            children.append(Program("ros2", settings))
         try:
             _start(settings, children, stop)
             missing = _wait_until_standing(settings, children, url_of(opened, settings), stop, went_on)
@@ -230,7 +186,7 @@ def _document(settings: Settings, url: str, missing: Missing) -> dict[str, Any]:
     return found | ({"missing": missing} if missing else {})
 
 
-def _start(settings: Settings, children: list[Child], stop: threading.Event) -> None:
+def _start(settings: Settings, children: list[Program], stop: threading.Event) -> None:
     # They import for a second or two, so they start first, the corrector with its two processes before the others; all
     # wait for the migration themselves.
     for child in reversed(children):
@@ -246,7 +202,7 @@ def _migrate(settings: Settings) -> None:
     upgrade(settings)
 
 
-def _stop(children: list[Child]) -> None:
+def _stop(children: list[Program]) -> None:
     for child in children:
         child.ask_to_stop()
     deadline = time.monotonic() + STOP_S
@@ -255,7 +211,7 @@ def _stop(children: list[Child]) -> None:
 
 
 def _wait_until_standing(
-    settings: Settings, children: list[Child], url: str, stop: threading.Event, went_on: bool
+    settings: Settings, children: list[Program], url: str, stop: threading.Event, went_on: bool
 ) -> Missing | None:
     """Wait until all is ready, or until only parts are missing that the arm's correction does without.
 
@@ -297,7 +253,7 @@ def _wait_until_standing(
     return None
 
 
-def _hopeless(missing: Missing, children: list[Child]) -> Missing:
+def _hopeless(missing: Missing, children: list[Program]) -> Missing:
     """Say of the missing processes that end again and again why they do: health knows only that they are starting."""
     endings = {child.name: child.hopeless() for child in children if child.name in missing}
     return {name: f"{said}. {REMEDY}" for name, said in endings.items() if said is not None}

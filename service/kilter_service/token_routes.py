@@ -5,7 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 
 from kilter_service.auth.access import Admin, caller_of
-from kilter_service.contract.tokens import Identity, MadeToken, NewToken, Token, TokenList
+from kilter_service.contract.tokens import Identity, LoginLink, MadeToken, NewLoginLink, NewToken, Token, TokenList
+from kilter_service.logins import service as logins
 from kilter_service.page_query import PageOfList
 from kilter_service.routing import GuardedRoute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
@@ -29,10 +30,18 @@ def add(wanted: NewToken, response: Response, database: DatabaseOfApp, actor: Ad
     return service.add(database, wanted, actor)
 
 
+@router.post("/login-links", status_code=201)
+def link(wanted: NewLoginLink, request: Request, response: Response, database: DatabaseOfApp) -> LoginLink:
+    """Make a link that logs a browser in once, in the role of whoever asks; its secret is in this answer and nowhere else."""
+    response.headers["Cache-Control"] = "no-store"
+    secret, until = logins.link(database, request.state.credentials.token_sha256, wanted.minutes)
+    return LoginLink(path=f"/login#{secret}", expires_at=until)
+
+
 @router.get("/tokens")
 def listed(database: DatabaseOfApp, page: PageOfList) -> TokenList:
     """List the tokens, newest first; also those that expired or were revoked."""
-    return service.listed(database, page)
+    return service.list_tokens(database, page)
 
 
 @router.delete("/tokens/{token}")

@@ -137,6 +137,27 @@ def test_what_cannot_be_checked_is_refused_with_place_and_remedy(
     assert 'give [], ["base"]' in refused(calibrated, two, "--new-setup", "tool", code="option_invalid")
 
 
+def test_what_is_stated_of_rows_counts_though_they_were_sent_before(
+    calibrated: str, arm: DriftingArm, command: Command, tmp_path: Path, k: Kilter
+) -> None:
+    """Rows that were sent without a temperature are checked at the one that is stated now; the same again is the same."""
+    k.add_instrument("lapsed", "laser_tracker", "7", mpe_um=15.0, valid_until="2026-01-10")
+    rows = written(tmp_path / "rows.csv", arm, 6, 11)
+    assert "ok: 6 poses agree" in command("check", calibrated, rows)
+    hot = command.json("check", calibrated, rows, "--temperature-c", 45, code=1)
+    assert hot["code"] == "another_temperature"
+    for _ in range(2):
+        found = command.json("check", calibrated, rows, "--temperature-c", 23, "--instrument", "lapsed")["result"]
+        (warning,) = [one for one in found["warnings"] if one["code"] == "instrument_expired"]
+        assert "held until 2026-01-10" in warning["message"]
+    assert "held until 2026-01-10" in command("check", calibrated, "--campaign", "rows.csv (3)")
+    stored = command.json("campaigns", "list", calibrated)["campaigns"]
+    seen = [
+        (one["name"], one["conditions"]["temperature_c"], one["instrument"]) for one in stored if one["name"] != "fit"
+    ]
+    assert seen == [("rows.csv", None, None), ("rows.csv (2)", 45.0, None), ("rows.csv (3)", 23.0, "lapsed")]
+
+
 def test_a_wrong_command_line_is_told_so(calibrated: str, command: Command, tmp_path: Path, arm: DriftingArm) -> None:
     assert "Give the FILE" in command("check", calibrated, code=2)
     file = written(tmp_path / "still.csv", arm, 5, 10)

@@ -120,10 +120,10 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     path.write_bytes(krl(TAUGHT).replace(b"END\r\n", b"LIN {X 1,Y 2,Z 3}\r\nEND\r\n"))
     told = document(capsys, "filter", path, "--robot", arm, "-o", output, "--strict", code=1)
     assert told["code"] == "file_invalid"
-    assert "line 6: a pose" in told["detail"]
+    assert "line 6: a move, a pose: without A, B, C" in told["detail"]
     assert not output.exists()
     told = document(capsys, "filter", path, "--robot", arm, "-o", output)
-    assert told["left"] == [{"file": "w.src", "line": 6, "what": "a pose"}]
+    assert told["left"] == [{"file": "w.src", "line": 6, "what": "a move, a pose: without A, B, C"}]
     assert b"LIN {X 1,Y 2,Z 3}\r\n" in output.read_bytes()
     output.unlink()
     path.write_bytes(krl(np.array([[0.0, 30, 40], [999, 0, 0]])))
@@ -150,7 +150,7 @@ def test_the_library_gives_what_the_command_writes(
         assert {key: told[key] for key in done if key != "texts"} == {key: done[key] for key in done if key != "texts"}
         assert repr(done).startswith("KRL: targets: 3, largest change 0.")
         assert repr(done).endswith("; left as they are: line 6")
-        with pytest.raises(FileError, match=r"line 6: a pose.* leave strict= out"):
+        with pytest.raises(FileError, match=r"line 6: a move, a pose.* leave strict= out"):
             k.filter(arm, path, strict=True)
         with pytest.raises(UsageError, match=r"signs= \+,-: give \+ or - for each of the 3 joints"):
             k.filter(arm, path, signs="+,-")
@@ -181,6 +181,7 @@ DECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}
 DECL E6POS XP3={X 100.0,Y 0.0,Z 5.0,A 0.0,B 0.0,C 0.0,S 2,T 35}
 ENDDAT
 """
+NO_BASE = "its base is not set before it: state it, --base X,Y,Z,A,B,C"
 INLINE = "PTP {A1 -40.0,A2 45.0,A3 60.0}"
 
 
@@ -198,7 +199,7 @@ def test_both_files_of_a_krl_program_are_rewritten_together(
     assert told["written"] == [str(output), str(other)]
     assert told["targets"] == 3
     assert sorted((one["file"], one["line"], one["what"]) for one in told["left"]) == [
-        ("weld.DAT", 5, "a pose"), ("weld.src", 6, "LIN XP3: a pose"),
+        ("weld.DAT", 5, f"XP3, a pose: {NO_BASE}"), ("weld.src", 6, "LIN XP3: a pose that is left"),
     ]  # fmt: skip
     after = {name: (tmp_path / "out" / f"new{name[4:]}").read_text().split("\n") for name in texts}
     changed = {
@@ -216,8 +217,8 @@ def test_both_files_of_a_krl_program_are_rewritten_together(
     assert before_mm.min() > 0.3
     assert after_mm.max() < 0.01
     refused = document(capsys, "filter", tmp_path / given, "--robot", arm, "-o", output, "--strict", code=1)
-    assert "weld.DAT, line 5: a pose" in refused["detail"]
-    assert "weld.src, line 6: LIN XP3: a pose" in refused["detail"]
+    assert "weld.DAT, line 5: XP3, a pose" in refused["detail"]
+    assert "weld.src, line 6: LIN XP3: a pose that is left" in refused["detail"]
     with connect() as k, pytest.raises(FileError) as caught:
         k.filter(arm, tmp_path / given, strict=True)
     places = {(Path(one["file"]).name, one["line"]) for one in caught.value.context["places"]}
@@ -239,3 +240,22 @@ def test_the_second_file_is_named_before_it_is_written(
     own = ["filter", str(tmp_path / "weld.src"), "--robot", arm, "-o", str(tmp_path / "weld.src"), "--overwrite"]
     assert run(own) == 0
     assert (tmp_path / "weld.dat").read_text() != DAT
+
+
+def test_both_files_are_written_or_neither(arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "weld.src").write_text(SRC.replace("{inline}", INLINE))
+    (tmp_path / "weld.dat").write_text(DAT)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "new.src").write_text("what was there")
+    (out / "new.dat").mkdir()  # the second file cannot be put there
+    options = [str(tmp_path / "weld.src"), "--robot", arm, "-o", str(out / "new.src")]
+    assert run(["filter", *options]) == 1
+    assert "new.dat: cannot be written" in capsys.readouterr().err
+    assert (out / "new.src").read_text() == "what was there"
+    (out / "new.src").unlink()
+    assert run(["filter", *options]) == 1
+    assert [path.name for path in out.iterdir()] == ["new.dat"]
+    (out / "new.dat").rmdir()
+    assert run(["filter", *options]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["new.dat", "new.src"]

@@ -75,6 +75,7 @@ def test_poses_are_planned_for_a_camera(kilter: Kilter, command: Command, tmp_pa
     views.write_text(csv(columns(SCENE.observed(SCENE.poses(15, rng), rng, 0.1))))
     rig.write_text(json.dumps(described(SCENE)))
     command("upload", "planned", views, "--cameras", rig, "--name", "views")
+    assert "already" in command("upload", "planned", views, "--cameras", rig, "--name", "views")
     command("plan", "poses", "planned", "--campaign", "views", "--views", "--count", "8", "-o", poses)
     q = np.radians(np.loadtxt(poses, delimiter=",", skiprows=1)[:, :6])
     assert len(q) == 8

@@ -108,10 +108,10 @@ def test_an_arm_shows_its_axes_base_and_tool_from_three_sides(tmp_path: Path) ->
     assert above == ["base, 1–2", "3", "tool"]
     said = {text for text, *_ in texts(figure, tmp_path)}
     assert {"arm $5$ at zero, reach 900 mm", "x, mm (from the side)", "axes of the joints"} <= said
-    save_arm(tmp_path / "arm.v2.svg", CHECK, True)
+    save_arm(tmp_path / "arm.v2.svg", CHECK)
     assert (tmp_path / "arm.v2.svg").read_text().startswith("<?xml")
     with pytest.raises(FileError):
-        save_arm(tmp_path / "nowhere" / "arm.png", CHECK, True)
+        save_arm(tmp_path / "nowhere" / "arm.png", CHECK)
 
 
 def test_labels_of_an_arm_that_would_cover_each_other_become_one() -> None:
@@ -129,10 +129,9 @@ def test_labels_of_an_arm_that_would_cover_each_other_become_one() -> None:
     assert widths == pytest.approx([widths[0]] * 6)
 
 
-def test_without_matplotlib_an_arm_is_a_plain_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("file", ["arm.png", "arm.svg"])
+def test_without_matplotlib_an_arm_is_not_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    monkeypatch.setattr("kilter_client.cli.robot.arm_figure.can_draw", lambda: False)
-    save_arm(tmp_path / "arm.png", CHECK, True)
-    assert (tmp_path / "arm.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(MissingPackageError):
-        save_arm(tmp_path / "arm.svg", CHECK, True)
+    with pytest.raises(MissingPackageError, match="pip install matplotlib"):
+        save_arm(tmp_path / file, CHECK)
+    assert not (tmp_path / file).exists()

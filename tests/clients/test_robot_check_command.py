@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import struct
-import zlib
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.robot.drawing import drawing
-from kilter_client.cli.robot.picture import picture
 
 Capture = pytest.CaptureFixture[str]
 
@@ -50,19 +48,6 @@ def test_the_picture_is_a_png_with_the_arm_in_it(server: Path, tmp_path: Path, c
     assert run(["robot", "check", "--preset", "ur10", "--plot", str(tmp_path / "arm.svg")]) == 0
     assert "ur10 at zero" in (tmp_path / "arm.svg").read_text()
     assert run(["robot", "check", "--preset", "ur10", "--plot", "arm.pdf"]) == 2
-
-
-def test_the_plain_picture_is_a_png_with_the_arm_in_it(server: Path, capsys: Capture) -> None:
-    assert run(["robot", "check", "--preset", "ur10", "--json"]) == 0
-    data = picture(json.loads(capsys.readouterr().out))
-    width, height = struct.unpack(">II", data[16:24])
-    size = struct.unpack(">I", data[33:37])[0]
-    pixels = zlib.decompress(data[41 : 41 + size])
-    assert len(pixels) == height * (3 * width + 1)
-    colours = {
-        pixels[k + 1 + c : k + 4 + c] for k in range(0, len(pixels), 3 * width + 1) for c in range(0, 3 * width, 3)
-    }
-    assert len(colours) == 4  # paper, links, axes, marks
 
 
 def test_drawings_keep_the_proportions() -> None:

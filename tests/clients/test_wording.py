@@ -151,3 +151,8 @@ def test_places_of_no_option_stay_as_they_are() -> None:
     assert parameters_of(["dance"]) == {}
     assert parameters_of(["versions", "arm"])["robot"] == "ROBOT"
     assert parameters_of(["campaigns", "name", "a", "b"])["name"] == "NAME"
+
+
+def test_an_option_with_two_names_is_named_by_both(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "check", "ur10", "--poses", "2"]) == 2
+    assert capsys.readouterr().err.startswith("Error: --poses / --count: it should be greater than or equal to 3.")

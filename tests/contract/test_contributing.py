@@ -247,14 +247,14 @@ made = prepare(file, "toy")
 assert made.content.decode().splitlines() == ["q1_deg,x_mm", "10.0,500.0", "20.0,250.0"], made.content
 assert run(["upload", "arm", str(file), "--device", "toy", "--dry-run"]) == 0
 from kilter_files import DEVICES
-from kilter_files.formats.registry import listed
+from kilter_files.formats.registry import list_formats
 from kilter_files.look.inspection import inspect
 from kilter_service.page.drop.child import _looked
 from kilter_service.page.drop.service import ways
 assert (inspect(file)["kind"], inspect(file)["rows"]) == ("toy", 2)
 assert _looked(file)["device"] == "toy"
 assert ("toy", "The log of a toy") in ways()
-assert ("upload --device", "toy", (".toy",), "The log of a toy") in listed()
+assert ("upload --device", "toy", (".toy",), "The log of a toy") in list_formats()
 assert "toy" in DEVICES
 """
 

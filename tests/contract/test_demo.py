@@ -12,6 +12,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DEADLINE_S = 180
+CIRCLE_S = 3  # 8 when nobody says how fast: the path is solved and streamed point by point
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def output(record: Path) -> str:
     done = subprocess.run(
-        [sys.executable, "-m", "tools.demo", "--record", str(record)],
+        [sys.executable, "-m", "tools.demo", "--circle-s", str(CIRCLE_S), "--record", str(record)],
         cwd=REPOSITORY,
         capture_output=True,
         text=True,
@@ -50,7 +51,7 @@ def test_full_tilting_reaches_the_noise_on_held_out_poses(output: str) -> None:
 def test_the_streamed_circle_is_corrected(output: str, record: Path) -> None:
     document = json.loads(record.read_text(encoding="utf-8"))
     before, after = document["before_mm"], document["after_mm"]
-    assert len(before) == len(after) == 4001
+    assert len(before) == len(after) == 500 * CIRCLE_S + 1
     assert sum(after) < 0.1 * sum(before)
 
 

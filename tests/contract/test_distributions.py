@@ -83,6 +83,19 @@ def test_the_pythons_are_named_and_no_other_is_taken(name: str) -> None:
     assert [f"3.{minor}" for minor in range(8, 20) if taken.contains(f"3.{minor}.0")] == PYTHONS
 
 
+def test_the_plug_in_for_lerobot_has_the_name_that_lerobot_looks_for_and_is_released_with_the_others() -> None:
+    """It is installed beside LeRobot, on Pythons that LeRobot takes; `make test-lerobot` runs it there."""
+    found = tomllib.loads((REPOSITORY / "clients/lerobot/pyproject.toml").read_text())["project"]
+    assert found["name"].startswith("lerobot_robot_")
+    assert found["version"] == project("kilter")["version"]
+    taken = SpecifierSet(found["requires-python"])
+    assert [python for python in PYTHONS if taken.contains(f"{python}.0")] == ["3.12", "3.13"]
+    needs = {one.name: one for one in map(Requirement, found["dependencies"])}
+    assert all(needs[name].specifier.contains(found["version"]) for name in ("kilter-client", "kilter-files"))
+    pins = dict(line.split("==") for line in (REPOSITORY / "tests/clients/lerobot/constraints.txt").read_text().split())
+    assert needs["lerobot"].specifier.contains(pins["lerobot"])
+
+
 def test_a_python_that_is_not_here_is_skipped_in_words() -> None:
     done = subprocess.run(
         ["sh", "tools/test_pythons.sh", "3.99"], cwd=REPOSITORY, capture_output=True, text=True, check=False

@@ -17,7 +17,7 @@ import pytest
 from packaging.requirements import Requirement
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SOURCES = ("core", "service", "clients/files", "clients/python/src", "tools")
+SOURCES = ("core", "service", "clients/files", "clients/lerobot", "clients/python/src", "tools")
 OWN = {"kilter", "kilter-core", "kilter-files", "kilter-client"}
 PYPROJECTS = ("pyproject.toml", "core/pyproject.toml", "clients/files/pyproject.toml", "clients/python/pyproject.toml")
 CORE_MAY_IMPORT = {"kilter_core", "numpy", "scipy", "numba"}

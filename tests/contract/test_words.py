@@ -1,4 +1,4 @@
-"""The words of the documentation, the help, the errors and the docstrings: standard terms, plain English, short lines.
+"""The words of documentation, help, errors, docstrings, templates, scripts and names: standard terms, plain English.
 
 ``RULES`` is the one table: what is refused, the term that stands for it, and the areas in which it is refused so far.
 ``python -m tests.contract.test_words core`` lists what would be refused in an area that has not joined yet.
@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ast
+import html
 import io
 import re
 import sys
@@ -32,6 +33,7 @@ GENERATED = (
     "service/kilter_service/contract/effect_options.py",
     "service/kilter_service/contract/whole_effect_options.py",
     "service/kilter_service/contract/effects.py",
+    "service/kilter_service/page/static/",  # bundled from what is in page/sources
     *(f"clients/matlab/+kilter/{kind}.m" for kind in ("identify", "gap", "evaluate", "plan")),
 )
 # Where words are looked for.
@@ -42,6 +44,10 @@ AREAS = {
     "service": ("service",),
 }
 MENDED = ("core", "docs", "clients", "service")
+# Functions, classes and modules that still have a word which a term replaces; only ever fewer.
+NAMES_STILL = {
+    "turn": 30, "null direction": 5, "slide": 3, "foot": 3, "spare": 3,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,7 @@ RULES = (
 
 
 def files(area: str) -> Iterator[Path]:
-    endings = (".md",) if area == "docs" else (".py", ".m", ".c", ".h", ".toml")
+    endings = (".md",) if area == "docs" else (".py", ".m", ".c", ".h", ".toml", ".html", ".js")
     for part in AREAS[area]:
         path = REPOSITORY / part
         for found in [path] if path.is_file() else sorted(path.rglob("*")):
@@ -180,9 +186,33 @@ def passages(path: Path) -> Iterator[tuple[int, str]]:
         yield from prose_of_code(text)
     elif path.suffix == ".md":
         yield from paragraphs(prose_of_page(text))
+    elif path.suffix == ".html":
+        yield from enumerate(prose_of_template(text).splitlines(), 1)
+    elif path.suffix == ".js":
+        yield from ((n, " ".join(PROSE_OF_SCRIPT.findall(line))) for n, line in enumerate(text.splitlines(), 1))
     else:
         for number, line in enumerate(text.splitlines(), 1):
             yield from ((number, said) for said in re.findall(r"(?:%|//|/?\*|#)(.*)", line))
+
+
+PROSE_OF_SCRIPT = re.compile(r"(?<!:)//.*|`[^`]* [^`]*`|\"[^\"]* [^\"]*\"")
+
+
+def prose_of_template(text: str) -> str:
+    """What a page says, without its tags and expressions; lines stay where they are."""
+    text = re.sub(r"<(script|style)\b.*?</\1>|<[^>]*>|\{%.*?%\}|\{\{.*?\}\}", empty_lines, text, flags=re.S)
+    return html.unescape(text)
+
+
+def identifiers(text: str) -> Iterator[tuple[int, str]]:
+    """Names of functions and classes, as words."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.lineno, in_words(node.name)
+
+
+def in_words(name: str) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|_", " ", name).strip().lower()
 
 
 def paragraphs(text: str) -> Iterator[tuple[int, str]]:
@@ -209,6 +239,39 @@ def refused(rule: Rule, area: str) -> list[str]:
 def test_no_word_stands_for_a_standard_term(rule: Rule) -> None:
     found = [place for area in rule.areas for place in refused(rule, area)]
     assert not found, f"write {rule.term or rule.fine!r}; docs/reference/glossary.md has the terms"
+
+
+@cache
+def names_in_code() -> tuple[tuple[str, str], ...]:
+    """Names of modules, functions and classes as words, with their places."""
+    modules = [path for area in ("core", "clients", "service") for path in files(area) if path.suffix == ".py"]
+    return tuple(
+        (f"{path.relative_to(REPOSITORY)}:{line}", name)
+        for path in modules
+        for line, name in [(1, in_words(path.stem)), *identifiers(path.read_text(encoding="utf-8"))]
+    )
+
+
+def test_few_names_have_a_word_that_a_term_replaces() -> None:
+    rules = [rule for rule in RULES if rule.areas == MENDED]
+    found = [(place, name) for place, name in names_in_code() if any(rule.found(name) for rule in rules)]
+    known = {still: [place for place, name in found if still in name] for still in NAMES_STILL}
+    assert not {still: places for still, places in known.items() if len(places) > NAMES_STILL[still]}
+    assert not [place for place, name in found if not any(still in name for still in NAMES_STILL)]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("refuse_lookAlikes", "refuse look alikes"), ("ForeseenPoses", "foreseen poses"), ("_a_b", "a b")],
+)
+def test_a_name_is_read_as_words(name: str, words: str) -> None:
+    assert in_words(name) == words
+
+
+def test_templates_and_scripts_are_read_without_their_code() -> None:
+    page = '<p title="a">The joint {{ leans }} leans</p>\n<script>turned</script>{% if turn %}'
+    assert prose_of_template(page).split() == ["The", "joint", "leans"]
+    assert PROSE_OF_SCRIPT.findall('turn("the joint leans") // and turns') == ['"the joint leans"', "// and turns"]
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.wrong)

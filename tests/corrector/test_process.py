@@ -21,13 +21,13 @@ import zenoh
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
+from kilter_service.child import running
 from kilter_service.corrector import fork_server, wire
-from kilter_service.corrector.fork_server import Child
+from kilter_service.corrector.fork_server import ForkedChild
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.queries import encode_trajectory
 from kilter_service.corrector.session import config
 from kilter_service.corrector.specs import QuerySpec
-from kilter_service.health.pulse import running
 from kilter_service.signing.masters import Masters
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
@@ -324,15 +324,30 @@ def test_a_fork_server_that_is_frozen_is_replaced_before_it_is_needed(
     assert {name: child.pid for name, child in corrector._children.items()} == before
 
 
+def test_the_corrector_says_that_a_process_of_its_own_is_frozen(
+    corrector: Corrector, caplog: pytest.LogCaptureFixture
+) -> None:
+    pid = corrector._children["query"].pid or 0
+    os.kill(pid, signal.SIGSTOP)
+    until(lambda: not running(pid))
+    corrector.poll()
+    assert f"query is frozen (SIGSTOP or a debugger): `kill -CONT {pid}` lets it go on" in caplog.text
+    os.kill(pid, signal.SIGCONT)
+    until(lambda: running(pid))
+    corrector.poll()
+    assert "query goes on" in caplog.text
+    assert corrector._children["query"].pid == pid
+
+
 def test_one_that_may_not_begin_is_told_apart_from_one_that_runs(corrector: Corrector) -> None:
     spec = QuerySpec("test", "", Masters(()), unsigned=True)
-    child = Child("broken", "kilter_service.corrector.specs:nothing", spec, corrector._fork_server)
+    child = ForkedChild("broken", "kilter_service.corrector.specs:nothing", spec, corrector._fork_server)
     assert not child.alive
-    child.launch()
+    child.start()
     with pytest.raises(RuntimeError, match="The broken process of the corrector did not start"):
         child.listening()
     assert not child.alive
-    child.launch()
+    child.start()
     child.stop()
     assert not child.alive
 

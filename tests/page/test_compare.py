@@ -117,7 +117,6 @@ def test_versions_that_are_ticked_are_compared(there: Made) -> None:
     assert (one.status_code, "at least two" in words(one.text)) == (400, True)
 
 
-@pytest.mark.short_path
 def test_two_are_ticked_and_compared_in_the_browser(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         page.goto(f"/robots/{there.robot}/versions")

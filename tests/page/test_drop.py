@@ -235,9 +235,29 @@ def test_people_drop_edit_and_store(page: Page, server: httpx.Client, robot: str
 REAL = (
     ("fanuc-r2000-3markers/calibration_dataset.mat", "MATLAB, up to version 7", "q(:,1)"),
     ("talos-arm/talos_left_arm_02_10_contact.csv", "delimited text", "arm_left_1_joint"),
-    ("ipa-ur10-lasertracker/Series_B/measurements_joint_configurations.csv", "delimited text", "shoulder_pan_joint"),
     ("tdms-samples/raw1.tdms", "LabVIEW's TDMS", "Layer Data"),
 )
+
+
+IPA = "ipa-ur10-lasertracker/Series_B/measurements_joint_configurations.csv"
+
+
+def test_a_file_of_a_known_device_needs_no_map_and_may_have_one(
+    chromium: Browser, server: httpx.Client, robot: str, shared_data: Path
+) -> None:
+    """Who drops it sees that it was recognised, and which column became what; the columns show when they want a map."""
+    server.post("/v1/robots", json={"name": "ur", "convention": "preset", "preset": "ur10"}).raise_for_status()
+    with opened(chromium, server) as page:
+        page.goto("/robots/ur/campaigns/new")
+        page.locator("#file").set_input_files(shared_data / IPA)
+        page.wait_for_url("**/campaigns/new/*")
+        assert page.get_by_text("A campaign of Fraunhofer IPA's laser tracker data set", exact=True).first.is_visible()
+        page.get_by_text("Understood.").wait_for()
+        assert "q1_rad to q6_rad from the six joints [rad]" in page.locator("main").inner_text()
+        assert page.locator("table.column-map").count() == 0
+        page.get_by_label("Read it", exact=True).select_option("map")
+        page.get_by_role("button", name="Read again").click()
+        page.locator("table.column-map").get_by_text("shoulder_pan_joint").first.wait_for()
 
 
 def test_real_files_are_understood_in_the_browser(

@@ -18,9 +18,9 @@ import pytest
 from pyarrow import parquet
 from scipy.io import savemat
 
-from kilter_service import limited
-from kilter_service.limited import Limits
+from kilter_service import sandbox
 from kilter_service.page.drop import reading
+from kilter_service.sandbox import Limits
 from tests.service.conftest import Katana
 
 CASES = int(os.environ.get("KILTER_FUZZ_FILES", "300"))
@@ -110,13 +110,13 @@ def test_time_memory_and_output_are_limited(tmp_path: Path) -> None:
     ):
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
-        end = limited.run("timeit", folder, ["-n1", "-r1", "-s", CONFINED, code], limits)
+        end = sandbox.run("timeit", folder, ["-n1", "-r1", "-s", CONFINED, code], limits)
         assert ended(end), (code, end)
 
 
 def test_nothing_of_the_servers_environment_is_in_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KILTER_TOKEN", "a-secret")
-    limited.run(
+    sandbox.run(
         "timeit", tmp_path, ["-n1", "-r1", "import os; open('seen', 'w').write(str(dict(os.environ)))"], Limits()
     )
     seen = (tmp_path / "seen").read_text()
@@ -124,7 +124,7 @@ def test_nothing_of_the_servers_environment_is_in_reach(tmp_path: Path, monkeypa
     assert "KILTER_CHILD_LIMITS" in seen
 
 
-CONFINED = "from kilter_service.limited import confine; confine()"
+CONFINED = "from kilter_service.sandbox import confine; confine()"
 
 
 def mutated(random_: random.Random, content: bytes) -> bytes:
@@ -191,7 +191,7 @@ def test_damaged_files_of_every_kind_are_read_or_refused(tmp_path: Path) -> None
         folder.mkdir()
         (folder / name).write_bytes(mutated(random_, whole[name]))
         (folder / "asked.json").write_text(json.dumps({"file": name, "read_as": "auto"}))
-        ended = limited.run(reading.CHILD, folder, [], Limits(30, 1024, 64))
+        ended = sandbox.run(reading.CHILD, folder, [], Limits(30, 1024, 64))
         assert not ended.late, (number, name)
         assert ended.code == 0 or ended.lacked_memory, (number, name, ended)
         if ended.code == 0:

@@ -22,10 +22,10 @@ from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.db import Database
 from kilter_service.page.gap.bins import Point, binned, branches, student
-from kilter_service.page.gap.called import named
 from kilter_service.page.gap.claim import GATES
 from kilter_service.page.gap.curves import curves
-from kilter_service.page.gap.own_curves import own_curves, without
+from kilter_service.page.shared.called import named
+from kilter_service.page.shared.own_curves import own_curves, without
 from kilter_service.page.words import mm, number, of_joints
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
@@ -212,6 +212,13 @@ def test_an_effect_is_drawn_over_what_it_follows(hunted: Hunted) -> None:
     assert f"joint 1 stands {number(abs(distance['value']))} deg" in said
     assert f"leaves {number(curve['rival']['times'])} times the squares" in said
     assert f"refused: {named(curve['rival']['id'], curve['rival']['joints'])}" in figure
+
+
+def test_the_report_has_the_same_curve(hunted: Hunted) -> None:
+    title = "<title>Backlash of joint 1 over angle of joint 1</title>"
+    pages = [hunted.client.get(f"/jobs/{hunted.closed['id']}{end}").text for end in ("", "/report")]
+    drawn = [page.partition(title)[2].partition("</svg>")[0] for page in pages]
+    assert drawn[0] == drawn[1] != ""
 
 
 def test_an_earlier_result_has_its_residuals_only(hunted: Hunted) -> None:

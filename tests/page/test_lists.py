@@ -30,7 +30,7 @@ from .test_robot import words
 JOBS, CAMPAIGNS = 5000, 500
 # Changes nothing that is kept: what is computed, drafted, or only asked.
 UNKEPT = re.compile(
-    r"(/check|/convert|/from-circles|/frames|/correct|/campaigns/new/(file|\{draft\}/(columns|discard|map|read)))$"
+    r"(/check|/convert|/from-circles|/frames|/correct|/forward|/inverse|/campaigns/new/(file|\{draft\}/(columns|discard|map|read)))$"
 )
 
 
@@ -205,7 +205,6 @@ def test_effects_that_are_ticked_join_those_that_are_typed() -> None:
     assert "effects" not in given("evaluate", {"option.version": "ver_1", "effect.backlash": "1"})
 
 
-@pytest.mark.short_path
 def test_a_campaign_that_is_found_joins_the_form(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         page.goto(f"/robots/{there.robot}/jobs")
@@ -227,7 +226,6 @@ def test_thousands_are_listed_within_a_second_on_average(there: Made) -> None:
         print(f"{address}: {1e3 * (time.perf_counter() - began):.0f} ms")
 
 
-@pytest.mark.short_path
 def test_a_list_follows_what_is_typed_and_keeps_it_in_the_address(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         page.goto("/jobs")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
@@ -14,6 +15,7 @@ from playwright.sync_api import Browser, Page
 from kilter_service.app import create_app
 from kilter_service.auth.policy import PAGE_RULES
 from kilter_service.auth.token import admin_token
+from kilter_service.db.row import now
 from kilter_service.logins.service import COOKIE, CSRF_HEADER
 from kilter_service.page.routes import ROUTERS
 from kilter_service.page.shell import POLICY
@@ -87,6 +89,58 @@ def test_the_login_ends_with_the_token_and_with_logging_out(server: httpx.Client
         server.delete(f"/v1/tokens/{made['id']}").raise_for_status()
         assert client.get("/v1/whoami").json()["code"] == "token_ended"
         assert client.get("/").headers["location"].startswith("/login")
+
+
+def link_of(client: httpx.Client, **wanted: int) -> str:
+    made = client.post("/v1/login-links", json=wanted).raise_for_status()
+    assert made.headers["cache-control"] == "no-store"
+    return str(made.json()["path"]).removeprefix("/login#")
+
+
+def use(server: httpx.Client, secret: str) -> httpx.Response:
+    return httpx.post(server.base_url.join("/login/link"), data={"link": secret, "then": "/jobs"}, timeout=60)
+
+
+def test_a_link_logs_in_once_in_the_role_of_whoever_made_it(server: httpx.Client) -> None:
+    token = token_of(server, "operator", "linked")["token"]
+    with httpx.Client(base_url=server.base_url, headers={"Authorization": f"Bearer {token}"}, timeout=60) as client:
+        secret = link_of(client)
+    with httpx.Client(base_url=server.base_url, cookies={COOKIE: secret}) as other:
+        assert other.get("/v1/whoami").json()["actor"] == "anybody"  # a link is no login before it is used up
+    answer = use(server, secret)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/jobs")
+    with httpx.Client(base_url=server.base_url, cookies={COOKIE: answer.cookies[COOKIE]}) as client:
+        assert client.get("/v1/whoami").json()["role"] == "operator"
+    again = use(server, secret)
+    assert (again.status_code, "was used already" in again.text) == (401, True)
+    assert "set-cookie" not in again.headers
+    told = [(entry["actor"], entry["route"]) for entry in server.get("/v1/audit").json()["entries"]]
+    assert ("linked", "POST /v1/login-links") in told
+    assert ("linked", "POST /login/link") in told
+    assert secret not in server.get("/v1/audit").text
+
+
+def test_a_link_ends_with_its_minutes_and_with_its_token(server: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    secret = link_of(server, minutes=5)
+    later = now() + timedelta(minutes=5, seconds=1)
+    monkeypatch.setattr("kilter_service.logins.store.now", lambda: later)
+    assert use(server, secret).status_code == 401
+    monkeypatch.undo()
+    made = token_of(server, "viewer", "gone")
+    with httpx.Client(base_url=server.base_url, headers={"Authorization": f"Bearer {made['token']}"}) as client:
+        secret = link_of(client)
+    server.delete(f"/v1/tokens/{made['id']}").raise_for_status()
+    assert use(server, secret).status_code == 401
+    assert httpx.post(server.base_url.join("/v1/login-links"), json={}).json()["code"] == "token_missing"
+
+
+@pytest.mark.short_path
+def test_people_open_a_link(chromium: Browser, server: httpx.Client) -> None:
+    with opened(chromium, server, token=False) as page:
+        page.goto(f"/login#{link_of(server)}")
+        assert "#" not in page.url
+        page.get_by_role("button", name="Log in by this link").click()
+        page.get_by_text("admin (admin)").wait_for()
 
 
 def test_a_wrong_token_is_refused_in_the_form(server: httpx.Client) -> None:

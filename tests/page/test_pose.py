@@ -96,6 +96,7 @@ def test_parts_have_intervals_where_something_is_known(there: Made) -> None:
 def test_a_length_and_its_interval_have_one_unit() -> None:
     assert within(0.0408, 0.035, 0.047) == "41 µm (35 to 47)"
     assert within(0.4592, 0.4555, 0.4629) == "0.4592 mm (0.4555 to 0.4629)"
+    assert within(0.09, 0.07, 0.11) == "0.090 mm (0.070 to 0.110)"  # the unit of the largest
     assert within(0.4592, None, None) == "0.459 mm"
 
 
@@ -127,7 +128,6 @@ def test_what_is_not_a_pose_is_refused_with_words(there: Made, asked: dict[str, 
     assert (answer.status_code, said in words(answer.text)) == (422, True)
 
 
-@pytest.mark.short_path
 def test_the_pose_follows_the_sliders_and_stays_in_the_address(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         arm_of(page, there.robot, f"?campaign={there.campaign}&other={there.poor}")

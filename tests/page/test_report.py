@@ -15,7 +15,7 @@ from playwright.sync_api import Browser
 from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
-from kilter_service import limited
+from kilter_service import sandbox
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.contract.versions import CorrectionLimits
@@ -231,11 +231,11 @@ def test_the_pdf_is_the_same_every_time(server: httpx.Client, version: str) -> N
 
 
 def test_a_server_without_pango_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def without(module: str, folder: Path, *_: object) -> limited.Ended:
+    def without(module: str, folder: Path, *_: object) -> sandbox.Ended:
         (folder / "lacking").write_text("cannot load library 'libpango-1.0-0'")
-        return limited.Ended(1, False, "")
+        return sandbox.Ended(1, False, "")
 
-    monkeypatch.setattr(limited, "run", without)
+    monkeypatch.setattr(sandbox, "run", without)
     with pytest.raises(ServiceError, match="print the report from the browser") as caught:
         pdf.pdf(tmp_path, "<p>a</p>", "")
     assert caught.value.code == "pdf_unavailable"

@@ -79,7 +79,8 @@ def test_the_questions_are_answered_at_the_top(there: Made) -> None:
 
 def test_the_worst_place_is_that_of_the_residuals(there: Made) -> None:
     asked = {"version": there.good, "campaign": there.campaign}
-    said = words(there.client.get(f"/robots/{there.robot}/worst", params=asked).text)
+    part = there.client.get(f"/robots/{there.robot}/worst", params=asked, headers={"HX-Request": "true"})
+    said = words(part.text)
     size = np.linalg.norm(errors(there), axis=1) * 1e3
     assert said.lstrip().startswith(f"{size.max():.1f} µm at x")
     assert f" {size.argmax() + 1} {size.max():.1f} µm " in said
@@ -140,6 +141,9 @@ def test_the_bundle_is_small() -> None:
 def arm_of(page: Page, robot: str, query: str = "") -> None:
     page.goto(f"/robots/{robot}{query}")
     page.locator("[data-arm][data-ready]").wait_for()
+    controls = page.locator("details.controls")
+    if controls.get_attribute("open") is None:
+        controls.locator("summary").first.click()
 
 
 def tool(page: Page) -> list[float]:
@@ -151,7 +155,6 @@ def picture(page: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(shot)).convert("L"), dtype=float)
 
 
-@pytest.mark.short_path
 def test_a_linkage_is_drawn_and_no_other_drive(there: Made, page: Page) -> None:
     """Rods from the axis of the joint that drives to the axis that they tie to it, beside the links."""
     seen = {}
@@ -241,3 +244,16 @@ def test_the_shape_of_a_link_is_drawn_in_its_place(there: Made, chromium: Browse
         there.client.delete(address).raise_for_status()
         arm_of(page, "other")
         assert np.abs(picture(page) - plain).mean() < 0.2
+
+
+def test_the_form_about_the_controller_is_of_ordinary_width(page: Page, there: Made) -> None:
+    page.goto(f"/robots/{there.robot}")
+    page.get_by_text("Say whether the controller corrects by itself").click()
+    chosen, button = page.locator("select[name=compensation]"), page.get_by_role("button", name="Say so")
+    longest = max(chosen.locator("option").all_inner_texts(), key=len)
+    box, card = chosen.bounding_box(), page.locator("section.card", has=chosen).bounding_box()
+    assert box is not None
+    assert card is not None
+    assert box["width"] > 5.5 * len(longest)  # every answer is read whole
+    assert card["x"] <= box["x"] < box["x"] + box["width"] <= card["x"] + card["width"]
+    assert button.bounding_box()["height"] < 60.0  # type: ignore[index]  # on one line

@@ -182,7 +182,6 @@ def drawn(page: Page) -> np.ndarray:
     return np.array(found, dtype=float).reshape(-1, 2)
 
 
-@pytest.mark.short_path
 def test_rows_are_chosen_in_one_view_and_lit_in_all(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         arm_of(page, there.robot, f"?campaign={there.campaign}")
@@ -241,7 +240,6 @@ def test_rows_are_chosen_in_one_view_and_lit_in_all(there: Made, chromium: Brows
         assert "without 6 rows" in page.locator("main").inner_text()
 
 
-@pytest.mark.short_path
 def test_a_box_in_the_picture_chooses_what_is_seen_in_it(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         arm_of(page, there.robot, f"?campaign={there.campaign}")
@@ -268,7 +266,6 @@ def test_a_box_in_the_picture_chooses_what_is_seen_in_it(there: Made, chromium: 
         page.locator('[data-scatter][data-drawn="joint:j1 row"]').wait_for()
 
 
-@pytest.mark.short_path
 def test_a_hundred_thousand_rows_are_chosen_at_once(there: Made, chromium: Browser) -> None:
     """The figure is what the machine takes; it is bounded far above what is wanted (100 ms), which the docs state."""
     with opened(chromium, there.client) as page:

@@ -47,7 +47,6 @@ def test_all_rows_of_a_campaign_are_a_file(there: Made) -> None:
     assert [float(one["q1_deg"]) for one in rows] == pytest.approx(Katana().columns(60, seed=3)["q1_deg"])
 
 
-@pytest.mark.short_path
 def test_figures_and_tables_are_saved(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         page.goto(f"/campaigns/{there.campaign}")

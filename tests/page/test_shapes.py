@@ -37,9 +37,9 @@ def test_a_shape_is_sent_replaced_and_removed(admin: httpx.Client) -> None:
     for unit, shown in (("mm", "mm"), ("m", "m")):
         answer = admin.post(PLACE, params={"name": "Link 2.OBJ", "unit": unit}, content=BOX)
         assert (answer.status_code, answer.headers["hx-refresh"]) == (204, "true")
-        assert f"<td>OBJ</td><td>{shown}</td>" in admin.get("/robots/arm").text
+        assert f"<td>OBJ</td><td>{shown}</td>" in admin.get("/robots/arm/settings").text
     assert admin.post(f"{PLACE}/remove").status_code == 204
-    assert "No link has a shape" in admin.get("/robots/arm").text
+    assert "No link has a shape" in admin.get("/robots/arm/settings").text
 
 
 @pytest.mark.parametrize(
@@ -62,9 +62,9 @@ def test_refusals_say_what_to_do(
 
 
 def test_who_may_not_change_robots_sees_no_form(server: httpx.Client, admin: httpx.Client) -> None:
-    assert "data-send-shape" in admin.get("/robots/arm").text
+    assert "data-send-shape" in admin.get("/robots/arm/settings").text
     with logged_in(server, token_of(server, "operator", "no-shapes")["token"]) as client:
-        text = client.get("/robots/arm").text
+        text = client.get("/robots/arm/settings").text
         assert "data-send-shape" not in text
         assert "needs the role admin" in text
         for place in (PLACE, f"{PLACE}/remove"):
@@ -79,9 +79,8 @@ def test_the_form_works(server: httpx.Client, chromium: Browser, tmp_path: Path,
     good.write_text(BOX, encoding="utf-8")
     bad.write_text("nothing", encoding="utf-8")
     with opened(chromium, server, size) as page:
-        page.goto("/robots/arm")
+        page.goto("/robots/arm/settings")
         shapes = page.locator("#shapes")
-        shapes.get_by_text("The shapes of the links", exact=True).click()
         shapes.get_by_label("Link", exact=True).select_option("j2")
         shapes.get_by_label("STL or OBJ file").set_input_files(bad)
         shapes.get_by_role("button", name="Give the link").press("Enter")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ KATANA = Arm(
     5,
 )  # fmt: skip
 ROBOT = {"name": "katana", "convention": "preset", "preset": "katana450-chapter5"}
+LONGEST_S = 60.0
 
 
 @dataclass
@@ -57,15 +58,22 @@ class Cell:
     def viewers(self) -> Viewers:
         return viewers_of(self.app)
 
-    def events(self, robot: str = "katana", seconds: float = 2.0, client: httpx.Client | None = None) -> list[Any]:
-        """What followers are told within so many seconds."""
-        told, end = [], time.monotonic() + seconds
+    def events(
+        self,
+        robot: str = "katana",
+        seconds: float = 2.0,
+        client: httpx.Client | None = None,
+        enough: Callable[[list[Any]], bool] | None = None,
+    ) -> list[Any]:
+        """What followers are told within so many seconds, or until it is enough."""
+        told: list[Any] = []
+        end = time.monotonic() + (seconds if enough is None else LONGEST_S)
         with (client or self.client).stream("GET", f"/robots/{robot}/stream/events", timeout=30) as answer:
             assert answer.status_code == 200, answer.read()
             for line in answer.iter_lines():
                 if line.startswith("data: "):
                     told.append(json.loads(line.removeprefix("data: ")))
-                if time.monotonic() > end:
+                if time.monotonic() > end or (told and enough is not None and enough(told)):
                     break
         return told
 
@@ -111,14 +119,19 @@ def test_a_robot_without_a_stream_says_so(cell: Cell) -> None:
 
 
 def test_what_is_told_is_what_the_controller_got(cell: Cell, controller: Controller) -> None:
-    told = cell.events(seconds=3.0)
-    moved = [main_stream(one)["received"] for one in told if one["streams"]]
-    assert len(set(moved)) >= 10  # at least five different ones a second, on a busy machine too
+    def followed(told: list[Any]) -> bool:
+        """Whether it was told again and again, at a rate; a busy machine takes its time for that."""
+        streams = [main_stream(one) for one in told if one["streams"]]
+        if not told[-1]["streams"] or len({one["received"] for one in streams}) < 10:
+            return False
+        return bool(20 < streams[-1]["rate_hz"] < 130)
+
+    told = cell.events(enough=followed)
+    assert followed(told)
     last = told[-1]
     stream = main_stream(last)
     assert last["active_version"] == stream["version_id"] == cell.version
     assert (stream["condition"], last["bypass"], stream["signed"]) == ("corrected", "", True)
-    assert 20 < stream["rate_hz"] < 130
     assert stream["received"] == stream["corrected"] + sum(stream["refusals"].values())
     counts, edges = stream["times"]["counts"], stream["times"]["from_us"]
     assert 0 < sum(counts) <= stream["received"]
@@ -126,7 +139,7 @@ def test_what_is_told_is_what_the_controller_got(cell: Cell, controller: Control
 
 
 def test_the_shown_correction_moves_the_tool_as_far_as_is_said(cell: Cell, controller: Controller) -> None:
-    told = cell.events(seconds=2.5)[-1]
+    told = cell.events(enough=lambda told: any(one["corrected"] >= 50 for one in told[-1]["streams"]))[-1]
     stream = main_stream(told)
     wanted = np.radians([joint["wanted"] for joint in stream["joints"]])
     correction = np.radians([joint["correction"] for joint in stream["joints"]])

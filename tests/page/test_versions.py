@@ -155,7 +155,7 @@ def test_a_version_is_activated_through_the_dialog_that_says_what_changes(there:
     assert f"Largest correction of the tool: {ahead['largest_mm']:.2f} mm" in said
     assert all(joint["joint"] in said for joint in ahead["joints"])
     assert "0.900 mm" in said
-    assert "20.0 µm" in said
+    assert "0.0200 mm" in said
     page.get_by_role("button", name="Leave it as it is").click()
     assert active(there) == there.poor
     page.get_by_role("button", name="Activate…").click()

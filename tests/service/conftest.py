@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,10 +29,13 @@ from kilter_service.serving import KEEP_ALIVE_S
 from kilter_service.settings import DATABASE_FILE, Settings
 from tests.service.forked import forked_worker
 from tests.service.postgresql import database_of, programs, running_postgresql
+from tests.service.prompt_server import PromptServer
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
 
+# Of a client without it httpx reads all certificates of this machine, in 0.02 s, though it speaks plain HTTP.
+TRUSTS_NOBODY = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 
 # The same tests run on PostgreSQL when this names a server on which databases may be created.
 POSTGRESQL = os.environ.get("KILTER_TEST_POSTGRESQL")
@@ -126,7 +130,7 @@ def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
     """Serve the application on a free port in a thread of this process."""
     listener = socket.create_server(("127.0.0.1", 0))
     kept = {"timeout_keep_alive": KEEP_ALIVE_S, "timeout_graceful_shutdown": 2, **config}
-    server = uvicorn.Server(uvicorn.Config(app, log_level="error", **kept))
+    server = PromptServer(uvicorn.Config(app, log_level="error", **kept))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     deadline = time.monotonic() + 10
@@ -134,10 +138,11 @@ def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
         time.sleep(0.005)
     assert server.started
     try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", timeout=120) as client:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        with httpx.Client(base_url=url, timeout=120, verify=TRUSTS_NOBODY) as client:
             yield client
     finally:
-        server.should_exit = True
+        server.ask_to_end()
         thread.join(10)
         listener.close()
         assert not thread.is_alive()

@@ -9,7 +9,6 @@ import os
 import shutil
 import sqlite3
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from kilter_client.calls.access import checked
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError
 from kilter_service.settings import DATABASE_FILE, Settings
+from tests.service.forked import forked_command
 
 from .conftest import REPOSITORY
 
@@ -123,10 +123,7 @@ def test_a_database_is_checked_without_a_server(client: httpx.Client, settings: 
 
     def offline(name: str, *more: str) -> subprocess.CompletedProcess[str]:
         url = f"sqlite:///{tmp_path / name}"
-        command = [sys.executable, "-m", "kilter_service", "audit", "--database-url", url, *more]
-        return subprocess.run(
-            command, cwd=REPOSITORY, env=dict(os.environ), capture_output=True, text=True, check=False, timeout=120
-        )
+        return forked_command("audit", "--database-url", url, *more, environment=os.environ, folder=REPOSITORY)
 
     whole = offline("copy.sqlite")
     assert (whole.returncode, whole.stdout.startswith("The audit is whole: 2 entries")) == (0, True), whole.stderr
@@ -158,11 +155,8 @@ def test_what_was_cut_or_rewritten_is_seen_by_the_journal(
         with sqlite3.connect(tmp_path / name) as raw:
             raw.execute("DROP TRIGGER audit_delete")
             change(raw)
-        command = [sys.executable, "-m", "kilter_service", "audit", "--journal", str(journal)]
-        return subprocess.run(
-            [*command, "--database-url", f"sqlite:///{tmp_path / name}"], cwd=REPOSITORY, env=dict(os.environ),
-            capture_output=True, text=True, check=False, timeout=120,
-        )  # fmt: skip
+        arguments = ["--journal", str(journal), "--database-url", f"sqlite:///{tmp_path / name}"]
+        return forked_command("audit", *arguments, environment=os.environ, folder=REPOSITORY)
 
     def rewritten(raw: sqlite3.Connection) -> None:
         """Forge the last entry, with a hash that fits it."""
@@ -186,3 +180,11 @@ def test_what_was_cut_or_rewritten_is_seen_by_the_journal(
     for name, change in (("cut", lambda raw: raw.execute("DELETE FROM audit WHERE number = 3")), ("forged", rewritten)):
         found = checked(f"{name}.sqlite", change)
         assert (found.returncode, "does not hold entry 3" in found.stderr) == (1, True), (name, found)
+
+
+def test_a_link_to_log_in_with_is_printed_once(said: Said, client: httpx.Client) -> None:
+    code, printed = said("login", "--minutes", "2")
+    address, _, secret = printed.strip().partition("#")
+    assert (code, address) == (0, f"{str(client.base_url).rstrip('/')}/login")
+    used = [httpx.post(f"{address}/link", data={"link": secret}, timeout=60).status_code for _ in range(2)]
+    assert used == [303, 401]

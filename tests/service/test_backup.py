@@ -6,7 +6,6 @@ import os
 import shutil
 import sqlite3
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing
@@ -24,6 +23,7 @@ from kilter_service.db import Database, revision
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, ready, served
+from tests.service.forked import forked_command
 from tests.service.made_versions import store_version
 from tests.service.postgresql import programs, running_postgresql
 from tests.service.test_meshes import CORNERS, binary
@@ -87,10 +87,8 @@ def answers(client: httpx.Client) -> list[object]:
 
 
 def kilterd(settings: Settings, *arguments: str) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", *arguments],
-        cwd=REPOSITORY, env={**os.environ, **settings.environment()}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    environment = {**os.environ, **settings.environment()}
+    done = forked_command(*arguments, environment=environment, folder=REPOSITORY)
     assert "Traceback" not in done.stderr, done.stderr
     return done
 

@@ -200,7 +200,7 @@ def test_page_library_and_today_say_it(client: httpx.Client, database: Database)
 
     assert "is not known" in shown("/robots/arm")
     assert now()["controller_compensation"] == "unknown"
-    assert now()["sentences"][-1] in shown("/robots/arm")
+    assert now()["sentences"][-1].replace("`", "") in shown("/robots/arm/settings").replace(" , factory", ", factory")
     client.post("/robots/arm/compensation", data={"compensation": "factory"}).raise_for_status()
     assert now()["controller_compensation"] == "factory"
     assert "would be corrected twice" in now()["sentences"][-1]
@@ -226,10 +226,10 @@ def test_the_command_asks_and_takes_the_answer(
         return re.sub(r"\s+", " ", capsys.readouterr().out)
 
     said = kilter("robot", "add", "--preset", "ur5e", "--name", "left")
-    assert "Does the controller of left correct the arm by itself?" in said
-    assert "corrects it by its maker's calibration" in kilter("robot", "compensation", "left", "factory")
+    assert "Whether the controller of left corrects by itself is not known." in said
+    assert "corrects by its maker's calibration" in kilter("robot", "compensation", "left", "factory")
     said = kilter("robot", "add", "--preset", "ur5e", "--name", "right", "--controller-compensation", "none")
-    assert "does not correct it by itself" in said
+    assert "does not correct by itself" in said
     listed = kilter("robot", "list")
     assert re.search(r"left preset 0 0 none factory", listed), listed
     assert re.search(r"right preset 0 0 none none", listed), listed

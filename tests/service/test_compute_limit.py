@@ -12,9 +12,9 @@ from fastapi import FastAPI
 from kilter_service.app import create_app
 from kilter_service.auth.policy import RULES
 from kilter_service.auth.token import admin_token
+from kilter_service.concurrency import ConcurrencyLimit, Slots
 from kilter_service.db import Database
 from kilter_service.settings import Settings
-from kilter_service.slots import ConcurrencyLimit, Slots
 from tests.service.conftest import Katana, Serve, wait_for
 
 LIMIT_S = 0.3
@@ -117,6 +117,7 @@ def test_every_route_that_only_computes_is_limited() -> None:
         "GET /v1/versions/{version}/preview", "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/residuals",
         "GET /v1/versions/{version}/export", "POST /v1/robots/check", "POST /v1/robots/convert",
         "POST /v1/robots/from-circles", "POST /v1/robots/{robot}/correct", "POST /v1/frames", "POST /v1/jobs/check",
+        "POST /v1/robots/{robot}/forward", "POST /v1/robots/{robot}/inverse",
         "POST /v1/robots/{robot}/observations/check", "GET /v1/campaigns/{campaign}/suspicious",
         "GET /v1/campaigns/{campaign}/observations", "GET /v1/robots/{robot}/acceptance",
         "GET /v1/robots/{robot}/drift", "GET /v1/drift",

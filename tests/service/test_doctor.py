@@ -16,6 +16,7 @@ import pytest
 from kilter_service.doctor import checks
 from kilter_service.settings import Settings
 from tests.service.conftest import ready
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -30,10 +31,8 @@ def prepared(tmp_path: Path, migrated: Path) -> Settings:
 
 
 def doctor(settings: Settings, *arguments: str) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", "doctor", *arguments],
-        cwd=REPOSITORY, env={**os.environ, **settings.environment()}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    environment = {**os.environ, **settings.environment()}
+    done = forked_command("doctor", *arguments, environment=environment, folder=REPOSITORY)
     assert done.stderr == ""
     return done
 

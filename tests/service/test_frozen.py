@@ -16,9 +16,9 @@ import pytest
 from kilter_client.stream import CorrectedStream
 from kilter_service.auth.token import admin_token
 from kilter_service.backup.service import verify_stored
-from kilter_service.health.pulse import running, stopped
+from kilter_service.child import running, stopped
 from kilter_service.settings import Settings
-from kilter_service.supervisor import Child
+from kilter_service.supervisor import Program
 from tests.service.conftest import Katana, ready
 from tests.service.test_read_only_disk import Q, asked, finished, made
 from tests.service.test_serve import children
@@ -30,7 +30,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 def test_the_supervisor_says_once_that_a_process_is_frozen(
     settings: Settings, until: Until, caplog: pytest.LogCaptureFixture
 ) -> None:
-    child = Child("ros2", settings)
+    child = Program("ros2", settings)
     said = lambda: [record.getMessage() for record in caplog.records]  # noqa: E731
     child._command = [sys.executable, "-c", "import sys; sys.stdin.read()"]
     child.start()

@@ -59,12 +59,12 @@ def plan(database: Database, ask: Callable[[Session], Any]) -> str:
 @pytest.mark.both_databases
 def test_questions_about_jobs_read_an_index(full: Database) -> None:
     with full.reading() as session:
-        last = store.listed(session, None, Page(100))[-1]
+        last = store.newest_jobs(session, None, Page(100))[-1]
     second = Page(100, (last.created_at.isoformat(), last.id))
     expected: dict[str, Callable[[Session], Any]] = {
-        "ix_jobs_newest ": lambda session: store.listed(session, None, Page(100)),
-        "ix_jobs_newest": lambda session: store.listed(session, None, second),
-        "ix_jobs_newest_of_robot": lambda session: store.listed(session, "r5", Page(100)),
+        "ix_jobs_newest ": lambda session: store.newest_jobs(session, None, Page(100)),
+        "ix_jobs_newest": lambda session: store.newest_jobs(session, None, second),
+        "ix_jobs_newest_of_robot": lambda session: store.newest_jobs(session, "r5", Page(100)),
     }
     for index, ask in expected.items():
         found = plan(full, ask)
@@ -85,7 +85,7 @@ def test_pages_hold_every_job_once(full: Database) -> None:
     page = Page(1000)
     while True:
         with full.reading() as session:
-            found = store.listed(session, None, page)
+            found = store.newest_jobs(session, None, page)
         shown, cursor = page.cut(found, lambda job: (job.created_at.isoformat(), job.id))
         seen += [job.id for job in shown]
         if cursor is None:

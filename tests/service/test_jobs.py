@@ -193,6 +193,11 @@ def test_what_cannot_run_is_refused_at_once(client: httpx.Client, katana: Any) -
         job = {"kind": "identify", "robot": "katana", "campaigns": [campaign], **change}
         answer = client.post("/v1/jobs", json=job)
         assert (answer.status_code, answer.json()["code"]) == (status, code), (change, answer.text)
+    for kind, option in (("evaluate", "refit"), ("drift", "new_setup")):
+        job = {"kind": kind, "robot": "katana", "campaigns": [campaign], "options": {option: ["tool"]}}
+        assert client.post("/v1/jobs", json=job).json()["detail"] == (
+            f"options.{option} is ['tool']: give [], " + f'["base"] or ["base", "tool"], for a job of kind {kind}.'
+        )
     assert client.get("/v1/jobs").json() == {"jobs": [], "next": None}
     assert client.get("/v1/jobs/job_none").json()["code"] == "job_not_found"
     assert client.get("/v1/jobs/job_none/events").json()["code"] == "job_not_found"

@@ -19,7 +19,7 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service import last_words
+from kilter_service import child_output
 from kilter_service.auth.token import admin_token
 from kilter_service.settings import Settings
 from tests.service.test_serve import children
@@ -112,14 +112,14 @@ raise RuntimeError("nobody foresaw this")
         ("{cut off", "{cut off"),
     ],
 )
-def test_the_last_words_of_a_process_are_a_sentence(line: str, said: str) -> None:
+def test_the_last_line_of_a_process_is_a_sentence(line: str, said: str) -> None:
     code = f"import sys; sys.stderr.write({line!r})"
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE) as process:
-        words = last_words.LastWords("worker")
+        words = child_output.ChildOutput("worker")
         words.follow(process.stderr)
         process.wait(30)
         words.close()
-        assert words.last() == said
+        assert words.last_line() == said
 
 
 @pytest.mark.skipif(LOGROTATE is None, reason="logrotate is not installed: apt-get install logrotate")

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 
 from kilter_client import Kilter
@@ -22,8 +21,10 @@ from kilter_service.settings import Settings
 from tests.service.conftest import Katana, Serve
 from tests.service.made_versions import store_version
 
-CSV = b"q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,x_mm,y_mm,z_mm\n" + b"\n".join(
-    b",".join(b"%.6f" % v for v in row) for row in np.random.default_rng(1).uniform(-9, 9, (30, 8))
+# Rows of the robot: of others each upload and each activation would look for what was mixed up.
+ROWS = Katana().columns(30, seed=1)
+CSV = b"\n".join(
+    [",".join(ROWS).encode(), *(b",".join(b"%.6f" % v for v in row) for row in zip(*ROWS.values(), strict=True))]
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import httpx
@@ -12,7 +13,8 @@ import pytest
 from pyarrow import parquet
 
 from kilter_core.observations import Observations
-from tests.core.pixel_scene import Scene, eye_to_hand
+from tests.core.campaigns import held
+from tests.core.pixel_scene import HOME, Scene, eye_to_hand
 
 MM = 1e3
 SCENE = eye_to_hand()
@@ -129,6 +131,80 @@ def test_poses_are_planned_for_the_cameras_of_a_campaign_or_a_version(
     assert (refused["state"], refused["error"]["code"]) == ("failed", "cameras_missing")
     assert "name a version that was identified" in refused["error"]["message"]
     assert all_in_sight(ended("plan", [], purpose="identify", count=12)) is False
+
+
+def test_a_version_by_views_judges_a_tracker_and_is_rezeroed(client: httpx.Client, worker: Any, until: Any) -> None:
+    made = campaign(client, described(SCENE))
+    send(client, made, csv(columns(seen()))).raise_for_status()
+    worker.start()
+
+    def ended(kind: str, campaigns: list[str], **options: Any) -> dict[str, Any]:
+        asked = {"kind": kind, "robot": "watched", "campaigns": campaigns, "options": options}
+        job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+        until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+        found = client.get(f"/v1/jobs/{job}").json()
+        assert found["state"] == "succeeded", found["error"]
+        return dict(found["result"])
+
+    soft = [{"id": "axial_compliance", "joints": [2, 3]}]
+    version = ended("identify", [made], effects=soft, masses="as_stated")["version_id"]
+    assert client.get(f"/v1/versions/{version}").json()["covariance"]["noise_of"] == "pixels"
+
+    rng = np.random.default_rng(4)
+    q = np.tile(SCENE.poses(20, rng), (2, 1))
+    points = MM * (SCENE.tools(q)[0] + 5e-6 * rng.standard_normal((40, 3)))
+    table = {f"q{j + 1}_deg": np.degrees(q[:, j]).tolist() for j in range(6)}
+    table |= {f"{axis}_mm": points[:, k].tolist() for k, axis in enumerate("xyz")}
+    tracked = campaign(client, {}, "tracked")
+    send(client, tracked, csv(table)).raise_for_status()
+    asked = {"tolerance_mm": 1.0, "version": version, "campaign": tracked, "refit": "base,tool"}
+    (judged,) = client.get("/v1/robots/watched/acceptance", params=asked).raise_for_status().json()["campaigns"]
+    sizes = {one["source"]: one["standard_mm"] for one in judged["budget"]["contributions"]}
+    assert sizes["repeatability"] == pytest.approx(0.005, rel=0.3)  # the tracker's, and not a corner's 0.1 mm
+    assert judged["guard_band_mm"] < 0.02
+
+    crashed = SCENE.poses(12, rng)
+    bumped = SCENE.observed(crashed + np.radians(0.2) * np.eye(6)[2], rng, 0.1)
+    views = campaign(client, described(SCENE), "bumped")
+    send(client, views, csv(columns(replace(bumped, q=crashed)))).raise_for_status()
+    again = ended("rezero", [views], version=version)
+    (row,) = again["parameters"]
+    assert row["name"] == "theta_offset_3"
+    assert again["metrics"]["train"]["identified"]["mean_mm"] < 0.05
+    assert client.get(f"/v1/versions/{again['version_id']}").json()["parent_id"] == version
+
+
+def test_a_campaign_of_sockets_settles_the_scale_of_a_board(client: httpx.Client, worker: Any, until: Any) -> None:
+    scene, rng = eye_to_hand(yielding=np.zeros(6), scale=1e-3), np.random.default_rng(6)
+    conditions = described(scene)
+    conditions["boards"][0]["scale_sigma_percent"] = 0.1
+    views = campaign(client, conditions)
+    send(client, views, csv(columns(scene.observed(scene.poses(40, rng), rng, 0.1)))).raise_for_status()
+    feet = scene.tools(HOME[None])[0] + np.array([[0.05, 0.25, 0.1], [-0.05, -0.25, -0.1]])
+    q = [held(scene.built, scene.poses(20, rng), lambda p, c=foot: (p - c, np.eye(3))) for foot in feet]
+    q = [one[np.abs(one).max(axis=1) < 2.4][:8] for one in q]  # within the limits of the joints
+    assert min(map(len, q)) >= 6
+    table = {f"q{j + 1}_deg": np.degrees(np.concatenate(q)[:, j]).tolist() for j in range(6)}
+    table |= {"socket_id": [1] * len(q[0]) + [2] * len(q[1])}
+    sockets = campaign(client, {}, "sockets")
+    answer = send(client, sockets, csv(table))
+    assert answer.status_code == 201, answer.text
+    worker.start()
+    options = {"socket_distances_mm": {"1-2": MM * float(np.linalg.norm(feet[0] - feet[1]))}}
+    asked = {
+        "kind": "identify",
+        "robot": "watched",
+        "campaigns": [views, sockets],
+        "options": options,
+        "validation": 0.2,
+    }
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    found = client.get(f"/v1/jobs/{job}").json()
+    assert found["state"] == "succeeded", found["error"]
+    assert found["result"]["boards"][0]["scale_percent"] == pytest.approx(0.1, abs=0.02)
+    assert {row["kind"] for row in found["result"]["measurements"]} == {"pixels", "contacts"}
+    assert "board_scale" not in [w.get("gauge") for w in found["result"]["warnings"]]
 
 
 @pytest.mark.parametrize(

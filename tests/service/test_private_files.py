@@ -14,6 +14,7 @@ import pytest
 from kilter_service.corrector.endpoints import PrivateSocket
 from kilter_service.db import Database
 from kilter_service.private_files import Scratch, protect
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HOLDER = """
@@ -27,17 +28,18 @@ time.sleep(600)
 """
 
 
+def plain() -> dict[str, str]:
+    """Return this process's environment without settings of Kilter."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+
+
 def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
 def test_a_new_data_folder_and_its_databases_are_the_owners(tmp_path: Path) -> None:
     data = tmp_path / "data"
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", "migrate", "--data", str(data)],
-        env={name: value for name, value in os.environ.items() if not name.startswith("KILTER_")},
-        cwd=REPOSITORY, check=False, capture_output=True, text=True, umask=0o022,
-    )  # fmt: skip
+    done = forked_command("migrate", "--data", str(data), environment=plain(), folder=REPOSITORY, umask=0o022)
     assert done.returncode == 0, done.stderr
     assert mode(data) == 0o700
     assert {mode(path) for path in data.iterdir()} == {0o600}
@@ -104,11 +106,9 @@ def test_no_command_touches_what_is_not_its_own(tmp_path: Path) -> None:
         ["doctor"], ["restore", str(written), "--data", str(tmp_path / "data" / "restored")],
     ]  # fmt: skip
     for command in commands:
-        done = subprocess.run(
-            [sys.executable, "-m", "kilter_service", command[0], "--data", str(data), *command[1:]],
-            env={name: value for name, value in os.environ.items() if not name.startswith("KILTER_")},
-            cwd=REPOSITORY, check=False, capture_output=True, text=True, umask=0o022,
-        )  # fmt: skip
+        done = forked_command(
+            command[0], "--data", str(data), *command[1:], environment=plain(), folder=REPOSITORY, umask=0o022
+        )
         assert done.returncode == 0 or command == ["doctor"], done.stderr  # which may find this machine's disk too full
         after = rights_of(tmp_path, data)
         backups = {path for path in after if ".kilter-backup" in path}

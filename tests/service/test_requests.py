@@ -95,6 +95,14 @@ def test_every_router_makes_guarded_routes() -> None:
         assert all(isinstance(route, GuardedRoute) for route in router.routes if isinstance(route, APIRoute))
 
 
+def test_each_route_is_built_once_for_all_applications(settings: Settings) -> None:
+    """An application that includes routers builds their routes again, each at its first requests."""
+    routers = (*application.ROUTERS, *application.PAGE, application.health, application.docs_page)
+    made = {id(route) for router in routers for route in router.routes}
+    for app in (create_app(settings), create_app(settings)):
+        assert made <= {id(route) for route in app.routes}
+
+
 def test_reads_beyond_this_machine_need_the_token_too(settings: Settings, database: Database, serve: Serve) -> None:
     client = serve(create_app(settings.model_copy(update={"host": "0.0.0.0"})))
     assert client.get("/v1/robots").status_code == 401

@@ -27,6 +27,7 @@ def test_a_robot_is_added_shown_listed_and_deleted(client: httpx.Client) -> None
     assert answer.headers["location"] == "/v1/robots/arm"
     assert answer.json()["joints"][1] == {
         "name": "j2", "kind": "revolute", "limits_deg": [-120, 120], "limits_mm": None, "gear_ratio": 100,
+        "drive_stiffness_nm_rad": None,
     }  # fmt: skip
     assert "a_1" in answer.json()["parameters"]
     assert client.get("/v1/robots/arm").json()["document"]["rows"][0]["a_mm"] == 300

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from kilter_service.doctor import checks
 from kilter_service.metrics import service as metrics
 from kilter_service.settings import Settings
 from tests.service.conftest import ready
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -35,10 +35,7 @@ def kilterd(settings: Settings, *arguments: str) -> subprocess.CompletedProcess[
     environment = {**os.environ, **settings.environment()}
     if settings.backups is None:
         environment.pop("KILTER_BACKUPS", None)
-    command = [sys.executable, "-m", "kilter_service", "backup", *arguments]
-    return subprocess.run(
-        command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=120, check=False
-    )
+    return forked_command("backup", *arguments, environment=environment, folder=REPOSITORY)
 
 
 def backup_of(settings: Settings, age: timedelta) -> Path:

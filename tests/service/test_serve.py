@@ -18,6 +18,7 @@ import pytest
 
 from kilter_service import supervisor
 from kilter_service.settings import Settings
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Until = Callable[..., None]
@@ -117,10 +118,7 @@ def test_processes_end_when_the_supervisor_is_killed(settings: Settings, until: 
 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "kilter_service", *arguments],
-        env={**os.environ, **environment}, cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+    return forked_command(*arguments, environment={**os.environ, **environment}, folder=REPOSITORY)
 
 
 def test_usage_errors_exit_2_and_name_the_remedy(tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ def how_good_today(asked: Asked, kilter: Kilter, read: Callable[[], Any]) -> Non
         said = asked.words(page)
         assert "mean error on rows that no fit used" in said, page
         assert f"after the crash , {when}" in said, page
-        assert f"{mm(today['larger_by_mm'])} more than the {mm(fit)} its own job said" in said, page
+        assert today["compared"].partition("`")[0].strip() in said, page
     # Beside today's number the worst poses and the picture are those of the same rows.
     assert "on after the crash" in asked.words(OVERVIEW).partition("Where is it worst?")[2]
     for page in (asked.version(asked.newer), f"{asked.version(asked.newer)}/report"):

@@ -208,3 +208,29 @@ def test_today_says_when_rows_were_measured_and_where_only_their_upload_is_known
     client.post(f"/v1/campaigns/{first}/retire").raise_for_status()
     with database.reading() as session:
         assert session.execute(select(CampaignRow.measured_at).where(CampaignRow.id == old)).scalar_one() == at
+
+
+def test_what_is_left_of_a_campaign_is_no_other_measurement(
+    client: httpx.Client, katana: Katana, worker: WorkerProcess, until: Until
+) -> None:
+    """Rows that were set aside leave another campaign: it waits for no evaluation, and a fit to it is a fit to the whole."""
+    first = katana.campaign(client, 60)
+    worker.start()
+    made = done(client, until, kind="identify", campaigns=[first], validation=0.25, options={"level": 2})["result"]
+    client.post(f"/v1/versions/{made['version_id']}/activate").raise_for_status()
+
+    def left(campaign: str, rows: str) -> str:
+        client.post(f"/campaigns/{campaign}/rows/aside", data={"rows": rows}, follow_redirects=False)
+        return str(client.get("/v1/robots/katana/campaigns", params={"limit": 1000}).json()["campaigns"][-1]["id"])
+
+    of_fitted = left(first, "1-3")
+    assert client.get(f"/v1/campaigns/{of_fitted}").json()["rows"] == 57
+    assert today(client)["not_evaluated"] == []
+    done(client, until, kind="evaluate", campaigns=[of_fitted])
+    assert today(client)["newest"]["source"] == "held_out"  # its rows were fitted
+
+    later = sent(client, "later", katana.columns(40, seed=7))
+    of_later = left(later, "7")
+    assert [one["id"] for one in today(client)["not_evaluated"]] == [later]
+    client.post(f"/v1/campaigns/{later}/retire").raise_for_status()
+    assert [one["id"] for one in today(client)["not_evaluated"]] == [of_later]

@@ -14,10 +14,12 @@ Schema = Mapping[str, Any]
 MODULES: Mapping[str, Sequence[str]] = {
     "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame", "Mesh"),
     "budgets": ("Budget",),
+    "kinematics": ("Flanges", "Postures"),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
     "acceptance": ("Acceptance",),
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
+    "fleet_priors": ("PriorUsed",),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),

@@ -65,7 +65,7 @@ GROUPS = {
     "Correction": ("correct", "filter"),
     "Keeping": ("change", "retire", "restore", "purge", "tombstones"),
     "Server": ("resolve", "health"),
-    "Access": ("whoami", "add_token", "tokens", "revoke_token", "audit", "verify_audit"),
+    "Access": ("whoami", "login_link", "add_token", "tokens", "revoke_token", "audit", "verify_audit"),
 }
 # What results can do, by hand-written class.
 BEHAVIOUR = {

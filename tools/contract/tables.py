@@ -10,7 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 from kilter_core.effects import EFFECTS
-from kilter_files.formats.registry import listed
+from kilter_files.formats.registry import list_formats
 from kilter_service.contract.words import allowed
 from kilter_service.jobs.registry import KINDS
 from tools.contract.commands import table_of_command, table_of_server
@@ -40,7 +40,7 @@ def _table(name: str) -> str:
 def _format_rows() -> Iterator[str]:
     yield "| `kilter` ... | format | endings | what |"
     yield "|---|---|---|---|"
-    for use, name, endings, title in listed():
+    for use, name, endings, title in list_formats():
         yield f"| `{use}` | `{name}` | {', '.join(f'`{ending}`' for ending in endings)} | {_cell(title)} |"
 
 

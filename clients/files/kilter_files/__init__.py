@@ -155,18 +155,18 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
 
 
 def _mapped(path: Path, column_map: Path, joined: Path | None) -> Table:
-    """Read a file and, where the map has a [join], the second one, and return them in contract columns."""
+    """Read a file and those of the map's [join] tables, and return them in contract columns."""
     from kilter_files.formats.opening import open_source
     from kilter_files.formats.reader import MAP
     from kilter_files.formats.registry import readers_for
     from kilter_files.maps.column_map import read_map
-    from kilter_files.maps.mapped import mapped, second_file
+    from kilter_files.maps.mapped import further_files, mapped
 
     chosen = read_map(column_map, readers_for(MAP))
     source = open_source(path, chosen.form, chosen.layout)
-    place = second_file(path, chosen, joined)
-    there = None if place is None or chosen.join is None else open_source(place, chosen.join.form, chosen.join.layout)
-    return mapped(source, chosen, there)
+    places = further_files(path, chosen, joined)
+    further = [open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)]
+    return mapped(source, chosen, further)
 
 
 def _is_joined(path: Path) -> bool:

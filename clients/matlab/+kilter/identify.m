@@ -36,6 +36,8 @@ function job = identify(robot, campaigns, varargin)
 %                          each.
 %     com_sigma_mm         Standard deviation of each coordinate of every centre of mass, mm, above 0; left out: what
 %                          the robot says.
+%     prior                fleet: add what versions of at least five other robots of this type say before the rows;
+%                          left out: none of them is asked.
 %     socket_distances_mm  Known distances between ball sockets, mm, above 0: {"1-2": 400.0}.
 [options, validation] = kilter.internal.options(varargin);
 job = kilter.internal.run('identify', robot, campaigns, options, validation);

@@ -22,6 +22,8 @@ function job = plan(robot, campaigns, varargin)
 %     without_joints       Of check: joints, from 1, whose zeros need not be seen.
 %     floor_mm             Height in the robot's base frame, mm, that no joint and no tool point goes below.
 %     within               Where poses may be: where the robot was driven before, or anywhere in its limits.
+%     prior                Of identify by d_optimal: fleet: add what versions of at least five other robots of this
+%                          type say before the rows; left out: none of them is asked.
 %     payloads_kg          Loads at hand, kg, 0 to 1000; used where an effect feels them.
 %     payload_com_mm       Centre of these loads in the tool frame, mm; left out: the tool point.
 [options, validation] = kilter.internal.options(varargin);

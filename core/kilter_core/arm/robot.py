@@ -18,13 +18,17 @@ CENTRE_M = 0.01
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint: limits in rad (m when prismatic), gear ratio when known."""
+    """A joint: limits in rad (m when prismatic), gear ratio when known.
+
+    ``drive_stiffness`` N m/rad, where it is roughly known, says how soft the drive may be found to be.
+    """
 
     name: str
     kind: str = "revolute"
     lower: float = -math.inf
     upper: float = math.inf
     gear_ratio: float | None = None
+    drive_stiffness: float | None = None
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from kilter_core.errors import CoreError, OptionError
 from kilter_core.model import Prediction
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import rotation_log
 from kilter_core.types import Floats, Ints
 
@@ -193,9 +194,9 @@ def _wire(value: Any) -> Any:
     out = {}
     for key, v in value.items():
         if key == "m" or key.endswith("_m"):
-            out[f"{key}m"] = (np.asarray(v) * 1e3).tolist()
+            out[f"{key}m"] = mm(np.asarray(v)).tolist()
         elif key == "rad":
-            out["abc_deg"] = np.degrees(v).tolist()
+            out["abc_deg"] = degrees(np.asarray(v)).tolist()
         else:
             out[key] = _wire(v)
     return out

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import OptionError
-from kilter_core.identify.estimate import refitted
+from kilter_core.identify.estimate import new_frames, refitted
 from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors, mm
+from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats, Ints
 
 COVERED = 0.9  # share of coordinates below which 95 % intervals do not hold: poses share errors, so no closer
@@ -37,14 +37,13 @@ def evaluate(
         OptionError: another refit. TooFewPosesError: too few poses for it. ObservationError: nothing measured.
 
     """
-    if list(refit) not in ([], ["base"], ["base", "tool"]):
-        raise OptionError(f'refit is {list(refit)}: give [], ["base"] or ["base", "tool"].', option="refit")
+    anew = new_frames(refit, "refit")
     measurement = Measurement.of(observations, calibration.marker_points, held=True)
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
         "registration_only": refitted(nominal, measurement, ("base", "tool")),
-        "identified": refitted(calibration, measurement, tuple(refit)),
+        "identified": refitted(calibration, measurement, anew),
     }
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only
@@ -55,7 +54,7 @@ def evaluate(
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
     stages["without"] = refitted(nominal, measurement, tuple(refit))
-    within = None if known is None else table.within
+    within = table.within
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
         "within_u95": within, "rows": table.to_document(),
@@ -79,8 +78,8 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
         if Difference.of(found, plain).worse:
             yield {
                 "code": code, "simpler_mm": mm(float(plain.mean())), "identified_mm": mm(float(found.mean())),
-                "message": f"These rows are predicted worse with it ({found.mean() * 1e3:.3g} mm, mean by pose) than with "
-                f"{simpler} ({plain.mean() * 1e3:.3g} mm): {advice}",
+                "message": f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
+                f"{simpler} ({mm(plain.mean()):.3g} mm): {advice}",
             }  # fmt: skip
             return
 
@@ -125,10 +124,11 @@ class Rows:
 def rows_of(
     calibration: Calibration, measurement: Measurement, refit: Sequence[str] = (), known: Predictive | None = None
 ) -> Rows:
-    """Errors of every row of a measurement, with what was expected of them."""
+    """Errors of every row of a measurement, with what was expected of them where their noise is known."""
     points = measurement.residual(calibration.predict(measurement.observations)).points
     seen = ~np.isnan(points)
     mean = np.where(seen, points, 0.0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
+    known = None if known is None else known.judging(measurement)
     u95 = None if known is None else known.of_measured(calibration, measurement, refit)
     return Rows(mean, u95, measurement.observations.pose_groups())
 

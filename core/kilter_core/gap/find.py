@@ -73,9 +73,9 @@ from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, metres, reported
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
@@ -318,7 +318,7 @@ class _Run:
         self, found: SearchResult, place: int, rivals: tuple[Alias, ...], sizes: dict[int, Amplitude], held: HoldoutEvaluator,
     ) -> Evidence:  # fmt: skip
         candidate = found.selector.scorer.candidates[place]
-        unit = 180.0 / np.pi if found.problem.settings.source.unit == "rad" else 1e3
+        unit = reported(found.problem.settings.source.unit)[1]
         joints, any_ = seen_joints(found, place)
         return Evidence(
             place, candidate, rivals, (1.0, 1.0), held.gain_of(place), None,
@@ -336,8 +336,8 @@ class _Run:
             source = problem.settings.source
             points = source.model.predict(source.batch, source.model_values(problem.values)).position
             yield from large_residual(size, points)
-        elif np.degrees(size) > LARGE_DEG:
-            yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
+        elif degrees(size) > LARGE_DEG:
+            yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
 
     def _unsearched(self) -> Iterator[dict[str, Any]]:
         """Say which effects were not looked for because nothing is known to load the joints."""

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_core.identify.cameras import rig_of
-from kilter_core.measurement.metrics import degrees, mm
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place, PlacedRig
+from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
 

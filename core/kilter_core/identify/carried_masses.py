@@ -14,9 +14,9 @@ from kilter_core.effects.load_error import LoadError
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
-from kilter_core.measurement.metrics import metres, mm
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import metres, mm
 from kilter_core.types import Bools, Floats
 
 

@@ -6,16 +6,19 @@ each remedy is tried on the model, and named only when the parameter would then 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.identify.begin import begin_with, refuse_missing_columns
 from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.carried_masses import beside_masses, of_masses
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
+from kilter_core.identify.fleet.asked import of_its_type
+from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
@@ -23,13 +26,13 @@ from kilter_core.identify.measurement_of_rows import measurement_for
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.report import still_joints
-from kilter_core.identify.run import begin_with, refuse_missing_columns
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
 from kilter_core.identify.uncertainty.workspace import MEASURED
 from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 ASSUMED_M = 5e-5  # standard deviation of a coordinate where neither repeats nor options say it
@@ -77,15 +80,21 @@ class IdentificationCheck:
 
 
 def check_identification(
-    robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None = None
+    robot: Robot,
+    train: Observations,
+    options: IdentifyOptions,
+    start: Calibration | None = None,
+    fleet: Sequence[FleetVersion] | None = None,
 ) -> IdentificationCheck:
     """Say what an identification with these options could tell from the rows it would fit.
+
+    What it knows is what the rows add to the prior, that of ``fleet`` where the options ask for it.
 
     Whether the rows are of this robot is asked of the whole campaign, before rows are held out
     (:func:`kilter_core.identify.plausibility.belonging.refuse_mixed_up`).
 
     Raises:
-        TooFewPosesError, OptionError, ObservationError: what the identification would be refused with.
+        CoreError: what the identification would be refused with.
 
     """
     begin = begin_with(robot, train, options, start)
@@ -93,10 +102,11 @@ def check_identification(
     frames = Frames.of(begin, train, options)
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
+    begin = of_its_type(begin, train, options, fleet)[0]
     measurement = measurement_for(train, options, begin.marker_points)
     begin = gated(with_cameras(begin, train, measurement), train, options, None)[0]
     noise, source = _noise(train, options)
-    problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=noise * 1e3))
+    problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=mm(noise)))
     whole = fit_at(problem, values, problem.linearised(values))
     fit = marginal(whole)
     names, prior = fit.names, fit.problem.prior_sigma
@@ -115,8 +125,8 @@ def check_identification(
 
 
 def _noise(train: Observations, options: IdentifyOptions) -> tuple[float, Literal["stated", "repeats", "assumed"]]:
-    if options.noise_mm is not None:
-        return options.noise_mm * 1e-3, "stated"
+    if options.noise_m is not None:
+        return options.noise_m, "stated"
     found = Repeats.of(train).between
     return (ASSUMED_M, "assumed") if found is None else (found, "repeats")
 

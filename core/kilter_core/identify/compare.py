@@ -21,6 +21,7 @@ from kilter_core.measurement.contacts import LEAST_ROWS, contacts_of
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 FEWEST_POSES = 8  # base and tool have 9 to 12 unknowns: fewer poses are explained by them whatever the arm is like
@@ -80,7 +81,7 @@ def said_of_misfit(robot: Robot, observations: Observations, best: float) -> str
         return error.message
     if best <= NOTHING * size:
         return None
-    return f"Its points are {size * 1e3:.4g} mm apart (rms): joints and positions do not belong together."
+    return f"Its points are {mm(size):.4g} mm apart (rms): joints and positions do not belong together."
 
 
 def setups(observations: Observations) -> list[Observations]:

@@ -6,7 +6,6 @@ are fitted together, the report names what none of them tells alone.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,18 +18,13 @@ from kilter_core.identify.noise import pooled_columns
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.kind import Kind
 from kilter_core.model import Calibration
+from kilter_core.parameters import reported
 from kilter_core.types import Bools, Floats
 
-WIRE = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
 SHARPER = 2.0  # times more certain, from which a parameter is named
 Stages = Mapping[str, Calibration]
 KindErrors = dict[str, dict[str, Floats]]
 """Squared errors (K,) of each stage, by kind."""
-
-
-def shown_in(unit: str) -> tuple[str, float]:
-    """Unit of a report for an SI unit, and the factor to it."""
-    return WIRE[unit]
 
 
 def errors_of(stages: Stages, measurement: Measurement) -> KindErrors:
@@ -98,7 +92,7 @@ class Shares:
         """The ``measurements`` of the result, in mm or degrees, and what they tell together."""
         rows = []
         for share in self.each:
-            unit, scale = shown_in(share.kind.unit)
+            unit, scale = reported(share.kind.unit)
             rows.append({
                 "kind": share.kind.name,
                 "unit": unit,

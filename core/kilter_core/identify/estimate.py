@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
-from kilter_core.errors import TooFewPosesError
+from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.cameras import with_rig
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, solve
@@ -23,6 +24,8 @@ from kilter_core.types import Floats, Ints, Progress
 Sigmas = dict[str, float]
 """Standard deviations by noise group, m or rad."""
 
+Frame = Literal["base", "tool"]
+NEW_FRAMES: tuple[tuple[Frame, ...], ...] = ((), ("base",), ("base", "tool"))
 START_SIGMA_M = 1e-4
 START_SIGMA_RAD = 1e-3
 SMALLEST_SIGMA_M = 1e-7  # below any instrument: keeps noise-free simulations solvable
@@ -51,6 +54,19 @@ def frames_alone(start: Calibration, measurement: Measurement, options: Identify
     """Fit frames only, as the options leave them free; a fit that ends further off than the start is not taken."""
     found = estimate(start, measurement, options).calibration()
     return start if _further_off(found, start, measurement) else found
+
+
+def new_frames(frames: Sequence[str], option: str) -> tuple[Frame, ...]:
+    """Return the frames that an option says were set up anew.
+
+    Raises:
+        OptionError: a tool without its base: where it was held would pass for an error of the arm.
+
+    """
+    found = next((one for one in NEW_FRAMES if list(one) == list(frames)), None)
+    if found is None:
+        raise OptionError(f'{option} is {list(frames)}: give [], ["base"] or ["base", "tool"].', option=option)
+    return found
 
 
 def refitted(calibration: Calibration, measurement: Measurement, frames: Sequence[str]) -> Calibration:
@@ -102,7 +118,7 @@ def estimate(
     if options.loss == "tukey":
         return _redescended(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
     problem, values = prepared(start, measurement, options, anchor=anchor)
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     still = problem.anchor if problem.anchor is not None else values[problem.free]
     first = fit_at(problem, values, problem.linearised(values))
     sigmas, held = _promised(first, stated)
@@ -172,17 +188,19 @@ def prepared(
 
     """
     model, values = start.model.absorb_frame_increments(start.values)
-    if measurement.tool.places_itself:
+    if not measurement.fits_tool:
         options = replace(options, tool="fixed")
-    free = options.free_parameters(
-        model, observes_orientation=measurement.observes_orientation, observes_base=measurement.observes_base
-    )
+    turns = measurement.observes_orientation and not measurement.tool.places_itself
+    free = options.free_parameters(model, observes_orientation=turns, observes_base=measurement.observes_base)
     if not registered:
         refuse_too_few(model, measurement, free)
         model = model.in_frames(*_start_frames(model, values, measurement, options, free))
-    sigma = START_SIGMA_M if options.noise_mm is None else options.noise_mm * 1e-3
+    sigma = START_SIGMA_M if options.noise_m is None else options.noise_m
     weights = Weights(_row_sigmas(measurement, sigma), START_SIGMA_RAD)
     still = (values if anchor is None else anchor)[free]
+    if model.of_type is not None:  # what the poses do not see stays where the type has it
+        known, own = model.of_type.places([model.names[k] for k in free])
+        still[known] = model.of_type.mean[own]
     return Problem(model, measurement, free, weights, options.loss, None, still), values
 
 
@@ -200,7 +218,7 @@ def _start_frames(
 
 def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
     """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    stated = options.noise_m
     return _weights(fit.problem.measurement, _bounded_below(scatter(fit), stated))
 
 
@@ -244,10 +262,12 @@ def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
 def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> None:
     """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns.
 
-    Masses that are carried as uncertain count as known: their priors say how well.
+    Masses that are carried as uncertain count as known: their priors say how well. So does what arms of the type say.
     """
     poses, numbers = measurement.poses, measurement.numbers()
     free = free[~of_masses(model)[free]]
+    if model.of_type is not None:
+        free = np.delete(free, model.of_type.places([model.names[k] for k in free])[0])
     needed = poses + math.ceil((len(free) - numbers) / measurement.equations_per_pose)
     if numbers < len(free):
         raise TooFewPosesError(
@@ -286,8 +306,7 @@ def scatter(fit: Fit) -> Sigmas:
         if group != TURNS and problem.loss != "linear" and len(left):
             # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
             size = float(np.median(np.abs(left)) / 0.6745)
-        redundancy = math.sqrt(problem.measurement.redundancy) if group == POINTS else 1.0
-        out[group] = size * redundancy / freedom
+        out[group] = size * math.sqrt(problem.measurement.redundancy_of(group)) / freedom
     return out
 
 

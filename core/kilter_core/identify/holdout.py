@@ -2,7 +2,8 @@
 
 Of rows held by sockets, planes and bars whole placements are set aside: where a placement stands is fitted to its rows, so
 rows of one placement on both sides would judge themselves. Of several motions whole ones are, of a single one its end:
-neighbouring samples are the same measurement twice.
+neighbouring samples are the same measurement twice. Beside views contacts are all fitted: they are few, and settle the
+scale; views are set aside.
 
 What is drawn depends on the joint readings and the seed only, never on the order of the rows, on ids or on the kind of job:
 the same campaign and the same share are the same poses for whoever holds them out, and versions can be compared there. A
@@ -18,7 +19,7 @@ from hashlib import blake2b
 import numpy as np
 
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.measurement.contacts import placements
+from kilter_core.measurement.contacts import held, placements
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory, segments
 from kilter_core.types import Floats, Ints
@@ -51,7 +52,7 @@ class _Units:
     @staticmethod
     def of(observations: Observations, seed: int, parts: int | None = None) -> _Units:
         """Placements, motions, or poses; a single motion is cut into ``parts``, its samples when None."""
-        placed = placements(observations)
+        placed = placements(observations) if observations.camera is None else None
         if placed is not None:
             return _Units(_drawn(placed[0], observations, seed), len(placed[1]), placed[1], few=True)
         if not is_trajectory(observations):
@@ -75,6 +76,10 @@ def split(observations: Observations, fraction: float, seed: int) -> tuple[Ints,
     """
     if not 0.0 < fraction < 1.0:
         raise OptionError(f"validation is {fraction}: give a fraction between 0 and 1.", option="validation")
+    views, contacts = _views_beside_contacts(observations)
+    if len(contacts):
+        shown, unseen = split(observations.select(views), fraction, seed)
+        return _fitted(views[shown], contacts), views[unseen]
     units = _Units.of(observations, seed)
     if units.names and len(units.names) < FEWEST_PLACEMENTS:
         raise TooFewPosesError(
@@ -82,14 +87,14 @@ def split(observations: Observations, fraction: float, seed: int) -> tuple[Ints,
             "out.",
             placements=len(units.names),
         )
-    held = round(fraction * units.count)
+    count = round(fraction * units.count)
     if units.few:  # a tenth of three sockets is one of them
-        held = min(max(held, 1), units.count - 1)
-    if held == 0 or held == units.count:
+        count = min(max(count, 1), units.count - 1)
+    if count == 0 or count == units.count:
         raise TooFewPosesError(
             f"{units.count} poses cannot be split {1 - fraction:.0%} to {fraction:.0%}: measure more."
         )
-    inside = units.order < held
+    inside = units.order < count
     return np.flatnonzero(~inside), np.flatnonzero(inside)
 
 
@@ -102,6 +107,11 @@ def fold_splits(observations: Observations, folds: int, seed: int) -> Iterator[t
     """
     if folds < 2:
         raise OptionError(f"folds is {folds}: give two or more.", option="validation")
+    views, contacts = _views_beside_contacts(observations)
+    if len(contacts):
+        for shown, unseen in fold_splits(observations.select(views), folds, seed):
+            yield _fitted(views[shown], contacts), views[unseen]
+        return
     units = _Units.of(observations, seed, folds)
     if units.names and units.count < folds:
         fewer = f"give {units.count} folds or fewer, or m" if units.count >= FEWEST_PLACEMENTS else "m"
@@ -115,6 +125,18 @@ def fold_splits(observations: Observations, folds: int, seed: int) -> Iterator[t
     for part in np.array_split(np.arange(units.count), folds):
         inside = np.isin(units.order, part)
         yield np.flatnonzero(~inside), np.flatnonzero(inside)
+
+
+def _views_beside_contacts(observations: Observations) -> tuple[Ints, Ints]:
+    """Rows that are views, and rows beside them that contacts held; none of these where there are no views."""
+    if observations.camera is None or not held(observations):
+        return np.arange(len(observations)), np.zeros(0, dtype=np.int64)
+    seen = observations.camera >= 0
+    return np.flatnonzero(seen), np.flatnonzero(~seen)
+
+
+def _fitted(views: Ints, contacts: Ints) -> Ints:
+    return np.sort(np.concatenate([views, contacts]))
 
 
 def _drawn(groups: Ints, observations: Observations, seed: int) -> Ints:

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.report import on_wire
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.parameters import Parameter, indices
+from kilter_core.parameters import Parameter, indices, mm, reported
 from kilter_core.types import Floats
 
 STEP_RAD = math.radians(0.05)  # the deviations of thesis 3.5
@@ -43,8 +42,8 @@ class Influence:
         first = np.bincount(np.argmax(k, axis=1), minlength=len(self.names)) / len(k)
         rows = []
         for c in np.argsort(-self.moved.mean(axis=0), kind="stable"):
-            unit, scale = on_wire(self.units[c])
-            column = self.moved[:, c] * 1e3
+            unit, scale = reported(self.units[c])
+            column = mm(self.moved[:, c])
             rows.append({
                 "name": self.names[c], "step": float(self.steps[c]) * scale, "unit": unit,
                 "mean_mm": float(column.mean()), "min_mm": float(column.min()), "max_mm": float(column.max()),

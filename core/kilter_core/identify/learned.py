@@ -16,6 +16,7 @@ from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 FRAMES = tuple(f"{frame}_{k}" for frame in ("base", "tool") for k in FRAME_NAMES)
@@ -38,7 +39,7 @@ class Learned:
 
     def to_document(self) -> dict[str, Any]:
         """The verdict with its numbers, in mm."""
-        without, beside = (None if v is None else v * 1e3 for v in (self.without, self.beside))
+        without, beside = (None if v is None else mm(v) for v in (self.without, self.beside))
         return {
             "effects": list(self.ids),
             "kept": self.kept,

@@ -11,6 +11,7 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
+from kilter_core.identify.prior_use import PriorUse
 from kilter_core.identify.problem import ByDeviation, LeastSquares, Whitened, linearised_residual
 from kilter_core.identify.solver import Minimum, StepProgress, minimise
 from kilter_core.measurement import Block, Measurement, Residual
@@ -71,12 +72,17 @@ class Problem(LeastSquares[Linearised]):
     batch: Batch = field(init=False)
     prior_mean: Floats = field(init=False)
     prior_sigma: Floats = field(init=False)
+    prior_precision: Floats | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         parameters = [self.model.parameters[k] for k in self.free]
         object.__setattr__(self, "batch", self.model.batch(self.measurement.observations))
-        object.__setattr__(self, "prior_mean", np.array([p.value for p in parameters]))
-        object.__setattr__(self, "prior_sigma", np.array([p.prior_sigma for p in parameters]))
+        mean, sigma = (np.array([getattr(p, part) for p in parameters]) for part in ("value", "prior_sigma"))
+        if self.model.of_type is not None:
+            mean, sigma, precision = self.model.of_type.over([p.name for p in parameters], mean, sigma)
+            object.__setattr__(self, "prior_precision", precision)
+        object.__setattr__(self, "prior_mean", mean)
+        object.__setattr__(self, "prior_sigma", sigma)
 
     def reweighted(self, weights: Weights, held: Floats | None, loss: str | None = None) -> Problem:
         """Return the same problem with other weights, held directions and perhaps loss; the batch is shared."""
@@ -192,6 +198,7 @@ class Fit:
     residual: Residual
     freedom: float | None = None
     report: Mapping[str, Any] = field(default_factory=dict)  # what the method tells besides, JSON-able
+    prior_use: PriorUse | None = None  # how far the arm's type was believed
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -265,6 +272,7 @@ def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int =
     """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
     H, _ = problem.normal_equations(values, here)
     inverse = np.linalg.inv(H)
+    resting = inverse if problem.prior_precision is None else inverse @ problem.prior_precision
     scale = problem.prior_sigma
     return Fit(
         problem=problem,
@@ -272,7 +280,7 @@ def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int =
         covariance=inverse * np.outer(scale, scale),
         J=here.J,
         cost=here.loss,
-        effective=float(len(H) - np.trace(inverse)),
+        effective=float(len(H) - np.trace(resting)),
         iterations=iterations,
         residual=here.residual,
     )

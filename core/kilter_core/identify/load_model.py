@@ -10,10 +10,10 @@ from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, weighed
 from kilter_core.effects.load_error import LoadError
 from kilter_core.identify.identifiability import identifiable
 from kilter_core.model import Calibration
+from kilter_core.parameters import MM
 from kilter_core.types import Floats
 
 FAR = 3.0  # prior sigmas from what was stated: one mass in 400 by chance, if the sigmas are true
-MM = 1e3
 NAMED = {"mass": "mass", "com_x": "centre along x", "com_y": "centre along y", "com_z": "centre along z"}
 
 

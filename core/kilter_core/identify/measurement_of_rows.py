@@ -28,13 +28,12 @@ def measurement_for(
         ObservationError: nothing measured. OptionError: a method that does not go with these rows.
 
     """
-    pairs = {tuple(map(int, pair.split("-"))): mm * 1e-3 for pair, mm in options.socket_distances_mm.items()}
     made = Measurement.of(
         observations,
         points,
         relative=options.base == "removed",
         held=True,
-        socket_distances={(a, b): m for (a, b), m in pairs.items()},
+        socket_distances=options.socket_distances,
         anchor=anchor,
     )
     for kind in made.kinds:

@@ -14,6 +14,7 @@ from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
+from kilter_core.parameters import DEG, MM
 from kilter_core.types import Floats
 
 BY_CHANCE = 1.0  # standard errors of the mean difference of poses
@@ -105,7 +106,7 @@ def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit:
         if beyond_chance
         else "by no more than chance explains. Measure more poses, spread over the joints, before you rely on the difference."
     )
-    scale = 1e3 if unit == "mm" else 180.0 / np.pi
+    scale = MM if unit == "mm" else DEG
     before, after = told.before * scale, told.after * scale
     less, more = _apart(before, after)
     return {

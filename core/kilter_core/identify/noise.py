@@ -18,6 +18,7 @@ from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import unbiased
 from kilter_core.observations.repeats import last_motion
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints
 
 CHANCE = 0.01  # of calling one good reading of a campaign wrong
@@ -57,8 +58,8 @@ class Repeats:
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm."""
         return {
-            "between_visits_mm": None if self.between is None else self.between * 1e3,
-            "between_shots_mm": None if self.shots is None else self.shots * 1e3,
+            "between_visits_mm": None if self.between is None else mm(self.between),
+            "between_shots_mm": None if self.shots is None else mm(self.shots),
             "wrong_rows": len(self.wrong),
         }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
@@ -39,7 +40,8 @@ class IdentifyOptions:
     the base to the device of the campaign. ``masses``
     "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not, "auto"
     does where none of them follows the sign of a load, and else lets the covariance hold what they do;
-    ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says.
+    ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says. ``prior``
+    "fleet" adds what versions of other robots of the type say before these rows (:mod:`kilter_core.identify.fleet`).
     """
 
     level: int | None = None
@@ -62,6 +64,23 @@ class IdentifyOptions:
     masses: str = "auto"
     mass_sigma_percent: float | None = None
     com_sigma_mm: float | None = None
+    prior: str | None = None
+
+    @property
+    def noise_m(self) -> float | None:
+        """Stated standard deviation of a coordinate, m."""
+        return None if self.noise_mm is None else self.noise_mm * 1e-3
+
+    @property
+    def search_span(self) -> dict[str, float]:
+        """Half the box of a global search by unit, m and rad."""
+        return {"m": self.search_mm * 1e-3, "rad": math.radians(self.search_deg)}
+
+    @property
+    def socket_distances(self) -> dict[tuple[int, int], float]:
+        """Known distances between the sockets of each pair, m."""
+        pairs = ((pair.split("-"), length) for pair, length in self.socket_distances_mm.items())
+        return {(int(a), int(b)): length * 1e-3 for (a, b), length in pairs}
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
@@ -72,6 +91,7 @@ class IdentifyOptions:
         self._one_of("intervals", (None, "bootstrap", "profile"))
         self._one_of("reference", ("auto", "robot", "registration"))
         self._check_masses()
+        self._check_prior()
         if self.refit is not None and (set(self.refit) - {"base", "tool"} or len(set(self.refit)) < len(self.refit)):
             message = f'refit is {self.refit!r}: give ["base"], ["tool"], ["base", "tool"] or [].'
             raise OptionError(message, option="refit", value=self.refit)
@@ -108,6 +128,16 @@ class IdentifyOptions:
                     f"{name} says how well masses are known, masses as_stated that they are exact: leave one of them out.",
                     option=name,
                 )
+
+    def _check_prior(self) -> None:
+        """Refuse a prior beside a method that knows none, or that continues from a version's own."""
+        self._one_of("prior", (None, "fleet"))
+        if self.prior is not None and (self.method != "least_squares" or self.tilt_first):
+            other = "tilt_first, which holds effects" if self.method == "least_squares" else f"method {self.method}"
+            raise OptionError(
+                f"Prior fleet does not go with {other}: leave prior out, or take method least_squares without tilt_first.",
+                option="prior",
+            )
 
     def _check_method(self) -> None:
         """Refuse a method that there is not, and what does not go with the one there is."""

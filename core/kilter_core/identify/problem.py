@@ -102,11 +102,13 @@ W = TypeVar("W", bound=Whitened)
 class LeastSquares(ABC, Generic[W]):
     """Whitened residuals under free parameters that each have a Gaussian prior, as the solver walks them.
 
+    ``prior_precision (F, F)``, in prior sigmas, is that of priors that know of each other; the identity when None.
     ``held (K, F)`` are orthonormal directions, in prior sigmas, along which the parameters stay at ``anchor (F,)``.
     """
 
     prior_mean: Floats
     prior_sigma: Floats
+    prior_precision: Floats | None = None
     held: Floats | None = None
     anchor: Floats | None = None
 
@@ -147,14 +149,23 @@ class LeastSquares(ABC, Generic[W]):
         """Half the sum of squares of ``r``, of the priors and of what strayed along held directions."""
         away = self._away(values)
         with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
-            return 0.5 * (float(r @ r) + float(away @ away) + HOLD * float(np.sum(self._strayed(values) ** 2)))
+            return 0.5 * (
+                float(r @ r) + float(away @ self._stiff(away)) + HOLD * float(np.sum(self._strayed(values) ** 2))
+            )
 
     def normal_equations(self, values: Floats, here: W) -> tuple[Floats, Floats]:
         """Matrix (F, F) and slope (F,) in prior sigmas, the priors included, nothing held."""
         scale = self.prior_sigma
         H = (here.J.T @ here.J) * np.outer(scale, scale)
-        H.flat[:: len(H) + 1] += 1.0
+        if self.prior_precision is None:
+            H.flat[:: len(H) + 1] += 1.0
+        else:
+            H += self.prior_precision
         return H, self._downhill(values, here)
+
+    def prior_information(self) -> Floats:
+        """What the priors know (F, F), in prior sigmas."""
+        return np.eye(len(self.prior_sigma)) if self.prior_precision is None else self.prior_precision
 
     def whole_step(self, values: Floats, here: W) -> Floats:
         """The step (F,) in prior sigmas that Gauss and Newton take with nothing held, neither damped nor shortened."""
@@ -182,7 +193,11 @@ class LeastSquares(ABC, Generic[W]):
         return np.asarray((self.current(values) - self.prior_mean) / self.prior_sigma)
 
     def _downhill(self, values: Floats, here: W) -> Floats:
-        return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self._away(values))
+        return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self._stiff(self._away(values)))
+
+    def _stiff(self, away: Floats) -> Floats:
+        """How the priors pull back (F,) what is ``away (F,)`` from them."""
+        return away if self.prior_precision is None else np.asarray(self.prior_precision @ away)
 
     def _strayed(self, values: Floats) -> Floats:
         """How far the held directions have moved, in prior sigmas."""

@@ -12,6 +12,7 @@ from kilter_core.identify.estimate import registration_only
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
+from kilter_core.parameters import mm
 from kilter_core.transforms import rotation_log
 from kilter_core.types import Floats
 
@@ -66,11 +67,14 @@ def refuse_contradicted(
     held = [which for which in ("base", "tool") if getattr(options, which) == "fixed"]
     if not held or fitted_m <= CONTRADICTED * registered_m:
         return
-    off = [np.linalg.norm(getattr(start.model, f"T_{k}")[:3, 3] - getattr(found.model, f"T_{k}")[:3, 3]) for k in held]
+    off = [
+        float(np.linalg.norm(getattr(start.model, f"T_{k}")[:3, 3] - getattr(found.model, f"T_{k}")[:3, 3]))
+        for k in held
+    ]
     which, far = max(zip(held, off, strict=True), key=lambda pair: pair[1])
     raise OptionError(
-        f"The {which} is held where the robot has it, and the rows say that it is {1e3 * far:.4g} mm away: held, "
-        f"{1e3 * fitted_m:.3g} mm are left, with frames fitted and nothing else {1e3 * registered_m:.3g} mm. Fit it "
+        f"The {which} is held where the robot has it, and the rows say that it is {mm(far):.4g} mm away: held, "
+        f"{mm(fitted_m):.3g} mm are left, with frames fitted and nothing else {mm(registered_m):.3g} mm. Fit it "
         f"(--{which} free), or correct the {which} of the robot.",
         option=which,
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.fleet.said import resting
 from kilter_core.identify.identifiability import NullDirection, identifiable
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
@@ -16,39 +17,31 @@ from kilter_core.identify.uncertainty.workspace_uncertainty import workspace_unc
 from kilter_core.measurement.marker_checks import bending
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm, reported
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_core.types import Bools, Floats
 
-WIRE = {
-    "m": ("mm", 1e3),
-    "rad": ("deg", 180.0 / math.pi),
-    "rad/(N m)": ("deg/(N m)", 180.0 / math.pi),
-    "m/N": ("mm/N", 1e3),
-}
 _TURNS = frozenset(f"{frame}_{axis}" for frame in ("base", "tool") for axis in ("rx", "ry", "rz"))
 LARGE = 0.01  # share of the workspace left after the fit that is worth a warning
 STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
-
-
-def on_wire(unit: str) -> tuple[str, float]:
-    """Return the unit of the wire for an SI unit, and how many of it one of those is."""
-    return WIRE.get(unit, (unit, 1.0))
 
 
 def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | None = None) -> list[dict[str, Any]]:
     """Every free parameter as {name, value, nominal, change, unit, sigma, identifiable, plausible} in mm and degrees.
 
     Base and tool are given as x, y, z and rx, ry, rz of the whole frame (URDF order Rz Ry Rx); their sigmas are those
-    of small increments along the frame's own axes. ``intervals`` add lower and upper.
+    of small increments along the frame's own axes. ``intervals`` add lower and upper, a prior of the type from_prior.
     """
     model = calibration.model
     unobservable = unobservable_names(fit.problem.model, fit.problem.measurement.observations)
     known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(unobservable))
     rows = rows_of(calibration, fit.names, fit.sigma, known)
+    if fit.problem.model.of_type is not None:
+        rows = [{**row, "from_prior": bool(rests)} for row, rests in zip(rows, resting(fit), strict=True)]
     if intervals is not None:
         ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
         for row, below, above, stands_in in ends:
-            scale = on_wire(model.parameter(row["name"]).unit)[1]
+            scale = reported(model.parameter(row["name"]).unit)[1]
             row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
             row["interval_from"] = "sigma" if stands_in else intervals.kind
     return rows
@@ -60,7 +53,7 @@ def rows_of(calibration: Calibration, names: Sequence[str], sigma: Floats, known
     rows: list[dict[str, Any]] = []
     for name, spread, seen in zip(names, sigma, known, strict=True):
         parameter = calibration.model.parameter(name)
-        unit, scale = on_wire(parameter.unit)
+        unit, scale = reported(parameter.unit)
         rows.append({
             "name": name,
             "value": values[name] * scale,
@@ -112,7 +105,7 @@ def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dic
         yield {
             "code": "markers_not_rigid",
             "markers": list(bent[:2]),
-            "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {bent[2] * 1e3:.2f} mm (standard "
+            "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {mm(bent[2]):.2f} mm (standard "
             "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
         }
     if repeats.between is None:
@@ -146,7 +139,7 @@ def large_residual(rms_m: float, points: Floats) -> Iterator[dict[str, Any]]:
     if rms_m > LARGE * spread:
         yield {
             "code": "large_residual",
-            "message": f"{rms_m * 1e3:.3g} mm are left over a workspace of {spread * 1e3:.3g} mm. No swapped, reversed or "
+            "message": f"{mm(rms_m):.3g} mm are left over a workspace of {mm(spread):.3g} mm. No swapped, reversed or "
             "otherwise read joints, no unit and no change of tool explain that; the nominal geometry, loads or poor "
             "measurements may. Check the robot's description, and look for what is missing with `kilter gap`.",
         }

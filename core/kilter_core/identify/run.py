@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.errors import ObservationError, OptionError
+from kilter_core.errors import OptionError
+from kilter_core.identify.begin import begin_with, refuse_missing_columns
 from kilter_core.identify.cameras import with_cameras
-from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said, with_masses
+from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said
 from kilter_core.identify.errors_by_kind import KindErrors, Shares, errors_of
+from kilter_core.identify.fleet.asked import of_its_type
+from kilter_core.identify.fleet.prior import FleetPrior
+from kilter_core.identify.fleet.said import prior_document, prior_warnings
+from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
 from kilter_core.identify.gauges import gauges
 from kilter_core.identify.holdout import Folds, split
@@ -29,6 +35,8 @@ from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.plausibility.flat_boards import bent_boards
+from kilter_core.identify.plausibility.timing import bad_timing
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
@@ -50,9 +58,10 @@ from kilter_core.identify.view_report import (
     with_own_scatter,
 )
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors, metrics_document, mm
+from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, mm
 from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 
 Validation = Observations | float | Folds | None
@@ -88,6 +97,7 @@ class Identification:
     held_kinds: KindErrors = field(default_factory=dict)
     beyond: BeyondNoise | None = None  # more than the stated noise is left
     views: dict[str, Any] = field(default_factory=dict)  # cameras and boards, and what their views say of the tool
+    fleet: FleetPrior | None = None  # what was known of the type, whether it was believed or not
     held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
 
     @property
@@ -121,7 +131,7 @@ class Identification:
         by_views = "pixels" in self.views  # their noise is in px: the length that weighs them means nothing
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
-            "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
+            "scale": {"point_mm": mm(self.scale[0]), "turn_deg": float(degrees(self.scale[1]))},
             "set_aside": self.set_aside,
             "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
@@ -129,7 +139,7 @@ class Identification:
             "noise_source": None if by_views else self.noise_source,
             "noise": {
                 "residuals_mm": None if by_views else mm(left_of(self.fit)),
-                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                "inadequacy_mm": mm(self.predictive.inadequacy),
                 **self.repeats.to_document(),
             },
             "warnings": list(self.warnings),
@@ -147,6 +157,7 @@ class Identification:
                 for which in ("base", "tool")
             },
             "reference": named(self.calibration),
+            "prior": None if self.fleet is None else prior_document(self.fleet, self.fit),
             **self.views,
         }
 
@@ -160,6 +171,7 @@ def identify(
     progress: Progress | None = None,
     prior: Prior | None = None,
     each: Each = one_by_one,
+    fleet: Sequence[FleetVersion] | None = None,
 ) -> Identification:
     """Identify a robot from observations.
 
@@ -167,8 +179,10 @@ def identify(
     With folds each of them is predicted once by a model that never saw it, and the final fit uses all.
     ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
     ``each`` computes the folds and the profiles of intervals; another may do so in several processes.
+    ``fleet`` are versions of other robots of the type, one of each, whose mean and spread are a prior (option ``prior``).
 
     Raises:
+        CoreError: ``fleet_too_few``, ``fleet_gauge``, ``fleet_conflict``: no prior from these versions.
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
         ObservationError: nothing measured, or ``foreign_observations``. NotConvergedError: no minimum found.
 
@@ -179,6 +193,7 @@ def identify(
     nominal = Calibration.nominal(robot)
     remarks = _belonging(begin, train, validation)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
+    begin, of_type = of_its_type(begin, train, options, fleet)
     progress(0.02, "splitting by pose")
     held, compared, by_row, kinds = NOTHING_HELD
     if isinstance(validation, Folds):
@@ -186,29 +201,25 @@ def identify(
         held, compared, by_row, kinds = cross_validated(*given)
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     begin, measurement = _seen(begin, train, options)
-    of_tool = measurement.of_tool()
-    found = in_fitted_frames(begin, of_tool, options, prior)
-    wanted = wanted_frames(begin, found, of_tool, options, continues(options, prior))
+    found, wanted = _registered(begin, measurement.of_tool(), options, prior)
     begin, learned = gated(begin, train, options, prior)
     fit = _fitted(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
     calibration = fit.calibration(*wanted)
     stages = _stages(found if measurement.tool.places_itself else nominal, found, calibration)
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
-        plain = geometry_alone(begin, measurement, options)
-        held, compared, by_row, kinds, own[len(own) :] = held_out(
-            stages, plain, frames, validation, options, measurement
-        )
+        apart = (stages, geometry_alone(begin, measurement, options), frames, validation, options, measurement)
+        held, compared, by_row, kinds, own[len(own) :] = held_out(*apart)
         by_row = by_row.numbered(outside)
     progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
-    said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *(compared.warnings() if compared else ()))
+    said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *_compared(compared, of_type, fit))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
-        result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds,
+        result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
         fitted_kinds=errors_of(stages, measurement), **_views(result, said, validation, measurement, held, begin),
     )  # fmt: skip
 
@@ -217,6 +228,20 @@ def _seen(begin: Calibration, train: Observations, options: IdentifyOptions) -> 
     """The model to fit with its cameras, and what was measured."""
     measurement = measurement_for(train, options, begin.marker_points)
     return with_cameras(begin, train, measurement), measurement
+
+
+def _registered(
+    begin: Calibration, of_tool: Measurement, options: IdentifyOptions, prior: Prior | None
+) -> tuple[Calibration, tuple[Floats, Floats]]:
+    """The nominal robot in fitted frames, and the base and tool frames that a correction should work in."""
+    found = in_fitted_frames(begin, of_tool, options, prior)
+    return found, wanted_frames(begin, found, of_tool, options, continues(options, prior))
+
+
+def _compared(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
+    """Warnings of what a fit was compared with: simpler models, and other arms of the type."""
+    yield from () if compared is None else compared.warnings()
+    yield from () if of_type is None else prior_warnings(of_type, fit)
 
 
 def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -> dict[str, Calibration]:
@@ -304,8 +329,7 @@ def _reported(
     shares = Shares.of(fit, marginal(fit).names)
     plain, (fit, scatter) = fit, with_own_scatter(fit)
     views = views_said(calibration, fit, scatter)
-    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
-    beyond = BeyondNoise.of(fit, repeats, stated)
+    beyond = BeyondNoise.of(fit, repeats, options.noise_m)
     masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
     fit = predicted = fit if beyond is None else beyond.widen(fit)
     if masses is not None:
@@ -321,7 +345,7 @@ def _reported(
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
         predictive=predictive_of(fit_of_all, scatter)
-        or predictive(marginal(predicted), repeats, stated, Structure.of(plain)),
+        or predictive(marginal(predicted), repeats, options.noise_m, Structure.of(plain)),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
         warnings=(
@@ -329,6 +353,8 @@ def _reported(
             *(() if learned is None else (learned.warning(),)),
             *another_arm(calibration),
             *gauges(fit_of_all),
+            *bent_boards(fit_of_all),
+            *bad_timing(fit_of_all),
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
@@ -364,7 +390,7 @@ def _intervals(
 
 def _together(fit: Fit) -> dict[str, Any]:
     """Observability of the poses, per prior sigma and in mm, and the parameters that go together."""
-    millimetre = float(np.mean(fit.problem.weights.points)) * 1e3
+    millimetre = mm(float(np.mean(fit.problem.weights.points)))
     poses = int(fit.problem.measurement.observations.pose_groups().max()) + 1
     groups = correlated_groups(fit.covariance, fit.names)
     J, _, prior_sigma = beside_masses(fit)
@@ -372,25 +398,3 @@ def _together(fit: Fit) -> dict[str, Any]:
         "observability": observability(J * prior_sigma * millimetre, poses).to_document(),
         "correlated_groups": [{"parameters": list(g.names), "correlation": g.strongest} for g in groups],
     }
-
-
-def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
-    """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
-    effects = tuple(effect.on(robot, train) for effect in options.make_effects())
-    if start is None:
-        return Calibration.nominal(robot, with_masses(effects, robot, train, options))
-    return start.with_effects(with_masses(effects or start.model.effects, robot, train, options))
-
-
-def refuse_missing_columns(begin: Calibration, train: Observations) -> None:
-    """Raise :class:`ObservationError` where an effect of the model needs a column that the rows do not have."""
-    available = frozenset({"moments"} | set(train._present()))
-    for effect in begin.model.effects:
-        missing = effect.missing(available)
-        if missing:
-            raise ObservationError(
-                f"Effect {effect.id} needs {', '.join(sorted(missing))}, which these observations do not have: "
-                "upload the columns, or leave the effect out.",
-                effect=effect.id,
-                missing=sorted(missing),
-            )

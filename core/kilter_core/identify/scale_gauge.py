@@ -21,10 +21,13 @@ MACHINED_M = 5e-4  # standard deviation of a length as its maker holds it
 
 
 def free_scale(fit: Fit) -> bool:
-    """Whether everything may grow together: pixels alone, all boards of free scale, all lengths free, no prismatic joint."""
+    """Whether everything may grow together: pixels and no measured length, boards of free scale, all lengths free.
+
+    A prismatic joint tells the scale too.
+    """
     problem = fit.problem
     rig = unknown_rig(problem.model)
-    if rig is None or not problem.measurement.tool.places_itself:
+    if rig is None or problem.measurement.tells_scale:
         return False
     robot, names = problem.model.robot, set(fit.names)
     lengths = [e for e in robot.chain.elements if not e.axis.rotates]

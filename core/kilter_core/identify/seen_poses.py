@@ -19,23 +19,25 @@ from kilter_core.measurement.board_poses import board_poses
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
+from kilter_core.observations.rows import CONTACTS
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 
-BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board", "rig"))
+BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board", "rig", *CONTACTS))
 
 
 def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[Any, ...]:
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
-    Beside a tracker the tracker's rows tell, and pixels are left out.
+    Beside a tracker the tracker's rows tell, and pixels are left out. Rows beside views that a contact held tell of the
+    geometry, and are left out after it. Nests of a pose are taken together.
 
     Raises:
         ObservationError: views that tell no pose.
 
     """
     if rows.pixels is None:
-        return (rows, *others)
+        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others))
     if rows.position is not None or rows.markers is not None:
         return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others))
     assert rows.rig is not None

@@ -32,7 +32,7 @@ from kilter_core.measurement.metrics import Errors
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.parameters import Parameter
+from kilter_core.parameters import Parameter, degrees, mm
 from kilter_core.transforms import inverse, rotation_log
 from kilter_core.types import Bools, Floats, Ints
 
@@ -114,7 +114,7 @@ class OwnFrame:
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm and degrees."""
-        moved, turned = self.moved * 1e3, float(np.degrees(self.turned))
+        moved, turned = mm(self.moved), float(degrees(self.turned))
         return {"setup": self.code, "use": self.use, "moved_mm": moved, "turned_deg": turned}
 
 

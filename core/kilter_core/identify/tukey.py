@@ -15,7 +15,7 @@ from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit, Problem, Weigh
 from kilter_core.identify.robust import Loss, Robust, redescended
 from kilter_core.identify.row_errors import mean_of
 from kilter_core.measurement import Residual
-from kilter_core.measurement.metrics import mm
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 ENOUGH = 1e-3  # share of the loss below which a step no longer changes which rows are let go

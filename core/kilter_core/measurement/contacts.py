@@ -14,10 +14,10 @@ from typing import cast
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
+from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 UNKNOWNS = {"socket": 3, "plane": 3, "bar": 3}
 LEAST_ROWS = {"socket": 2, "plane": 4, "bar": 4}
@@ -53,6 +53,7 @@ class Contacts(Kind):
     name = "contacts"
     summary = "rows held by sockets, planes and bars"
     observes_tool = True
+    places_ball = True
     plain_fits_only = True
 
     observations: Observations
@@ -61,11 +62,15 @@ class Contacts(Kind):
 
     @classmethod
     def of(cls, rows: Rows) -> Contacts | None:
-        """Rows that say what held them."""
-        if not held(rows.observations):
+        """Rows that say what held them, beside views where cameras saw others."""
+        o = rows.observations
+        if not held(o):
+            return None
+        beside = o.pixels is not None and o.rig is not None and o.position is None and o.markers is None
+        if beside and not contacts_of(o):
             return None
         anchor = cast("Contacts | None", anchor_of(cls.name, rows))
-        return cls(rows.observations, {} if anchor else dict(rows.socket_distances), anchor)
+        return (ContactsBeside if beside else cls)(o, {} if anchor else dict(rows.socket_distances), anchor)
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
@@ -87,6 +92,18 @@ class Contacts(Kind):
                     f"socket_distances_mm names socket {min(set(pair) - numbers)}, of which there are no rows.",
                     code="contact_too_small",
                 )
+
+    @property
+    def tells_scale(self) -> bool:
+        """Whether a length is known that a larger arm would contradict."""
+        return bool(self.distances) or any(c.kind == "bar" for c in self.contacts)
+
+    def measured(self) -> Bools:
+        """Rows that a contact held."""
+        out = np.zeros(len(self.observations), dtype=bool)
+        for c in self.contacts:
+            out[c.rows] = True
+        return out
 
     @property
     def relative_tolerance(self) -> float:
@@ -129,7 +146,7 @@ class Contacts(Kind):
             left.append(r)
             slopes += [] if slope is None else [slope]
         points = np.concatenate(left)[:, None, None]
-        return (Block(POINTS, points, None if J is None else np.concatenate(slopes)[:, None, None, :]),)
+        return (Block(self.group, points, None if J is None else np.concatenate(slopes)[:, None, None, :]),)
 
     def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
         """Errors of a calibration: (K, 1) m, of a socket the distance from its place."""
@@ -142,6 +159,14 @@ class Contacts(Kind):
             r = _left(c, p[c.rows], place)
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
+
+
+class ContactsBeside(Contacts):
+    """Contacts in a fit with views of other rows: those say where the arm is, these where its ball is, and how large it is."""
+
+    group = "contacts"
+    observes_tool = False
+    follows_tool = True
 
 
 def held(observations: Observations) -> bool:

@@ -109,6 +109,7 @@ class Kind(ABC):
     name: ClassVar[str]
     summary: ClassVar[str]
     unit: ClassVar[Unit] = "m"
+    group: ClassVar[str] = POINTS  # noise group of its first block, where it tells of the tool
     observes_tool: ClassVar[bool] = False  # tells where the tool is: rows need one such kind, and it comes first
     observes_base: ClassVar[bool] = False  # given in a frame of its own, in which the base has a place
 
@@ -116,6 +117,7 @@ class Kind(ABC):
         False  # its rows follow the tool's pose, beside another kind that tells where the tool is
     )
     places_itself: ClassVar[bool] = False  # has frames of its own in place of those of base and tool
+    places_ball: ClassVar[bool] = False  # tells where on the tool its ball is, and not how the tool is rotated
     plain_fits_only: ClassVar[bool] = False  # no method, loss or interval that treats its rows one by one
 
     observations: Observations
@@ -170,6 +172,11 @@ class Kind(ABC):
     def equations_per_pose(self) -> int:
         """Numbers that one more pose brings."""
         return 3
+
+    @property
+    def tells_scale(self) -> bool:
+        """Whether it knows a length between rows that a larger arm would contradict; asked of what is beside views."""
+        return False
 
     @property
     def redundancy(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.marker_shape import fit_poses
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 Order = tuple[int, ...]
@@ -183,7 +184,7 @@ def _refuse_loose(distances: Floats) -> None:
     a, b = divmod(int(np.nanargmax(share)), len(share))
     if share[a, b] > LOOSE and scatter[a, b] > 2.0 * OFF_M:
         raise ObservationError(
-            f"The distance of markers {min(a, b) + 1} and {max(a, b) + 1} varies by {scatter[a, b] * 1e3:.2f} mm (standard "
+            f"The distance of markers {min(a, b) + 1} and {max(a, b) + 1} varies by {mm(scatter[a, b]):.2f} mm (standard "
             f"deviation) over the rows, {share[a, b]:.1%} of it: the markers are not a rigid body. {_loosest(share)}",
             code="markers_not_rigid",
             markers=[min(a, b) + 1, max(a, b) + 1],

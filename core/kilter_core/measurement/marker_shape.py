@@ -113,7 +113,10 @@ def _refuse_line(markers: Floats, seen: Bools) -> None:
             code="markers_collinear",
         )
     if seen.sum(axis=1).max() < 3:
-        raise ObservationError("No row shows three markers, so none fixes a pose: measure rows that do.")
+        raise ObservationError(
+            "No row shows three markers, and no pose that was visited again does, so none fixes a pose: measure rows that do, "
+            "or visit the same poses with the reflector in each of three nests."
+        )
     raise ObservationError(
         "The markers lie in one line: their rotation about it is unobservable. Add one off the line.",
         code="markers_collinear",

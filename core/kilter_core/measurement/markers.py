@@ -22,10 +22,11 @@ def shape_of(observations: Observations, known: Floats | None) -> Floats | None:
         ObservationError: markers that are not a rigid set.
 
     """
-    if observations.markers is None:
+    markers = observations.markers_of_poses
+    if markers is None:
         return None
-    refuse_bad_markers(observations.markers, known)
-    return marker_shape(observations.markers, observations.tip) if known is None else known
+    refuse_bad_markers(markers, known)
+    return marker_shape(markers, observations.tip) if known is None else known
 
 
 @dataclass(frozen=True)

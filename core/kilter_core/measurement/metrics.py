@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
+from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats
-
-T = TypeVar("T", float, Floats)
-
-
-def mm(metres: T) -> T:
-    """Return a length in the unit that reports have."""
-    return metres * 1e3
-
-
-def degrees(radians: T) -> T:
-    """Return an angle in degrees."""
-    return radians * (180.0 / math.pi)
-
-
-def metres(of_mm: float) -> float:
-    """Return a length that was stated in mm in m."""
-    return of_mm / 1e3
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,8 @@ def register(
 
 def _measured(measurement: Measurement) -> tuple[Floats, Floats | None, Bools]:
     o = measurement.observations
-    if measurement.marker_points is not None and o.markers is not None:
-        return fit_poses(measurement.marker_points, o.markers)
+    if measurement.marker_points is not None and o.markers_of_poses is not None:
+        return fit_poses(measurement.marker_points, o.markers_of_poses)
     assert o.position is not None
     return o.position, o.rotation, measurement.tool.measured()
 

@@ -111,9 +111,23 @@ class Measurement:
         return any(kind.reads_joints for kind in self.kinds)
 
     @property
+    def fits_tool(self) -> bool:
+        """Whether the tool has a place that is fitted: with views alone the places of boards and cameras take its part."""
+        return not self.tool.places_itself or any(kind.places_ball for kind in self.kinds)
+
+    @property
+    def tells_scale(self) -> bool:
+        """Whether lengths were measured, so that not everything may grow together."""
+        return not self.tool.places_itself or any(kind.tells_scale for kind in self.kinds)
+
+    @property
     def redundancy(self) -> float:
         """How many residuals of the tool there are for each number that is independent of the others."""
         return self.tool.redundancy
+
+    def redundancy_of(self, group: str) -> float:
+        """The same of a noise group."""
+        return next((kind.redundancy for kind in self.kinds if kind.group == group), 1.0)
 
     @property
     def relative_tolerance(self) -> float:

@@ -70,6 +70,14 @@ def sight(rig: PlacedRig, views: Views, corners: int, slopes: bool = False) -> S
     return Sight(pixels, by_tool, by_rig)
 
 
+def by_corners(rig: PlacedRig, views: Views, moves: Floats) -> Iterator[tuple[Ints, Floats]]:
+    """Rows of each pair of a camera and a board, and how their pixels (n, m, 2, K) follow moves (m, K, 3) m of the corners in
+    the frame of the board.
+    """
+    for which, c, b in views.pairs():
+        yield which, _Pair(rig, c, b, views.position[which], views.rotation[which]).by_corners(moves)
+
+
 class _Pair:
     """One camera and one board in n rows: points on their way from the board into the picture."""
 
@@ -102,6 +110,11 @@ class _Pair:
         side = 1.0 if self.outside else -1.0
         spun = -side * (toward @ skew(self.arms.reshape(-1, 3)).reshape(*self.arms.shape, 3))
         return np.concatenate([side * toward, spun], axis=-1)
+
+    def by_corners(self, moves: Floats) -> Floats:
+        """Derivative (n, m, 2, K) by moves (m, K, 3) of the corners in the frame of the board."""
+        toward = self.by_point @ self.board_turn[:, None]
+        return np.asarray(toward @ (moves @ self.Y.T).transpose(0, 2, 1))
 
     def by(self, camera: bool, what: str) -> Floats:
         """Derivative (n, m, 2, ...) by the pose, the intrinsics or the scale of a part."""

@@ -13,6 +13,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 MARGIN_SHARE = 0.03  # of a joint's range kept free at both ends of its limits: room for a correction
@@ -136,7 +137,7 @@ class Region:
     def _bounds(self) -> str:
         parts = ["within the limits"]
         parts += ["where the arm was driven before"] if self.hulls else []
-        parts += [f"above {1e3 * self.floor:g} mm"] if self.floor is not None else []
+        parts += [f"above {mm(self.floor):g} mm"] if self.floor is not None else []
         parts += ["with the tool in the box"] if self.box is not None else []
         parts += ["out of the zones to keep out of"] if self.keep_out is not None else []
         return ", ".join(parts)

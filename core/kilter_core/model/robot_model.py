@@ -25,7 +25,7 @@ from kilter_core.model.load_errors import Reader
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, instrument_of
 from kilter_core.observations import Observations
-from kilter_core.parameters import Parameter, indices, refuse_collisions
+from kilter_core.parameters import Parameter, TypePrior, indices, refuse_collisions
 from kilter_core.types import Bools, Floats, Ints
 
 ARRAYS = ("marker_points", "wanted_base", "wanted_tool")  # of a calibration, beside its values
@@ -38,7 +38,7 @@ class RobotModel:
 
     ``T_base`` and ``T_tool`` (4, 4) are the frames about which the six increments of each are taken, in their own axes;
     an identification folds the increments back into them, so there is no gimbal lock. Loads are taken on ``load_chain``,
-    the nominal chain when None.
+    the nominal chain when None. ``of_type`` is what other arms of the type say before this one is measured.
     """
 
     robot: Robot
@@ -46,6 +46,7 @@ class RobotModel:
     T_base: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
     T_tool: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
     load_chain: LoadChain | None = None
+    of_type: TypePrior | None = None
 
     def __post_init__(self) -> None:
         for name in [k for k in ("T_base", "T_tool") if getattr(self, k) is THE_ROBOTS_OWN]:
@@ -239,8 +240,7 @@ class RobotModel:
         T_base = self.T_base @ increment(values[:6])
         T_tool = self.T_tool @ increment(values[n - 6 : n])
         flat = values.copy()
-        flat[:6] = 0.0
-        flat[n - 6 : n] = 0.0
+        flat[:6] = flat[n - 6 : n] = 0.0
         return self.in_frames(T_base, T_tool), flat
 
     def loads_at(self, values: Floats) -> RobotModel:

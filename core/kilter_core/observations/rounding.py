@@ -14,6 +14,7 @@ DECIMALS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0
 DEGREE = np.pi / 180.0  # rad
 MILLIMETRE = 0.001  # m
 BITS = tuple(range(8, 21))  # of an encoder, per revolution
+LEROBOT_TICKS = 4095.0  # to 360 degrees, by which LeRobot converts the 4096 ticks of a servo
 
 
 def reading_steps(q: Floats, slides: Sequence[bool] | Bools) -> Floats:
@@ -35,7 +36,8 @@ def _known(slides: bool) -> Floats:
     decimals = np.array(DECIMALS)
     if slides:
         return decimals * MILLIMETRE
-    return np.sort(np.concatenate([decimals * DEGREE, decimals * 1e-2, 2.0 * np.pi / 2.0 ** np.array(BITS)]))[::-1]
+    ticks = 2.0 * np.pi / np.array([*(2.0**bits for bits in BITS), LEROBOT_TICKS])
+    return np.sort(np.concatenate([decimals * DEGREE, decimals * 1e-2, ticks]))[::-1]
 
 
 def _step(column: Floats, known: Floats) -> float:

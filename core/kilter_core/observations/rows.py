@@ -18,6 +18,7 @@ from kilter_core.types import Floats, Ints
 
 SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
 TOOL = ("position", "markers", "socket", "plane", "bar")  # columns that say where the tool was
+CONTACTS = ("socket", "plane", "bar", "bar_length")  # columns that say what held its ball
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,6 +187,47 @@ class Observations(Conditions):
             return np.ones(len(self), dtype=bool)
         return np.asarray(~np.isnan(values).reshape(len(self), -1).all(axis=1))
 
+    @property
+    def one_marker_moved(self) -> bool:
+        """Whether no row shows three markers: one reflector was moved between nests."""
+        return self.markers is not None and bool((~np.isnan(self.markers).any(axis=2)).sum(axis=1).max(initial=0) < 3)
+
+    @cached_property
+    def markers_of_poses(self) -> Floats | None:
+        """Markers (N, m, 3) m by which rows show the pose of the tool; None without markers.
+
+        Where one reflector was moved between nests, every row has beside its own what the other visits of its pose in the
+        same session showed, the mean of them.
+        """
+        if self.markers is None or not self.one_marker_moved:
+            return self.markers
+        group, whole = self._markers_by_pose
+        return np.asarray(np.where(np.isnan(self.markers), whole[group], self.markers))
+
+    def whole_poses(self) -> Observations:
+        """The same with all that the visits of a pose in a session showed in the first of them, and nothing in the others.
+
+        Only where one reflector was moved between nests, for what compares whole visits; the rows keep their numbers.
+        """
+        if self.markers is None or not self.one_marker_moved:
+            return self
+        group, whole = self._markers_by_pose
+        markers = np.full(self.markers.shape, np.nan)
+        markers[np.unique(group, return_index=True)[1]] = whole
+        return replace(self, markers=markers)
+
+    @cached_property
+    def _markers_by_pose(self) -> tuple[Ints, Floats]:
+        """The pose of a session (N,) of each row, and the mean markers (G, m, 3) of each."""
+        assert self.markers is not None
+        session = np.zeros(len(self)) if self.session is None else self.session
+        _, found = np.unique(np.stack([self.pose_groups(), session]), axis=1, return_inverse=True)
+        group, seen = found.reshape(-1), ~np.isnan(self.markers)
+        total, count = (np.zeros((int(group.max(initial=-1)) + 1, *self.markers.shape[1:])) for _ in range(2))
+        np.add.at(total, group, np.where(seen, self.markers, 0.0))
+        np.add.at(count, group, seen)
+        return group, np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""
         return self._groups
@@ -231,6 +273,7 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
 
     Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
     """
+    parts = _with_contacts(parts)
     for name in ("link_q", "command", "tilt"):
         shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
         if shapes:
@@ -247,6 +290,24 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
                 for part, other in zip(parts, others, strict=True)
             ]
     return parts
+
+
+def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns beside others whose ball sockets, planes and bars held: nothing held those that measured no place."""
+    if all(part.pixels is None for part in parts):
+        return parts
+    for name in CONTACTS:
+        if any(getattr(part, name) is not None for part in parts):
+            parts = [_unheld(part, name) for part in parts]
+    return parts
+
+
+def _unheld(part: Observations, name: str) -> Observations:
+    if getattr(part, name) is not None or part.position is not None or part.markers is not None:
+        return part
+    none = np.full(len(part), np.nan) if name == "bar_length" else np.zeros(len(part), dtype=np.int64)
+    changes: dict[str, Any] = {name: none}
+    return replace(part, **changes)
 
 
 def _measured_tool(part: Observations) -> bool:
@@ -270,8 +331,23 @@ def _with_one_rig(parts: Sequence[Observations]) -> Sequence[Observations]:
     if all(part.rig is None for part in parts):
         return parts
     rig = Rig.merged(part.rig for part in parts if part.rig is not None)
+    parts = _with_pose_numbers(parts)
     codes = {name: next((c[0] for p in parts if (c := getattr(p, name)) is not None), None) for name in SET_UP}
     return [_seen_by(part, rig, parts, codes) for part in parts]
+
+
+def _with_pose_numbers(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns that all number their poses where views do: cameras at one pose share a number, which others lack."""
+    if all(part.pose_id is None for part in parts):
+        return parts
+    out, free = [], 1 + max(int(part.pose_id.max()) for part in parts if part.pose_id is not None)
+    for part in parts:
+        if part.pose_id is None:
+            part = replace(part, pose_id=free + numbered_poses(part.q))
+            assert part.pose_id is not None
+            free = 1 + int(part.pose_id.max())
+        out.append(part)
+    return out
 
 
 def _seen_by(part: Observations, rig: Rig, parts: Sequence[Observations], codes: dict[str, Any]) -> Observations:

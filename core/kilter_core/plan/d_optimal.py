@@ -11,6 +11,8 @@ import numpy as np
 from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
+from kilter_core.identify.fleet.prior import fleet_prior
+from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
@@ -31,15 +33,18 @@ def d_optimal_poses(
     region: Region | None = None,
     payloads_kg: Sequence[float] = (),
     payload_com: Sequence[float] = (),
+    fleet: Sequence[FleetVersion] | None = None,
 ) -> Observations:
     """Rows (count) that maximise the determinant of the information, within the priors, of position measurements.
 
     ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. Poses
     are in ``region`` (within the limits when None), in an order with short moves. A row has ``direction`` where an effect
     needs it, from either side, and ``payload_kg`` where loads matter and ``payloads_kg`` are at hand, at
-    ``payload_com`` m in the tool frame; else the robot's default load where loads matter.
+    ``payload_com`` m in the tool frame; else the robot's default load where loads matter. What ``fleet``, versions of other
+    robots of the type, say need not be measured again.
 
     Raises:
+        CoreError: ``fleet_too_few``, ``fleet_gauge``: no prior from these versions.
         RobotError: joint limits are missing, or hardly a pose is in the region.
 
     """
@@ -49,9 +54,19 @@ def d_optimal_poses(
     pool = conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
     pool = loaded(pool, needs, start.robot, payload_com)
     J = whole.jacobian(completed(pool, needs), values, free)[1][:, :3]
-    X = J * np.array([whole.parameters[k].prior_sigma for k in free]) / noise
-    chosen = pool.select(most_informative(X, count, progress))
+    sigma, known = _before(whole, free, fleet)
+    chosen = pool.select(most_informative(J * sigma / noise, count, progress, known))
     return chosen.select(driving_order(chosen.q, joint_ranges(start.robot)))
+
+
+def _before(model: RobotModel, free: Ints, fleet: Sequence[FleetVersion] | None) -> tuple[Floats, Floats | None]:
+    """Widths (P,) of the priors, and their covariance (P, P) in these where other robots of the type say it."""
+    parameters = [model.parameters[k] for k in free]
+    names, sigma = [p.name for p in parameters], np.array([p.prior_sigma for p in parameters])
+    if fleet is None:
+        return sigma, None
+    _, sigma, precision = fleet_prior(model, names, fleet).prior.over(names, np.zeros(len(names)), sigma)
+    return sigma, np.asarray(np.linalg.inv(precision))
 
 
 def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:

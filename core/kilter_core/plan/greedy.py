@@ -9,9 +9,14 @@ import numpy as np
 from kilter_core.types import Floats, Ints
 
 
-def most_informative(X: Floats, count: int, progress: Callable[[float], None] | None = None) -> Ints:
-    """Pick (count,) of N poses by their whitened derivatives ``X (N, r, P)``, parameters in units of their priors."""
-    C = np.eye(X.shape[2])
+def most_informative(
+    X: Floats, count: int, progress: Callable[[float], None] | None = None, known: Floats | None = None
+) -> Ints:
+    """Pick (count,) of N poses by their whitened derivatives ``X (N, r, P)``, parameters in units of their priors.
+
+    ``known (P, P)`` is the covariance of these priors in such units, the identity when None.
+    """
+    C = np.eye(X.shape[2]) if known is None else known
     picked: list[int] = []
     for k in range(count):
         XC = X @ C

@@ -13,6 +13,7 @@ from kilter_core.model import RobotModel
 from kilter_core.model.inverse_kinematics import reach
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 SAMPLES = 20_000
@@ -74,7 +75,7 @@ def iso_poses(robot: Robot, count: int = 118, seed: int = 0, region: Region | No
             if len(poses) < count and ok.any():
                 poses.append(_moving_most(mine[ok], poses, robot))
         if len(poses) == found:
-            raise RobotError(f"No pose in the cube of {cube.side * 1e3:.0f} mm can be reached: check the joint limits.")
+            raise RobotError(f"No pose in the cube of {mm(cube.side):.0f} mm can be reached: check the joint limits.")
     return np.array(poses)
 
 

@@ -18,6 +18,7 @@ from kilter_core.arm.conversions import Screws, pose_document, robot_document
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.measurement.marker_shape import fit_poses, marker_shape
+from kilter_core.parameters import DEG, MM, mm
 from kilter_core.procedures.circle_coupling import PARALLEL as COUPLED
 from kilter_core.procedures.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
 from kilter_core.transforms import aligned, inverse, nearest_rotation, rotations_about
@@ -99,7 +100,7 @@ def robot_from_circles(
             "ratio": float(placed.ratio[k]),
             "type": "prismatic" if placed.prismatic[k] else "revolute",
             "direction": placed.direction[k].tolist(),
-            "point_mm": (1e3 * placed.point[k]).tolist(),
+            "point_mm": mm(placed.point[k]).tolist(),
         }
         for k in range(len(placed))
     ]
@@ -169,7 +170,7 @@ def _axis(q: Floats, points: Floats, j: int, prismatic: bool) -> AxisFit:
     arc = float(np.ptp(q[seen, j]))
     least, what = (LEAST_STROKE_M, "mm") if prismatic else (LEAST_ARC, "degrees")
     if arc < least * (1.0 - 1e-9):
-        scale = 1e3 if prismatic else 180.0 / math.pi
+        scale = MM if prismatic else DEG
         raise ObservationError(
             f"{name} moves over {arc * scale:.3g} {what} only: {least * scale:.0f} are needed, and more are better, for a "
             "short arc hardly shows where its axis is.",
@@ -260,8 +261,8 @@ def _free_rms(angle: Floats, flat: Floats) -> float:
 
 def _refuse_not_round(j: int, radius: float, rms: float) -> None:
     raise ObservationError(
-        f"The points of joint {j + 1} are {rms * 1e3:.3g} mm (rms) off the circle that its readings ask for (radius "
-        f"{radius * 1e3:.4g} mm): the readings are in another unit or of another joint, or another joint moved along.",
+        f"The points of joint {j + 1} are {mm(rms):.3g} mm (rms) off the circle that its readings ask for (radius "
+        f"{mm(radius):.4g} mm): the readings are in another unit or of another joint, or another joint moved along.",
         code="circle_not_round",
         joint=j + 1,
         rms_m=rms,

@@ -17,6 +17,7 @@ from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees
 from kilter_core.procedures.joint_fit import JointParameter, LinearFit, left_beside
 from kilter_core.types import Bools, Floats, Ints
 
@@ -127,7 +128,7 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
                 continue
             warnings.append({
                 "code": "readings_scatter", "joint": robot.joints[j].name,
-                "message": f"Readings of joint {robot.joints[j].name} scatter by {math.degrees(scatter):.4f} deg: look for a "
+                "message": f"Readings of joint {robot.joints[j].name} scatter by {degrees(scatter):.4f} deg: look for a "
                 "wrong axis, a changed mounting without a new series, or masses that are not the robot's.",
             })  # fmt: skip
     return found, warnings
@@ -184,7 +185,7 @@ def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scat
     return {
         "code": "inclinometer_axis", "joint": name,
         "message": f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
-        f"{math.degrees(scatter):.4f} deg as given and by {math.degrees(best):.4f} deg so. Remount the inclinometer, or "
+        f"{degrees(scatter):.4f} deg as given and by {degrees(best):.4f} deg so. Remount the inclinometer, or "
         "correct the axis (for a minus the sign of the readings), and send them again.",
     }  # fmt: skip
 

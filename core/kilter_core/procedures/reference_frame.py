@@ -8,6 +8,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.marker_shape import FLAT, span_of
+from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats
 
@@ -45,8 +46,8 @@ def frame_of_points(known: Floats, measured: Floats) -> ReferenceFrame:
     rms = float(np.sqrt(np.mean(left**2)))
     if other is not k and rms > MIRRORED * mirrored + SMALLEST_M and rms > FLAT * np.linalg.norm(k):
         raise ObservationError(
-            f"The measured points are the mirror image of the known ones ({rms * 1e3:.3g} mm off, mirrored "
-            f"{mirrored * 1e3:.3g} mm): two coordinates are exchanged, or one has the other sign.",
+            f"The measured points are the mirror image of the known ones ({mm(rms):.3g} mm off, mirrored "
+            f"{mm(mirrored):.3g} mm): two coordinates are exchanged, or one has the other sign.",
             code="points_mirrored",
         )
     T = np.eye(4)

@@ -11,13 +11,13 @@ import numpy as np
 
 from kilter_core.arm.frames import increment
 from kilter_core.arm.loads.wrenches import axial_loads, loads_of
+from kilter_core.identify.estimate import Frame
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from kilter_core.watch.innovation import Innovation
 
 Kind = Literal["zero", "sag", "base", "tool", "scale"]
-Frame = Literal["base", "tool"]
 
 SEEN = 1e-6  # of the largest singular value: a direction below it moves no measured point
 TOLD = 0.999  # of a number of a frame that the rows must tell apart from its others

@@ -13,15 +13,16 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri
 
-from kilter_core.errors import ObservationError, OptionError
-from kilter_core.identify.estimate import refitted
+from kilter_core.errors import ObservationError
+from kilter_core.identify.estimate import Frame, new_frames, refitted
 from kilter_core.identify.plausibility.believable import reach
 from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
-from kilter_core.watch.causes import Cause, Column, Frame, after, columns_of
+from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
@@ -34,7 +35,6 @@ BROUGHT_NEAR = 0.1  # share of the misfit that the cause may leave
 SEEN_LEAST = 1e-6  # of what a frame shows in all directions, what it must show in each to be seen in all
 
 Verdict = Literal["ok", "moved", "cannot_tell"]
-SETUPS: tuple[tuple[Frame, ...], ...] = ((), ("base",), ("base", "tool"))
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Check:
     ``causes`` are those that explain it and that the rows do not refute, best first; empty where all is well, and where no
     single cause explains the rows. ``p_value`` is the chance of so much from an arm that has not moved. ``smallest`` are the
     changes seen with 95 %, by name of the cause: of a frame a shift (m) in the direction that shows least. ``unseen``: no
-    change of these moves what was measured.
+    change of these moves what was measured. ``noise`` m of a coordinate counted as such.
     """
 
     verdict: Verdict
@@ -77,6 +77,7 @@ class Check:
     numbers: int
     poses: int
     misfit: float
+    noise: float
     smallest: dict[str, float]
     unseen: tuple[Cause, ...]
     new_setup: tuple[Frame, ...]
@@ -132,9 +133,7 @@ def check(
         TooFewPosesError: under three poses.
 
     """
-    anew = next((one for one in SETUPS if list(one) == list(new_setup)), None)
-    if anew is None:
-        raise OptionError(f'new_setup is {list(new_setup)}: give [], ["base"] or ["base", "tool"].', option="new_setup")
+    anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
     rows, seen = as_seen_places(calibration, rows)
     noise = seen if noise is None else noise
@@ -152,7 +151,7 @@ def check(
     causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
-        innovation.poses, misfit, smallest, tuple(one.cause for one in linear.hidden), anew,
+        innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew,
     )  # fmt: skip
 
 
@@ -190,7 +189,7 @@ def _about_the_best(
 def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> None:
     if misfit > FOREIGN * reach(calibration.robot) and left > BROUGHT_NEAR * misfit:
         raise ObservationError(
-            f"The rows miss what the version predicts by {misfit * 1e3:.4g} mm (rms), and no one cause explains it: they "
+            f"The rows miss what the version predicts by {mm(misfit):.4g} mm (rms), and no one cause explains it: they "
             "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
             'of this robot with the tool of its version, or say what was set up anew, new_setup ["base"] or '
             '["base", "tool"].',

@@ -23,7 +23,7 @@ LEAST = 1e-3  # of what the model lacks, noise that tells repeats apart where no
 
 @dataclass(frozen=True)
 class Innovation:
-    """The whitened innovation ``r (R,)`` of rows, and what whitens the derivatives of their prediction.
+    """The whitened innovation ``r (R,)`` of rows, and what whitens the derivatives of their prediction; ``noise`` m of them.
 
     ``lower (R, R)`` is the Cholesky factor of the covariance of noise and version, ``seen`` tells which of the coordinates
     (N, m, 3) were measured. ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
@@ -37,6 +37,7 @@ class Innovation:
     seen: Bools
     poses: int
     freedom: float
+    noise: float
 
     @staticmethod
     def of(
@@ -46,7 +47,8 @@ class Innovation:
         noise: float | None = None,
         fitted_c: tuple[float, float] | None = None,
     ) -> Innovation:
-        """Innovation of rows against a version; ``noise`` m of a coordinate, that of the version's fit when None.
+        """Innovation of rows against a version; ``noise`` m of a coordinate, when None that of the version's fit, or of the
+        rows themselves where the fit was to what a camera or a contact measured.
 
         ``fitted_c`` are the lowest and highest temperature of the rows it was fitted to, None where nobody knows.
 
@@ -60,7 +62,7 @@ class Innovation:
         _refuse_few(measurement)
         measurement = _some(measurement)
         at = [k for k, name in enumerate(calibration.names) if name in known.names]
-        own = [known.names.index(calibration.names[k]) for k in at]
+        places = [known.names.index(calibration.names[k]) for k in at]
         prediction, J = calibration.model.jacobian(
             measurement.observations, calibration.values, np.array(at, dtype=np.int64)
         )
@@ -68,8 +70,9 @@ class Innovation:
         seen = ~np.isnan(left.points)
         assert left.d_points is not None
         slope = left.d_points[seen]
-        covariance = slope @ known.covariance[np.ix_(own, own)] @ slope.T
-        covariance += _own(measurement, seen, known.inadequacy, known.noise if noise is None else noise)
+        covariance = slope @ known.covariance[np.ix_(places, places)] @ slope.T
+        own = _noise(known, measurement) if noise is None else noise
+        covariance += _own(measurement, seen, known.inadequacy, own)
         grown = expansion(calibration, measurement.observations, fitted_c)
         if grown is not None:
             more = measurement.residual(prediction, grown).d_points
@@ -78,7 +81,7 @@ class Innovation:
         lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         r = solve_triangular(lower, left.points[seen], lower=True)
         freedom = _freedom(lower, known.freedom, noise)
-        return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom)
+        return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom, own)
 
     def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
         """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""
@@ -129,6 +132,17 @@ def _some(measurement: Measurement) -> Measurement:
     for pose in chosen:  # of a pose that was repeated without end, the first rows
         kept[np.flatnonzero(groups == pose)[: max(1, most // len(chosen))]] = True
     return Measurement.of(rows.select(kept), measurement.marker_points).of_tool()
+
+
+def _noise(known: Predictive, measurement: Measurement) -> float:
+    judging = known.judging(measurement)
+    if judging is None:
+        raise OptionError(
+            f"The version was fitted to {known.noise_of}, whose noise says nothing of how these rows scatter: state the noise "
+            "of the instrument per coordinate, larger than zero, or measure some poses twice.",
+            option="noise",
+        )
+    return judging.noise
 
 
 def _own(measurement: Measurement, seen: Bools, inadequacy: float, noise: float) -> Floats:

@@ -19,6 +19,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats, Ints, Progress
 from kilter_core.watch.causes import Cause, derivatives
 from kilter_core.watch.check import Check, check, needed
@@ -227,10 +228,10 @@ def _refuse_on_axis(
         if joint.kind != "revolute" or k + 1 in without or levers[k] >= far:
             continue
         raise RobotError(
-            f"The measured point is {levers[k] * 1e3:.3g} mm off the axis of joint {k + 1}: {count} poses at "
-            f"{sigma * 1e3:.3g} mm do not show that its zero changed by {np.degrees(COARSE):g} deg. Mount the reflector, "
-            f"and state the tool, at least {far * 1e3:.3g} mm off that axis, {far * COARSE / ZERO * 1e3:.3g} mm for "
-            f"{np.degrees(ZERO):.2g} deg; or plan without that joint: without_joints [{k + 1}].",
+            f"The measured point is {mm(levers[k]):.3g} mm off the axis of joint {k + 1}: {count} poses at "
+            f"{mm(sigma):.3g} mm do not show that its zero changed by {degrees(COARSE):g} deg. Mount the reflector, "
+            f"and state the tool, at least {mm(far):.3g} mm off that axis, {mm(far * COARSE / ZERO):.3g} mm for "
+            f"{degrees(ZERO):.2g} deg; or plan without that joint: without_joints [{k + 1}].",
             code="tool_on_axis", field="tool", joint=k + 1, lever_m=float(levers[k]), needed_m=far,
         )  # fmt: skip
 

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import CoreError, OptionError
+from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats, Ints
 from kilter_core.watch.causes import Cause
 from kilter_core.watch.check import Check, absorbed, check
@@ -55,12 +57,16 @@ def rezero(
 ) -> Rezeroed:
     """Change what a check of the rows names, or the ``causes`` named here, as ``zero_3``, and nothing else.
 
+    Views are places of the tool by the cameras of the version, as in a check.
+
     Raises:
         CoreError: the data do not carry it: nothing has moved, several causes may be it, a cause named is refuted or has not
             changed, or the rows still miss the arm afterwards. OptionError: no such cause. Whatever ``check`` refuses.
 
     """
     calibration = absorbed(calibration)
+    rows, seen = as_seen_places(calibration, rows)
+    noise = seen if noise is None else noise
     before = check(calibration, rows, known, noise=noise, fitted_c=fitted_c)
     chosen = _chosen(before, causes)
     names = [name for cause in chosen for name in _parameters(calibration, cause)]
@@ -73,7 +79,7 @@ def rezero(
     after = check(at, rows, now, noise=noise, fitted_c=fitted_c)
     if after.verdict != "ok":
         raise CoreError(
-            f"After the change the rows still miss the arm by {after.misfit * 1e3:.3g} mm, more than chance explains (p = "
+            f"After the change the rows still miss the arm by {mm(after.misfit):.3g} mm, more than chance explains (p = "
             f"{after.p_value:.1g}): more has changed than {_listed(chosen)}. Measure a campaign and identify a version anew.",
             code=CODE, causes=[one.name for one in chosen],
         )  # fmt: skip

@@ -13,8 +13,8 @@ RULE = (
     "k = 2."
 )
 WHY = {
-    "repeatability": "no pose was visited twice among the rows that were fitted, so the scatter of readings is not part of the "
-    "guard band",
+    "repeatability": "no pose was visited twice among the rows that were fitted, or, where a camera or a contact measured "
+    "those, among these rows, so the scatter of readings is not part of the guard band",
     "temperature": "the temperature was not measured, so growth is not part of the guard band",
 }
 

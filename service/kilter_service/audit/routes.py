@@ -16,4 +16,4 @@ router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)
 @router.get("/audit")
 def listed(database: DatabaseOfApp, page: PageOfList) -> AuditPage:
     """List who changed what, from where, before and after, oldest first; at most 1000 entries at once."""
-    return service.listed(database, page)
+    return service.list_entries(database, page)

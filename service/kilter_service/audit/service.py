@@ -58,11 +58,11 @@ def heads_in(journal: Path) -> list[Head]:
     return [Head(int(number), sha256) for number, sha256 in TOLD.findall(text)]
 
 
-def listed(database: Database, page: Page) -> AuditPage:
+def list_entries(database: Database, page: Page) -> AuditPage:
     """List entries, oldest first; at most 1000 at once."""
     page = page._replace(limit=min(page.limit or MOST, MOST))
     with database.reading() as session:
-        found = store.listed(session, page)
+        found = store.entries_on_page(session, page)
     shown, cursor = page.cut(found, lambda entry: (str(entry.number),))
     return AuditPage(entries=[_entry(record) for record in shown], next=cursor)
 

@@ -23,7 +23,7 @@ class AuditRecord(NamedTuple):
     content: str
 
 
-def listed(session: Session, page: Page = ALL) -> list[AuditRecord]:
+def entries_on_page(session: Session, page: Page = ALL) -> list[AuditRecord]:
     """Return entries, oldest first, one more than the page shows."""
     row = AuditRow
     query = select(row.number, row.previous, row.sha256, row.content).order_by(row.number)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from kilter_service.campaigns import store
 from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.service import shown
+from kilter_service.campaigns.servo_zeros import refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.db import Database, Session
@@ -45,10 +46,11 @@ def restore(database: Database, campaign_id: str) -> Campaign:
     """Bring a campaign back into use.
 
     Raises:
-        ServiceError: no such campaign, or another has its name now.
+        ServiceError: no such campaign, another has its name now, or those in use are of another calibration of the servos.
 
     """
     with database.transaction() as session:
+        refuse_other_servos(session, campaign_id)
         references.restore(session, "campaign", store.whole(session, campaign_id).id)
         return shown(session, campaign_id)
 

@@ -10,13 +10,13 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import keeping, service
+from kilter_service.concurrency import compute
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.digests import check_digest
-from kilter_service.once.key import OnceOnly
+from kilter_service.idempotency.key import OnceOnly
 from kilter_service.page_query import PageOfList
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 from kilter_service.tables import reading
 
@@ -47,7 +47,7 @@ def listed(
     robot: str, database: DatabaseOfApp, page: PageOfList, staged: bool = False, retired: bool = False
 ) -> CampaignList:
     """List the campaigns of a robot; with `staged` those whose parts are not all there yet, with `retired` all others too."""
-    return service.listed(database, robot, page, staged, retired)
+    return service.list_campaigns(database, robot, page, staged, retired)
 
 
 @router.post("/robots/{robot}/observations/check", openapi_extra=BODY)

@@ -15,14 +15,15 @@ from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.rules import RowRules
+from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
 from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.fits import Remark
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
 from kilter_service.instruments import store as instruments
-from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import retired
 from kilter_service.robots import store as robots
@@ -47,7 +48,8 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
 
     Raises:
         ObservationError: cameras or boards that cannot be.
-        ServiceError: no such robot or instrument, a name that is taken or invalid, or a day in the future.
+        ServiceError: no such robot or instrument, a name that is taken or invalid, a day in the future, or servos with
+            another calibration than the robot's other campaigns.
 
     """
     body = hash_of(campaign)
@@ -62,6 +64,7 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
             instruments.get(session, campaign.instrument)
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
             store.discard(session, forgotten)
+        refuse_other_zeros(session, robot_id, robot, campaign.name, campaign.conditions.model_dump())
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
         return once.keep(session, body, shown(session, campaign_id))
@@ -117,6 +120,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
                 missing=sorted(named - there)[:20],
                 others=sorted(there - named)[:20],
             )
+        refuse_other_servos(session, campaign_id)
         store.commit(session, campaign_id)
         session.flush()
         return shown(session, campaign_id)
@@ -137,13 +141,13 @@ def discard(database: Database, campaign_id: str) -> None:
         store.discard(session, campaign_id)
 
 
-def listed(
+def list_campaigns(
     database: Database, robot: str, page: Page, staged: bool = False, with_retired: bool = False
 ) -> CampaignList:
     """List the campaigns of a robot, or those whose parts are not all there yet; ``with_retired`` those out of use too."""
     with database.reading() as session:
         owner = robots.get(session, robot)
-        read = store.listed(session, owner.id, staged, page, with_retired)
+        read = store.campaigns_on_page(session, owner.id, staged, page, with_retired)
         found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
         uploads = store.uploads_of_all(session, [campaign.id for campaign in found])
         used = instruments.of_names(session, {one.instrument for one in found if one.instrument})

@@ -17,12 +17,14 @@ from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
+from kilter_service.contract.fits import Remark
 from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.db import Session
 from kilter_service.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from kilter_service.errors import ServiceError
 from kilter_service.instruments import store as gauges
+from kilter_service.instruments.validity import remarks
 from kilter_service.paging import Page
 from kilter_service.references import retired
 from kilter_service.references import store as references
@@ -136,6 +138,14 @@ def instruments(session: Session, campaign_ids: Collection[str]) -> dict[str, In
     return {key: known[name] for key, name in named.items() if name in known}
 
 
+def certificates(session: Session, campaign_ids: Collection[str]) -> dict[str, list[Remark]]:
+    """Return what the certificates of their instruments have against campaigns, by id; those that hold are left out."""
+    records = {key: get(session, key) for key in dict.fromkeys(campaign_ids)}
+    named = instruments(session, records)
+    found = {key: remarks(named.get(key), one.measured_at, one.created_at) for key, one in records.items()}
+    return {key: said for key, said in found.items() if said}
+
+
 def commit(session: Session, campaign_id: str) -> None:
     """Make a staged campaign one that is listed and used; a name that was taken meanwhile gets a number."""
     row = _row(session, campaign_id)
@@ -169,7 +179,7 @@ def staged_before(session: Session, robot_id: int, moment: datetime) -> list[str
     return list(session.execute(query.where(CampaignRow.created_at < moment)).scalars())
 
 
-def listed(
+def campaigns_on_page(
     session: Session, robot_id: int, staged: bool, page: Page, with_retired: bool = False
 ) -> list[CampaignRecord]:
     """Return campaigns of a robot, oldest first, one more than the page shows; those out of use only when asked for."""

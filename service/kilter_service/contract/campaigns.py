@@ -74,6 +74,11 @@ class Conditions(Strict):
     tool_moment_nm: tuple[NewtonMetre, NewtonMetre, NewtonMetre] | None = Field(
         None, description="Moment on the tool point in the tool frame, N m."
     )
+    calibration_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
+        None,
+        description="SHA-256 of the file with the zeros of the arm's servos (LeRobot's calibration), 64 hexadecimal digits: "
+        "all campaigns of a robot have the same; null: not stated.",
+    )
     cameras: Annotated[list[Camera], Field(min_length=1, max_length=MOST_CAMERAS)] | None = Field(
         None, description="Cameras whose pixels the rows have, in the order of their numbers; null: none."
     )

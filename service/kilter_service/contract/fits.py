@@ -8,6 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
+from kilter_service.contract.fleet_priors import PriorUsed
 from kilter_service.contract.units import Deg, Metres, Mm, Stored
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
@@ -81,6 +82,11 @@ class Parameter(Stored):
         None, description="What the interval rests on: `bootstrap`, `profile`, or `sigma` where neither could be had."
     )
     identifiable: bool | None = Field(None, description="Whether the data could see it.")
+    from_prior: bool | None = Field(
+        None,
+        description="Whether the value rests on other robots of the type, since the rows take off less than half of the "
+        "variance; null: no prior was used.",
+    )
     plausible: bool | None = Field(None, description="Whether the value is within what is usual.")
     readings: int | None = Field(None, description="Readings it rests on, in a job of kind `joint_parameters`.")
     reason: str | None = Field(None, description="Why it has no value, in words.")
@@ -165,6 +171,11 @@ class Covariance(Stored):
         None, description="Standard deviation of a coordinate that the fit left beyond the noise, m."
     )
     noise_m: Metres | None = Field(None, description="Standard deviation of a coordinate of the noise, m.")
+    noise_of: str | None = Field(
+        None,
+        description="Kind of measurement whose noise that is, as `points`, `pixels` or `contacts`; null: not known. That of "
+        "pixels and contacts is not taken for rows that an instrument measured.",
+    )
     freedom: float | None = Field(
         None, description="Degrees of freedom of what the fit left, by which all of it is scaled; null: not known."
     )
@@ -360,6 +371,7 @@ class FitDetails(Stored):
     base_refitted: list[OwnBase] | None = Field(None, description="Bases that were fitted to rows of their own.")
     tool_refitted: list[OwnBase] | None = Field(None, description="Tools that were fitted to rows of their own.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
+    prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     measurements: list[KindOfMeasurement] | None = Field(None, description="What each kind of measurement says.")
     cameras: list[CameraFound] | None = Field(None, description="Cameras as they were found; null: none measured.")
     boards: list[BoardFound] | None = Field(None, description="Boards as they were found; null: none measured.")

@@ -17,3 +17,9 @@ class Problem(BaseModel):
     code: str = Field(description="Stable name of the error, for programs.")
     context: dict[str, Any] = Field(description="Names and numbers of the detail, by code.")
     request_id: str = Field(description="Id of the request, as the server's log has it.")
+
+
+# For the OpenAPI document: the answers every route may give besides its own.
+REFUSALS: dict[int | str, dict[str, Any]] = {
+    status: {"model": Problem, "description": "Problem document"} for status in ("4XX", 422, "5XX")
+}

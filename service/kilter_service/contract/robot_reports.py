@@ -38,6 +38,9 @@ class JointSummary(Strict):
         None, description="Lowest and highest reading of a prismatic joint, mm; null at an end that is open."
     )
     gear_ratio: float | None = Field(None, description="Turns of the motor per turn of the joint, where it is known.")
+    drive_stiffness_nm_rad: float | None = Field(
+        None, description="Rough stiffness of the drive, N m/rad, where it is known."
+    )
 
     @model_validator(mode="after")
     def _one_unit(self) -> JointSummary:
@@ -56,6 +59,7 @@ class RobotSummary(Strict):
     active_version: str | None = Field(description="The version it is corrected with; null: none.")
     remarks: str = Field("", description="What people noted on the robot.")
     controller_compensation: ControllerCompensation = Field("unknown", description=COMPENSATION)
+    controller_sentence: str = Field("", description="The same, and what follows from it, in words.")
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 

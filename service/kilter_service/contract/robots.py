@@ -30,6 +30,10 @@ from kilter_service.contract.units import (
 
 Axis = Literal["Rx", "Ry", "Rz", "Tx", "Ty", "Tz"]
 JOINTS = "Joints from base to tool; at most 32. Null: named j1, j2, ... without limits."
+STIFFNESS = (
+    "Rough stiffness of the drive of a revolute joint, N m/rad, above 0: a fit expects a compliance of its size; null: that "
+    "of an industrial gear, 10 000."
+)
 ROWS = "A row for each joint, from base to tool; at most 32."
 
 
@@ -48,6 +52,7 @@ class Joint(Strict):
     gear_ratio: float | None = Field(
         None, description="Turns of the motor per turn of the joint, no unit; gear errors need it."
     )
+    drive_stiffness_nm_rad: Annotated[float, Field(gt=0)] | None = Field(None, description=STIFFNESS)
     drive: Drive | None = Field(None, description=f"Only of a mimic joint of a URDF. {DRIVE}")
 
 

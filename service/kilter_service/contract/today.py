@@ -38,6 +38,7 @@ class ErrorsToday(Strict):
     at: datetime = Field(description="When that was.")
     campaigns: list[MeasuredCampaign] = Field(description="Where the rows are from; empty: they are gone.")
     refit: list[str] = Field(description="Frames that were fitted to these rows, `base` and `tool`; empty: none.")
+    rows: str = Field(description="Which rows that are, in words.")
     errors: StageErrors = Field(description="The errors.")
 
 
@@ -75,6 +76,7 @@ class Today(Strict):
     own: ErrorsToday | None = Field(description="What the version's own job said when it was made.")
     changed: bool = Field(description="Whether today's mean error is larger than that by more than chance explains.")
     larger_by_mm: Mm | None = Field(description="By how much, mm; null: not larger.")
+    compared: str = Field(description="Both beside each other, in words; empty: there are not two.")
     not_evaluated: list[MeasuredCampaign] = Field(
         description="Campaigns since then that the version neither was fitted to nor evaluated on."
     )

@@ -50,6 +50,21 @@ class MadeToken(Token):
     token: str = Field(description="What to send with requests (KILTER_TOKEN); it is shown this once only.")
 
 
+class NewLoginLink(Strict):
+    """A link to log in at the page with."""
+
+    minutes: Annotated[int, Field(ge=1, le=60)] = Field(5, description="For how long it can be used, minutes.")
+
+
+class LoginLink(Strict):
+    """A link that logs a browser in once, in the role of whoever asked for it."""
+
+    path: str = Field(
+        description="To append to the address of the server. What is behind `#` stays in the browser and is in no log."
+    )
+    expires_at: datetime = Field(description="Until when it can be used, once.")
+
+
 class TokenList(Listed):
     """Tokens, newest first."""
 

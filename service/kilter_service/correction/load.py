@@ -58,14 +58,16 @@ def load_notes(
         return ()
     load = calibration.robot.load
     if load is not None:
-        return (f"The path states no payload: the robot's default load was taken, {said(load.mass, load.com)}.",)
+        return (
+            f"The path states no payload: the robot's default load was taken, {describe_load(load.mass, load.com)}.",
+        )
     return (
         f"{counted_as_nothing('The path states', following)} It was corrected as with nothing on the tool. "
         f"{REMEDY.format(whole='path')}",
     )
 
 
-def said(mass: float, com: Sequence[float]) -> str:
+def describe_load(mass: float, com: Sequence[float]) -> str:
     """Say a load in words."""
     at = ", ".join(f"{to_mm(value):.6g}" for value in com)
     return f"{mass:.6g} kg at ({at}) mm in the tool frame"

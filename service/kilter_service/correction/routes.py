@@ -13,11 +13,11 @@ from fastapi.responses import StreamingResponse
 
 from kilter_core.errors import OptionError
 from kilter_service.bodies import spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.correction import service
 from kilter_service.correction.load import Carried
 from kilter_service.db import Database
 from kilter_service.routing import GuardedRoute
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 from kilter_service.tables import reading
 

@@ -24,10 +24,10 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, NamedTuple, NoReturn
 
+from kilter_service.child import Child, running
 from kilter_service.corrector.orphan import Found
 from kilter_service.corrector.specs import QuerySpec, StreamSpec, enter
 from kilter_service.errors import ServiceError
-from kilter_service.health.pulse import running
 
 log = logging.getLogger("kilter.corrector")
 
@@ -204,14 +204,15 @@ def _run_child(pipe: Connection) -> NoReturn:
         os._exit(code)
 
 
-class Child:
-    """A process of the corrector at the other end of a pipe."""
+class ForkedChild(Child):
+    """A process of the corrector at the other end of a pipe: it alone holds that end, so it runs while the pipe is open."""
+
+    first_pause_s = longest_pause_s = 0.0  # each millisecond is one that an arm is not corrected for
 
     def __init__(
         self, name: str, entry: str, spec: StreamSpec | QuerySpec, server: ForkServer, found: Found | None = None
     ) -> None:
-        self.name = name
-        self.pid: int | None = None
+        super().__init__(name)
         self._entry = entry
         self._spec = spec
         self._fork_server = server
@@ -221,7 +222,7 @@ class Child:
         if found is not None:  # it listens already, and was started by a corrector that is gone
             self.pid, self._pipe, self._listens = found.pid, found.pipe, True
 
-    def launch(self) -> None:
+    def _launch(self) -> None:
         """Order the process."""
         self._listens = False
         self._pipe, self.pid = self._fork_server.order(self._entry, self._spec)
@@ -263,7 +264,7 @@ class Child:
                     raise
                 self.stop()
                 self._fork_server.stop()  # nobody holds the other end, so it ends: it may not be known to have ended
-                self.launch()
+                self.start()
         return None
 
     def _receive(self) -> Any:
@@ -294,7 +295,7 @@ class Child:
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs: it alone holds the other end of the pipe."""
+        """Whether the process runs."""
         return self._pipe is not None and not ended(self._pipe)
 
     def send(self, *message: Any) -> None:
@@ -313,23 +314,34 @@ class Child:
         except (EOFError, OSError):
             return
 
+    def _how_it_ended(self) -> tuple[str, bool]:
+        return "ended", True  # who forked it learns no exit code
+
     def stop(self) -> None:
-        """Ask the process to stop, and end it when it does not."""
-        if self._pipe is None:
-            return
+        """Ask the process to stop, and end it when it does not; one that does not listen yet has nothing to put in order."""
         if self._listens and self.alive:
-            self.send("stop")
-            if not self._ended(STOP_S):
-                log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
+            self.ask_to_stop()
+            self.wait(time.monotonic() + STOP_S)
+        else:
+            self._kill()
+            self._close()
+
+    def ask_to_stop(self) -> None:
+        """Say so through the pipe."""
+        self.send("stop")
+
+    def _kill(self) -> None:
         if self.pid is not None and self.alive:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
-            self._ended(STOP_S)
-        self._pipe.close()  # one that has not begun yet ends when it finds nobody there
+            self._wait_until_ended(STOP_S)
+
+    def _close(self) -> None:
+        if self._pipe is not None:
+            self._pipe.close()  # one that has not begun yet ends when it finds nobody there
         self._pipe = None
 
-    def _ended(self, seconds: float) -> bool:
-        """Wait until the process is gone; False when it was not in time."""
+    def _wait_until_ended(self, seconds: float) -> bool:
         end, pause = time.monotonic() + seconds, threading.Event()
         while self.alive or _exists(self.pid):
             if time.monotonic() > end:

@@ -21,15 +21,16 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from kilter_service.child import running
 from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import PrivateSocket, check_listening, is_local
-from kilter_service.corrector.fork_server import POLL_S, Child, ForkServer, StoppedError
+from kilter_service.corrector.fork_server import POLL_S, ForkedChild, ForkServer, StoppedError
 from kilter_service.corrector.orphan import take_over
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
 from kilter_service.errors import ServiceError
 from kilter_service.failure_log import Failing
-from kilter_service.health.pulse import Pulse, running
+from kilter_service.health.pulse import Pulse
 from kilter_service.settings import Settings
 from kilter_service.signing.masters import Masters, masters_in
 
@@ -59,7 +60,7 @@ class Corrector:
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
         self._fork_server = ForkServer()
-        self._children: dict[str, Child] = {}
+        self._children: dict[str, ForkedChild] = {}
         self._private: PrivateSocket | None = None
         self._announced = False
         self._told: dict[str, int | None] = {}
@@ -101,15 +102,15 @@ class Corrector:
         stream = replace(found.spec, again=found.endpoint) if found else wanted(self._private.endpoint)
         queries = QuerySpec(site, self._private.endpoint, masters, self._unsigned, config)
         self._children = {
-            "stream": Child("stream", STREAM, stream, self._fork_server, found),
-            "query": Child("query", QUERY, queries, self._fork_server),
+            "stream": ForkedChild("stream", STREAM, stream, self._fork_server, found),
+            "query": ForkedChild("query", QUERY, queries, self._fork_server),
         }
         if found:
             self.instance, self._active = found.spec.instance, dict(found.active)
             log.info("the stream process %d, which went on alone, is taken over", found.pid)
         else:
-            self._children["stream"].launch()
-        self._children["query"].launch()
+            self._children["stream"].start()
+        self._children["query"].start()
         self._look()  # while they import; they get what it finds when they listen
         if found:
             self.endpoints["stream"] = found.endpoint
@@ -169,10 +170,7 @@ class Corrector:
         self._fork_server.start()
         self._fork_server.keep_spare()
         for name, child in self._children.items():
-            if not child.alive:
-                log.error("the %s process ended: it is restarted", name)
-                child.stop()
-                child.launch()
+            if child.watch():
                 self._take_child(name)
         if self._processes != self._told:
             self._write_file()

@@ -76,14 +76,14 @@ def in_words(error: BaseException | None) -> CoreError | None:
         seen.add(id(error))
         if isinstance(error, CoreError):
             return error
-        found = _said(error)
+        found = _as_service_error(error)
         if found is not None:
             return found
         error = error.__cause__ or error.__context__
     return None
 
 
-def _said(error: BaseException) -> ServiceError | None:
+def _as_service_error(error: BaseException) -> ServiceError | None:
     if isinstance(error, DBAPIError):
         return _of_driver(error.orig, away=error.connection_invalidated)
     if isinstance(error, sqlite3.Error):

@@ -46,8 +46,8 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
                 words=words,
                 unit=unit,
                 values=values.tolist(),
-                up=_listed(found.up, summed, len(made)),
-                down=_listed(found.down, summed, len(made)),
+                up=_sums_by_check(found.up, summed, len(made)),
+                down=_sums_by_check(found.down, summed, len(made)),
                 limit=limit,
                 scatter=None if math.isnan(found.scatter) else found.scatter,
                 alarms=found.alarms,
@@ -96,7 +96,7 @@ def _numbers(one: StoredCheck) -> dict[str, tuple[float, str, str]]:
     return found
 
 
-def _listed(sums: Any, places: Sequence[int], count: int) -> list[float | None]:
+def _sums_by_check(sums: Any, places: Sequence[int], count: int) -> list[float | None]:
     out: list[float | None] = [None] * count
     for place, value in zip(places, sums, strict=True):
         out[place] = None if np.isnan(value) else float(value)

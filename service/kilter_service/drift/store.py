@@ -51,7 +51,7 @@ def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int,
         campaign = one.request["campaigns"][0]
         if campaign in at:
             out.setdefault(one.robot_id, []).append(StoredCheck(one.id, campaign, at[campaign], one.result))
-    return {robot: _once(made) for robot, made in out.items()}
+    return {robot: _newest_of_each(made) for robot, made in out.items()}
 
 
 def agreed_at(session: Session, robot: int, version: str, besides: Collection[str]) -> datetime | None:
@@ -61,7 +61,7 @@ def agreed_at(session: Session, robot: int, version: str, besides: Collection[st
     return max((one.at for one in own if one.result.get("verdict") == "ok"), default=None)
 
 
-def _once(made: list[StoredCheck]) -> list[StoredCheck]:
+def _newest_of_each(made: list[StoredCheck]) -> list[StoredCheck]:
     """Of several checks of a campaign against a version the last; by when they were measured."""
     newest = {(one.campaign_id, one.result.get("version_id")): one for one in made}
     return sorted(newest.values(), key=lambda one: one.at)

@@ -91,7 +91,7 @@ def sentence(found: Check, agreed_at: datetime | None = None) -> str:
         return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"
     if not found.causes:
         return f"cannot tell: it has moved{after}, and no single cause explains the rows.{chance}"
-    return f"cannot tell: {listed([by_how_much(one) for one in found.causes])}{after}.{chance}"
+    return f"cannot tell: {joined_by_or([by_how_much(one) for one in found.causes])}{after}.{chance}"
 
 
 def chance_words(p_value: float, digits: int = 1) -> str:
@@ -121,7 +121,7 @@ def by_how_much(one: Judged) -> str:
     return f"{words} by {' and '.join(parts)}" if parts else words
 
 
-def listed(words: Sequence[str]) -> str:
+def joined_by_or(words: Sequence[str]) -> str:
     """Return alternatives: `a`, `a or b`, `a, b or c`."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 

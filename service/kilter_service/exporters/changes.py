@@ -59,7 +59,7 @@ def zero_offsets(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[tuple
             yield change.where, change.name.rpartition("_")[2], change.difference
 
 
-def told(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[str]:
+def change_comments(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[str]:
     """Both as comments of a table."""
     yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
     for change in changes(table, joints):

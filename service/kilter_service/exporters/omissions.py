@@ -26,7 +26,7 @@ def left_out(calibration: Calibration) -> tuple[str, ...]:
     """Name the effects of the arm, none of which the file can hold, and how far each moves the tool."""
     sizes = displacements_mm(calibration)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
-    return tuple(f"Left out: {_said(effect, sizes.get(effect.id))}." for effect in arm)
+    return tuple(f"Left out: {_describe_effect(effect, sizes.get(effect.id))}." for effect in arm)
 
 
 def masses_as_stated(robot: Robot) -> tuple[str, ...]:
@@ -44,7 +44,7 @@ def displacements_mm(calibration: Calibration) -> dict[str, tuple[float, float]]
     return {name: (float(np.sqrt(np.mean(d**2))), float(d.max())) for name, d in moved.items()}
 
 
-def _said(effect: Effect, size: tuple[float, float] | None) -> str:
+def _describe_effect(effect: Effect, size: tuple[float, float] | None) -> str:
     if size is None:
         return f"{effect.id}, which acts with {', '.join(sorted(effect.needs - {'moments'}))}"
     return f"{effect.id}, {size[0]:.3f} mm rms and {size[1]:.3f} mm at most over the workspace, at rest without load"

@@ -14,7 +14,7 @@ from kilter_core.arm.conversions.tables import angles_and_lengths
 from kilter_core.arm.robot import STANDARD_GRAVITY
 from kilter_core.model.closest_table import ClosestTable, closest_table
 from kilter_core.transforms import xyz_rpy_from_pose
-from kilter_service.exporters.changes import told
+from kilter_service.exporters.changes import change_comments
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.omissions import distance, left_out, masses_as_stated
 from kilter_service.exporters.urdf_words import away_from_the_cut
@@ -56,7 +56,7 @@ def _table(version: Exportable, convention: str) -> Written:
     if (load := calibration.robot.load) is not None:
         place = " ".join(f"{axis}_mm={1e3 * value!r}" for axis, value in zip("xyz", load.com, strict=True))
         out.write(f"# load payload_kg={load.mass!r} {place}\n")
-    out.writelines(f"# {note}\n" for note in (*notes, *told(table, calibration.robot.joints)))
+    out.writelines(f"# {note}\n" for note in (*notes, *change_comments(table, calibration.robot.joints)))
     writer = csv.writer(out, lineterminator="\n")
     limits = _limit_columns(calibration.robot.joints)
     weights = _weight_columns(table.links)

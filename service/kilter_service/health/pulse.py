@@ -79,24 +79,3 @@ class Pulse:
             self._telling.worked()
         except Exception as error:  # whatever the database says, the process goes on
             self._telling.failed(error)
-
-
-def running(pid: int | None) -> bool:
-    """Whether a process is not stopped (SIGSTOP, a debugger) or dead, as far as this system tells."""
-    return _state(pid) not in "TtZX"
-
-
-def stopped(pid: int | None) -> bool:
-    """Whether somebody stopped a process. One whose threads end one after another is not: its first is dead, no more."""
-    return _state(pid) in "Tt"
-
-
-def _state(pid: int | None) -> str:
-    """Letter of the state that Linux tells of a process, X where it has none; R where this system tells nothing."""
-    try:
-        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
-            return file.read().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return "X" if os.path.isdir("/proc/self") else "R"
-    except (OSError, IndexError):
-        return "R"

@@ -37,14 +37,14 @@ def report(database: Database, settings: Settings) -> Health:
     clock().sets_s()  # looked at each time, also when no heartbeat is read
     with database.looking() as looked:
         checks = {
-            "database": _told("database", partial(_database, looked)),
-            "disk": _told("disk", partial(_disk, settings)),
+            "database": _check("database", partial(_database, looked)),
+            "disk": _check("disk", partial(_disk, settings)),
         }
         if checks["database"].ok:
-            checks["worker"] = _told("worker", partial(_worker, looked))
+            checks["worker"] = _check("worker", partial(_worker, looked))
             beside = os.environ.get(BESIDE, "").split(",")
             for process in ("corrector", "ros2"):
-                checks[process] = _told(process, partial(_process, looked, process, process in beside))
+                checks[process] = _check(process, partial(_process, looked, process, process in beside))
     if settings.sqlite_file is not None and not checks["disk"].ok and is_read_only(settings.data):
         checks |= {name: _unheard(check) for name, check in checks.items() if name not in ("database", "disk")}
     ready = all(check.ok for check in checks.values())
@@ -57,7 +57,7 @@ def clock() -> SetClock:
     return SetClock(SILENT_AFTER_S)
 
 
-def _told(name: str, look: Callable[[], Check]) -> Check:
+def _check(name: str, look: Callable[[], Check]) -> Check:
     """What a look at a part finds; that it cannot be looked at is a finding."""
     try:
         found = look()

@@ -135,10 +135,12 @@ def parse(text: str) -> UrdfTree:
                 f"The URDF has {len(found)} {what}, at most {MAX_LINKS} are allowed: leave out what is not part of the arm.",
                 field="urdf",
             )
-    return _tree({_name(e, "link"): e for e in _once(links, "link")}, _once(joints, "joint"))
+    return _tree(
+        {_name(e, "link"): e for e in _without_duplicates(links, "link")}, _without_duplicates(joints, "joint")
+    )
 
 
-def _once(elements: list[Element], what: str) -> list[Element]:
+def _without_duplicates(elements: list[Element], what: str) -> list[Element]:
     names: set[str] = set()
     for element in elements:
         name = _name(element, what)

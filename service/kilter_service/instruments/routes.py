@@ -25,4 +25,4 @@ def add(instrument: NewInstrument, response: Response, database: DatabaseOfApp, 
 @router.get("")
 def listed(database: DatabaseOfApp, page: PageOfList) -> InstrumentList:
     """List the instruments."""
-    return service.listed(database, page)
+    return service.list_instruments(database, page)

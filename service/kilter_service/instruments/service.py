@@ -20,8 +20,8 @@ def add(database: Database, new: NewInstrument) -> tuple[Instrument, bool]:
         return store.get(session, new.name), added
 
 
-def listed(database: Database, page: Page) -> InstrumentList:
+def list_instruments(database: Database, page: Page) -> InstrumentList:
     """List the instruments, by name."""
     with database.reading() as session:
-        shown, cursor = page.cut(store.listed(session, page), lambda one: (one.name,))
+        shown, cursor = page.cut(store.instruments_on_page(session, page), lambda one: (one.name,))
     return InstrumentList(instruments=shown, next=cursor)

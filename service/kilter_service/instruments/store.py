@@ -26,7 +26,7 @@ def add(session: Session, new: NewInstrument) -> bool:
         session.add(InstrumentRow(**new.model_dump(mode="json")))
         session.flush()
         return True
-    if NewInstrument(**_told(found)) != new:
+    if NewInstrument(**_fields(found)) != new:
         raise ServiceError(
             f"There is already another instrument {new.name!r}, or the same with another certificate: what was measured with "
             f"it keeps that. Add this one under another name, as {new.name}-2.",
@@ -61,7 +61,7 @@ def of_names(session: Session, names: Collection[str]) -> dict[str, Instrument]:
     return {row.name: _instrument(row) for row in rows}
 
 
-def listed(session: Session, page: Page) -> list[Instrument]:
+def instruments_on_page(session: Session, page: Page) -> list[Instrument]:
     """Return instruments by name, one more than the page shows."""
     query = select(InstrumentRow).order_by(InstrumentRow.name).limit(page.fetched)
     if page.name is not None:
@@ -69,9 +69,9 @@ def listed(session: Session, page: Page) -> list[Instrument]:
     return [_instrument(row) for row in session.execute(query).scalars()]
 
 
-def _told(row: InstrumentRow) -> dict[str, Any]:
+def _fields(row: InstrumentRow) -> dict[str, Any]:
     return {name: getattr(row, name) for name in NewInstrument.model_fields}
 
 
 def _instrument(row: InstrumentRow) -> Instrument:
-    return Instrument(**_told(row), created_at=row.created_at)
+    return Instrument(**_fields(row), created_at=row.created_at)

@@ -15,7 +15,7 @@ from kilter_service.db import Database, Session
 from kilter_service.jobs import service, store, wire
 from kilter_service.jobs.default_load import unstated
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.foresight import Foresight, Lack, poses_of
+from kilter_service.jobs.job_preview import JobPreview, Lack, poses_of
 from kilter_service.jobs.kind import JobInput, JobKind
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import kind_of
@@ -52,7 +52,7 @@ def check(database: Database, job: NewJob) -> JobCheck:
     with _ONE_AT_A_TIME:
         with database.reading() as session:
             loaded = _load(session, job, kind, request)
-        found = _foreseen(kind, loaded)
+        found = _preview(kind, loaded)
     rows = sum(campaign.rows for campaign in loaded.used if campaign.use != "confirmation")
     expected = duration(job.kind, rows, request, loaded.past, found.seconds)
     return wire.check(job.kind, job.robot, loaded.version, found, loaded.used, expected)
@@ -90,8 +90,8 @@ def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> 
     )
 
 
-def _foreseen(kind: JobKind, loaded: _Loaded) -> Foresight:
-    found = Foresight()
+def _preview(kind: JobKind, loaded: _Loaded) -> JobPreview:
+    found = JobPreview()
     if loaded.every > 1:
         found.limited.append(
             f"One row in {loaded.every} was read, because there are more than {MOST_ROWS}: rows and poses are counted among "
@@ -99,8 +99,8 @@ def _foreseen(kind: JobKind, loaded: _Loaded) -> Foresight:
         )
     if loaded.why is not None:
         found.problems.append(loaded.why)
-    elif loaded.given is not None and kind.foresee is not None:
-        kind.foresee(loaded.given, found)
+    elif loaded.given is not None and kind.preview_job is not None:
+        kind.preview_job(loaded.given, found)
         remark = unstated(kind.name, loaded.given)
         if remark is not None:
             found.missing.append(

@@ -47,7 +47,7 @@ def duration(
     same = [run for run in past if _asked(run.request) == _asked(request)]
     if begun is not None and not same:
         return _within(
-            _told(begun, begun / BEGUN, begun * BEGUN, "the beginning of this job, made and timed here"), request
+            _duration(begun, begun / BEGUN, begun * BEGUN, "the beginning of this job, made and timed here"), request
         )
     chosen = same or list(past)
     if not chosen:
@@ -57,7 +57,7 @@ def duration(
     wide *= 1.0 if same else WIDEST
     which = "with the same options" if same else "with other options"
     jobs = f"{len(took)} earlier {kind} {'job' if len(took) == 1 else 'jobs'} {which}, by the number of rows"
-    return _within(_told(median(took), min(took) / wide, max(took) * wide, jobs), request)
+    return _within(_duration(median(took), min(took) / wide, max(took) * wide, jobs), request)
 
 
 def _within(found: Duration, request: JobRequest) -> Duration:
@@ -66,7 +66,7 @@ def _within(found: Duration, request: JobRequest) -> Duration:
     if budget is None or found.high <= budget:
         return found
     expected, low, high = (min(value, float(budget)) for value in (found.expected, found.low, found.high))
-    return _told(
+    return _duration(
         expected, low, high, f"{found.basis}; no longer than the budget of {budget:g} s, but for what is begun by then"
     )
 
@@ -75,10 +75,10 @@ def _by_rule(kind: str, rows: int, request: JobRequest) -> Duration:
     expected, low, high = RULES.get(kind, OTHER)
     more = max(1.0, _work(rows, request) / _work(RULE_ROWS, JobRequest.of({"robot": ""})))
     basis = f"a rule for {kind} jobs of this size: no earlier one of this server tells it"
-    return _told(expected * more, low, high * more, basis)
+    return _duration(expected * more, low, high * more, basis)
 
 
-def _told(expected: float, low: float, high: float, basis: str) -> Duration:
+def _duration(expected: float, low: float, high: float, basis: str) -> Duration:
     values = [round(max(value, SHORTEST_S), 2) for value in (expected, low, high)]
     return Duration(expected=values[0], low=min(values), high=max(values), basis=basis)
 

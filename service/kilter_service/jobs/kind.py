@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.arm.robot import Robot
+    from kilter_core.identify.fleet.versions import FleetVersion
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
+    from kilter_service.contract.fits import Remark
     from kilter_service.contract.instruments import Instrument
-    from kilter_service.jobs.foresight import Foresight
+    from kilter_service.jobs.job_preview import JobPreview
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,13 @@ class JobInput:
     ``each`` computes independent parts, in several processes where the worker has them; None: one after the other.
     ``default_load`` are the campaigns that state no payload, where the robot has a default load; ``no_load`` those where
     it has none, so that nothing counts as carried.
-    ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id.
+    ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id, and
+    ``certificates`` what those of the instruments have against a campaign.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
     readings of all the robot's campaigns, and ``origin``, the result of the job that made the version. Only for kinds with
-    ``against_fit``: ``fit``, what the version was fitted to.
+    ``against_fit``: ``fit``, what the version was fitted to. ``fleet`` are versions of other robots of the type, one of
+    each, where the option ``prior`` asks for them.
     """
 
     robot: Robot
@@ -65,6 +69,7 @@ class JobInput:
     devices: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     instruments: dict[str, Instrument] = field(default_factory=dict)
+    certificates: dict[str, list[Remark]] = field(default_factory=dict)
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
     fit: FitOfVersion = FitOfVersion()
@@ -72,6 +77,7 @@ class JobInput:
     default_load: tuple[str, ...] = ()
     no_load: tuple[str, ...] = ()
     each: Each | None = None
+    fleet: tuple[FleetVersion, ...] = ()
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:
@@ -102,6 +108,10 @@ class JobOutput:
     version: VersionContent | None = None
 
 
+def refuse_nothing(_: Any) -> None:
+    """Leave the options to their model."""
+
+
 @dataclass(frozen=True)
 class JobKind:
     """A kind of job.
@@ -115,7 +125,7 @@ class JobKind:
     ``instead_of_campaigns`` which options replace campaigns. ``long`` kinds have a queue of their own: whoever
     identifies does not wait for somebody's gap search. ``history`` kinds want to know where the arm was driven before,
     ``against_fit`` kinds what their version was fitted to. ``most_campaigns`` is how many a request may name.
-    ``foresee`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
+    ``preview_job`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
     """
 
     name: str
@@ -131,7 +141,7 @@ class JobKind:
     history: bool = False
     against_fit: bool = False
     most_campaigns: int | None = None
-    foresee: Callable[[JobInput, Foresight], None] | None = None
+    preview_job: Callable[[JobInput, JobPreview], None] | None = None
 
     @property
     def queue(self) -> Queue:

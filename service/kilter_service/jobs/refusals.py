@@ -63,7 +63,7 @@ def _refused(kind: str, problem: Problem, options: object, loc: tuple[Any, ...])
     if not loc:
         return OptionError(f"options of {kind}: {_needed(kind, problem, options)}", option="options")
     where = ".".join(str(part) for part in ("options", *_in_body(loc, options)))
-    return OptionError(f"{where}{_said(kind, problem, loc, options)}", option=str(loc[0]))
+    return OptionError(f"{where}{_complaint(kind, problem, loc, options)}", option=str(loc[0]))
 
 
 def _needed(kind: str, problem: Problem, options: object) -> str:
@@ -72,7 +72,7 @@ def _needed(kind: str, problem: Problem, options: object) -> str:
     return f"they are {_shown(options)}. Give an object with {', '.join(_names(kind))}."
 
 
-def _said(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) -> str:
+def _complaint(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) -> str:
     """What follows the place."""
     value, sort = problem.get("input"), problem["type"]
     if sort == "extra_forbidden":
@@ -82,6 +82,8 @@ def _said(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) ->
         return f" is missing: {kind} needs it. {f'Give {allowed(schema)}.' if schema else _described(kind, loc)}"
     if loc[0] == "effects" and len(loc) > 1 and (sort.startswith("union_tag") or sort == "literal_error"):
         return _unknown_effect(kind, value, problem)
+    if sort == "value_error":
+        return f" is {_shown(value)}: {problem['ctx']['error']}, for a job of kind {kind}."
     words = f"give {allowed(schema)}" if schema else f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
     return f" is {_shown(value)}: {words}, for a job of kind {kind}."
 

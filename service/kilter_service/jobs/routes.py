@@ -13,10 +13,10 @@ from kilter_service.auth.following import followed
 from kilter_service.conditional import FOR_GOOD
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
+from kilter_service.idempotency.key import OnceOnly
 from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import ended, followers_of
 from kilter_service.jobs.request import JobRoute
-from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfJobs
 from kilter_service.state import DatabaseOfApp
 
@@ -40,7 +40,7 @@ def check(job: NewJob, database: DatabaseOfApp) -> JobCheck:
 @router.get("")
 def listed(database: DatabaseOfApp, page: PageOfJobs, robot: str | None = None) -> JobList:
     """List the newest jobs."""
-    return service.listed(database, robot, page)
+    return service.list_jobs(database, robot, page)
 
 
 @router.get("/{job}")

@@ -20,6 +20,7 @@ from kilter_service.db.failures import in_words
 from kilter_service.failure_log import log_failure
 from kilter_service.jobs import store
 from kilter_service.jobs.can_correct import with_ability_warning
+from kilter_service.jobs.certificates import with_certificate_warnings
 from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
@@ -96,7 +97,7 @@ class Runner:
             report(0.0, "loading", now=True)
             kind, job, used = self._patiently(lambda: self._loaded(claim))
             output = with_load_warning(kind, kind_of(kind).run(replace(job, each=self._each), report), job)
-            output = with_ability_warning(with_limits(output, job), job)
+            output = with_ability_warning(with_limits(with_certificate_warnings(output, job), job), job)
             report(1.0, "storing", now=True)
             judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))
         except (CancelledError, DatabaseAwayError):

@@ -8,12 +8,12 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, NewJob
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
 from kilter_service.jobs.records import Asked, Place
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
-from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import store as references
 from kilter_service.robots import store as robots
@@ -144,10 +144,10 @@ def get(database: Database, job_id: str) -> Job:
         return wire.job(store.get(session, job_id))
 
 
-def listed(database: Database, robot: str | None, page: Page) -> JobList:
+def list_jobs(database: Database, robot: str | None, page: Page) -> JobList:
     """List the newest jobs."""
     with database.reading() as session:
-        found = store.listed(session, robot, page)
+        found = store.newest_jobs(session, robot, page)
     shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
     return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
 

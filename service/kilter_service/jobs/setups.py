@@ -57,7 +57,7 @@ class Setups:
         return [self._warning(which, report[f"{which}_refitted"]) for which in FRAMES if report[f"{which}_refitted"]]
 
     def _warning(self, which: str, refitted: Sequence[dict[str, Any]]) -> dict[str, Any]:
-        said = ", ".join(_said(frame) for frame in refitted)
+        said = ", ".join(_describe_frame(frame) for frame in refitted)
         why = "as asked" if self.own else "the frame of a pencil's sheet or a ball bar is new every time"
         return {
             "code": f"{which}_refitted",
@@ -67,7 +67,7 @@ class Setups:
         }
 
 
-def _said(frame: dict[str, Any]) -> str:
+def _describe_frame(frame: dict[str, Any]) -> str:
     name = frame["campaign"] or "the campaigns of other devices"
     session = "" if frame["session"] is None else f" session {frame['session']}"
     moved = f"moved {frame['moved_mm']:.3g} mm, rotated {frame['turned_deg']:.3g} deg"

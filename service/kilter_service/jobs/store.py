@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import uuid
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from kilter_service.ended_jobs import store as ended
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.fit_of_version import fit_of
+from kilter_service.jobs.fleet_versions import fleet_versions
 from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
 from kilter_service.jobs.records import Asked, JobRecord, JobRequest, ListedJob, Place, ProgressRecord, UsedRecord
@@ -97,7 +98,7 @@ def places(session: Session) -> dict[str, Place]:
     return found
 
 
-def listed(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
+def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
     columns = (
@@ -160,11 +161,18 @@ def _record(session: Session, row: JobRow) -> JobRecord:
 def load(session: Session, job_id: str) -> JobInput:
     """Load all a job needs."""
     row = _row(session, job_id)
-    return input_of(session, row.robot_id, row.kind, JobRequest.of(row.request))
+    return input_of(session, row.robot_id, row.kind, JobRequest.of(row.request), allowed=row.asked_by.get("robots"))
 
 
-def input_of(session: Session, robot_id: int, kind_name: str, request: JobRequest, every: int = 1) -> JobInput:
-    """Load all that a request needs; of the rows of each campaign one in ``every``."""
+def input_of(
+    session: Session,
+    robot_id: int,
+    kind_name: str,
+    request: JobRequest,
+    every: int = 1,
+    allowed: Collection[str] | None = None,
+) -> JobInput:
+    """Load all that a request needs; of the rows of each campaign one in ``every``, of other robots those ``allowed``."""
     kind, robot = kind_of(kind_name), robots.core_robot(session, robot_id)
     named = start_of(session, robot_id, kind, request)
 
@@ -184,12 +192,14 @@ def input_of(session: Session, robot_id: int, kind_name: str, request: JobReques
         names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
         instruments=campaigns.instruments(session, (*request.campaigns, *request.held)),
+        certificates=campaigns.certificates(session, (*request.campaigns, *request.held, *request.confirmation)),
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         fit=fit_of(session, named, request.campaigns) if kind.against_fit and named is not None else FitOfVersion(),
         confirmation=rows_of(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),
+        fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
 
 

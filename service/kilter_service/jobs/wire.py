@@ -48,7 +48,7 @@ from kilter_service.contract.jobs.plan import PlanResult
 from kilter_service.contract.jobs.rezero import RezeroResult
 from kilter_service.contract.units import Asked
 from kilter_service.contract.written import as_written
-from kilter_service.jobs.foresight import Foresight
+from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.wire import to_mm
@@ -90,7 +90,7 @@ def job(record: JobRecord) -> Job:
     answer, result = ANSWERS[record.kind]
     options: Asked = as_written(kind_of(record.kind).options, record.request.options)
     return answer(
-        **_told(record),
+        **_summary_fields(record),
         campaigns=record.request.campaigns,
         validation=record.request.validation,
         confirmation=record.request.confirmation,
@@ -102,10 +102,10 @@ def job(record: JobRecord) -> Job:
 
 def summary(record: ListedJob) -> JobSummary:
     """Say what lists tell of a job."""
-    return JobSummary(**_told(record))
+    return JobSummary(**_summary_fields(record))
 
 
-def _told(record: ListedJob) -> dict[str, Any]:
+def _summary_fields(record: ListedJob) -> dict[str, Any]:
     return {
         "id": record.id,
         "kind": record.kind,
@@ -122,7 +122,7 @@ def _told(record: ListedJob) -> dict[str, Any]:
 
 
 def check(
-    kind: str, robot: str, version: str | None, found: Foresight, campaigns: list[CheckedCampaign], duration: Duration
+    kind: str, robot: str, version: str | None, found: JobPreview, campaigns: list[CheckedCampaign], duration: Duration
 ) -> JobCheck:
     """Say what a job would do."""
     own: dict[str, Any] = {}
@@ -167,11 +167,11 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
 
 
 def _testability(found: FoundByCheck) -> Testability:
-    from kilter_core.identify.report import on_wire  # imports scipy: not at the start of the API process
+    from kilter_core.parameters import reported  # imports numpy: not at the start of the API process
 
     testable = []
     for one in found.testable:
-        unit, scale = on_wire(one.unit)
+        unit, scale = reported(one.unit)
         testable.append(
             Detectable(
                 id=one.id,

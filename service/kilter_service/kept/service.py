@@ -73,13 +73,13 @@ def _nothing(session: Session, kind: Kind, reference: str, robot: str | None, ro
     text += store.gone(session, kind, reference)
     if other is not None:
         text += f" That is an id of a {other}."
-    listed = ", ".join(_told(one, robot is None) for one in there[:MOST_NAMED])
+    listed = ", ".join(_named(one, robot is None) for one in there[:MOST_NAMED])
     text += f" There are: {listed}." if listed else ""
     return ServiceError(text, code=f"{kind}_not_found", **{kind: reference})
 
 
 def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> ServiceError:
-    listed = ", ".join(_told(one, True) for one in found[:MOST_NAMED])
+    listed = ", ".join(_named(one, True) for one in found[:MOST_NAMED])
     more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
     several_robots = len({one.robot for one in found}) > 1
     remedy = "name its robot (--robot)" if by == "latest" or (by == "name" and several_robots) else "type more of it"
@@ -93,7 +93,7 @@ def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> Ser
     )
 
 
-def _told(one: Found, with_robot: bool) -> str:
+def _named(one: Found, with_robot: bool) -> str:
     name = f" {one.name!r}" if one.name else ""
     return f"{one.id}{name}" + (f" of robot {one.robot!r}" if with_robot else "")
 

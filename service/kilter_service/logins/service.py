@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import secrets
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 from kilter_service.db import Database, audited
 from kilter_service.db.row import now
@@ -31,6 +31,39 @@ def log_in(database: Database, token_sha256: str) -> str:
         store.add(session, hash_of(secret), token_sha256, until)
         audited.note(session, "login", None, {"until": until.isoformat()})
     return secret
+
+
+def link(database: Database, token_sha256: str, minutes: int) -> tuple[str, datetime]:
+    """Keep a login that a browser may begin once; returns the secret of its link, and until when that holds."""
+    secret = secrets.token_urlsafe(SECRET_BYTES)
+    until = now() + timedelta(minutes=minutes)
+    with database.transaction() as session:
+        store.forget_ended(session)
+        store.add(session, _link_of(secret), token_sha256, until)
+        audited.note(session, "login_link", None, {"until": until.isoformat()})
+    return secret, until
+
+
+def take_link(database: Database, secret: str) -> str:
+    """Use up a link; returns the hash of the token that it stands for.
+
+    Raises:
+        ServiceError: it was used, it is too old, or it never was.
+
+    """
+    with database.transaction() as session:
+        found = store.take(session, _link_of(secret))
+    if found is None:
+        raise ServiceError(
+            "This link was used already or is too old: print a new one with `kilter login`, or log in with your token.",
+            code="token_ended",
+        )
+    return found
+
+
+def _link_of(secret: str) -> str:
+    """What is stored of a link: never the hash of a cookie, so a link is not a login before it is used up."""
+    return f"link{hash_of(secret)[:60]}"
 
 
 def log_out(database: Database, secret: str) -> None:

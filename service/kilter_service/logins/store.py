@@ -22,6 +22,13 @@ def token_of(session: Session, sha256: str) -> str | None:
     return session.execute(query).scalar_one_or_none()
 
 
+def take(session: Session, sha256: str) -> str | None:
+    """Delete a login and return the hash of its token; None: there is none any more, or somebody else took it."""
+    row = LoginRow
+    query = delete(row).where(row.sha256 == sha256, row.expires_at > now()).returning(row.token_sha256)
+    return session.execute(query).scalar_one_or_none()
+
+
 def forget(session: Session, sha256: str) -> None:
     """Delete a login."""
     session.execute(delete(LoginRow).where(LoginRow.sha256 == sha256))

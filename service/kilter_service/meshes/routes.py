@@ -7,12 +7,12 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import MESH, spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShapes
 from kilter_service.digests import check_digest
 from kilter_service.limits import MAX_MESH_MB
 from kilter_service.meshes import service
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, scratch_of
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
@@ -23,7 +23,7 @@ CONTENT = dict.fromkeys(service.MEDIA, FILE)
 @router.get("/{robot}/meshes")
 def listed(robot: str, database: DatabaseOfApp) -> MeshList:
     """List the shapes of a robot's links."""
-    return service.listed(database, robot)
+    return service.list_meshes(database, robot)
 
 
 @router.get("/{robot}/urdf-shapes")

@@ -106,11 +106,11 @@ def corners(database: Database, robot: str, link: str) -> NDArray[np.float64]:
     return to_mm(found) if record.unit == "m" else found
 
 
-def listed(database: Database, robot: str) -> MeshList:
+def list_meshes(database: Database, robot: str) -> MeshList:
     """List the meshes of a robot, from base to tool."""
     with database.reading() as session:
         stored = robots.get(session, robot)
-        found = {one.link: one for one in store.listed(session, stored.id)}
+        found = {one.link: one for one in store.meshes_of_robot(session, stored.id)}
         order = [BASE, *(joint.name for joint in stored.robot().joints)] if found else []
     return MeshList(meshes=[_shown(robot, found[link]) for link in order if link in found])
 

@@ -39,7 +39,7 @@ def remove(session: Session, robot_id: int, link: str) -> None:
     session.flush()
 
 
-def listed(session: Session, robot_id: int) -> list[MeshRecord]:
+def meshes_of_robot(session: Session, robot_id: int) -> list[MeshRecord]:
     """Return the meshes of a robot."""
     columns = (MeshRow.link, MeshRow.format, MeshRow.unit, MeshRow.triangles, MeshRow.sha256, MeshRow.created_at)
     query = select(*columns).where(MeshRow.robot_id == robot_id).order_by(MeshRow.link)

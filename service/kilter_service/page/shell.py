@@ -21,6 +21,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "font-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
+WHOLE = ("{% extends", "<!DOCTYPE")  # how the template of a whole page begins
 HEADERS = {
     "Content-Security-Policy": POLICY,
     "Cache-Control": "no-store",  # measurements stay out of the browser's cache
@@ -30,9 +31,17 @@ HEADERS = {
 
 
 def render(request: Request, template: str, status: int = 200, **shown: Any) -> HTMLResponse:
-    """Fill a template, which extends ``base.html`` or is a part of a page."""
-    text = environment().get_template(template).render(**shared(request), **shown)
+    """Fill a template, which extends ``base.html`` or is a part of a page; a part that is opened alone becomes a page."""
+    alone = _is_part_of_a_page(template) and not is_part(request)
+    filled = environment().get_template("alone.html" if alone else template)
+    text = filled.render(**shared(request), **shown, **({"part": template} if alone else {}))
     return HTMLResponse(text, status, HEADERS)
+
+
+@cache
+def _is_part_of_a_page(template: str) -> bool:
+    loader = environment().loader
+    return loader is not None and not loader.get_source(environment(), template)[0].lstrip().startswith(WHOLE)
 
 
 def shared(request: Request) -> dict[str, Any]:

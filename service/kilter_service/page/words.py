@@ -10,11 +10,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from kilter_service.contract.fits import stayed
+from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.db.row import now
 from kilter_service.texts import plural
 
 NONE = "–"
+WIDE = 2 * 1.96  # standard deviations of a 95 % interval
 DIGITS = 3  # of a number whose uncertainty is not known
 TICKED = re.compile(r"`([^`]+)`")
 MINUTE, HOUR, DAY = 60.0, 3600.0, 86400.0
@@ -88,16 +89,31 @@ def like(value: float | None, largest: float | None) -> str:
     return f"{_rounded(scale * value, digits)} {unit}"
 
 
+def beside(value: float | None, largest: float | None) -> str:
+    """Write a length in mm in the unit of the largest one it stands beside, with digits of its own."""
+    if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
+        return mm(value)
+    unit, scale = _unit_of(largest)
+    return f"{number(scale * value)} {unit}"
+
+
+def sigma_of(found: Parameter) -> float | None:
+    """Return the standard deviation that belongs to the interval of a parameter: of a profile or a bootstrap, by its width."""
+    if found.lower is None or found.upper is None or found.interval_from == "sigma":
+        return found.sigma
+    return (found.upper - found.lower) / WIDE
+
+
 def chance(value: float) -> str:
     """Write a probability: as a number where people read it so, as a power of ten where it is tiny."""
     return f"{value:.0e}".replace("e-0", "e-") if value < 1e-3 else number(value, 2)
 
 
 def within(value: float, low: float | None, high: float | None) -> str:
-    """Write a length in mm with its interval, all three in the unit of the length and to the second digit of the width."""
+    """Write a length in mm with its interval, all three in the unit of the largest and to the second digit of the width."""
     if low is None or high is None or not high > low:
         return mm(value)
-    unit, scale = _unit_of(value)
+    unit, scale = _unit_of(max(abs(value), abs(low), abs(high)))
     decimals = max(1 - math.floor(math.log10(scale * (high - low))), 0)
     one, first, last = (_rounded(scale * end, decimals) for end in (value, low, high))
     return f"{one} {unit} ({first} to {last})"
@@ -146,18 +162,18 @@ def ticked(text: str) -> Markup:
     return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
 
 
-def listed(names: Sequence[str]) -> str:
+def joined_by_and(names: Sequence[str]) -> str:
     """Join names by commas and *and*."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def of_joints(numbers: Sequence[int]) -> str:
     """Name joints by their numbers."""
-    return f"joint{'s' if len(numbers) > 1 else ''} {listed([str(number) for number in numbers])}"
+    return f"joint{'s' if len(numbers) > 1 else ''} {joined_by_and([str(number) for number in numbers])}"
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "within": within, "like": like, "chance": chance,
+    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "sigma_of": sigma_of, "chance": chance,
     "age": age, "moment": moment, "percent": percent, "count": count,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
     "left_out": left_out,

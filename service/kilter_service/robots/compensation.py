@@ -64,6 +64,11 @@ def refuse(robot: str, compensation: str) -> None:
         raise ServiceError(found.message, code=TWICE, robot=robot, controller_compensation=compensation)
 
 
+def statement(robot: str, compensation: str) -> str:
+    """Say what the controller does, whatever that is."""
+    return sentence(robot, compensation) or f"The controller of {robot} {WORDS[compensation]}."
+
+
 def sentence(robot: str, compensation: str) -> str:
     """Say what the controller does, and what follows; empty where nothing does."""
     found = objection(robot, compensation) or remark(robot, compensation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 from xml.etree.ElementTree import indent, tostring
 
-from kilter_core.arm.conversions import load_document, pose_document, robot_document
+from kilter_core.arm.conversions import drive_document, load_document, pose_document, robot_document
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.model import Calibration
@@ -30,7 +30,7 @@ def convert(document: RobotDocument, to: str) -> dict[str, Any]:
 def _urdf(robot: Robot) -> dict[str, Any]:
     root = new_urdf(robot.name, Calibration.nominal(robot))
     indent(root)
-    geared = [{"name": j.name, "gear_ratio": j.gear_ratio} for j in robot.joints if j.gear_ratio is not None]
+    driven = [{"name": joint.name, **told} for joint in robot.joints if (told := drive_document(joint))]
     return (
         {
             "name": robot.name,
@@ -43,5 +43,5 @@ def _urdf(robot: Robot) -> dict[str, Any]:
             "tool": pose_document(robot.T_tool),
         }
         | load_document(robot)
-        | ({"joints": geared} if geared else {})
+        | ({"joints": driven} if driven else {})
     )

@@ -9,7 +9,9 @@ from fastapi import APIRouter, Query, Request, Response
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.conditional import ConditionalRoute
+from kilter_service.contract.kinematics import Flanges, JointRows, Postures
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument, Target
@@ -18,7 +20,6 @@ from kilter_service.limits import MAX_CIRCLE_MB
 from kilter_service.page_query import PageOfList
 from kilter_service.robots import service
 from kilter_service.robots.wire import DOCUMENT
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 from kilter_service.tables import reading
 
@@ -94,13 +95,29 @@ def _found(path: Path, media: str, name: str, to: Target, base: str, follows: li
 @router.get("")
 def listed(database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> RobotList:
     """List the robots; with `retired` also those that are out of use."""
-    return service.listed(database, page, retired)
+    return service.list_robots(database, page, retired)
 
 
 @router.get("/{robot}")
 def get(robot: str, database: DatabaseOfApp) -> RobotReport:
     """Show a robot."""
     return service.get(database, robot)
+
+
+@router.post("/{robot}/forward")
+def forward(robot: str, rows: JointRows, database: DatabaseOfApp) -> Flanges:
+    """Say where the nominal flange is at these joints."""
+    from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
+
+    return nominal.forward(database, robot, rows)
+
+
+@router.post("/{robot}/inverse")
+def inverse(robot: str, wanted: Flanges, database: DatabaseOfApp) -> Postures:
+    """Find all joints that bring the nominal flange to these poses, of a six-axis arm that has a closed form."""
+    from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
+
+    return nominal.inverse(database, robot, wanted)
 
 
 @router.patch("/{robot}")

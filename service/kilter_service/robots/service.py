@@ -67,10 +67,10 @@ def arm(database: Database, name: str) -> Robot:
         return store.get(session, name).robot()
 
 
-def listed(database: Database, page: Page, retired: bool = False) -> RobotList:
+def list_robots(database: Database, page: Page, retired: bool = False) -> RobotList:
     """List the robots; with ``retired`` also those that are out of use."""
     with database.reading() as session:
-        shown, cursor = page.cut(store.listed(session, page, retired), lambda robot: (robot.name,))
+        shown, cursor = page.cut(store.robots_on_page(session, page, retired), lambda robot: (robot.name,))
     return RobotList(robots=[wire.summary(record) for record in shown], next=cursor)
 
 

@@ -194,6 +194,12 @@ def by_id(session: Session, robot_id: int) -> StoredRobot:
     return _stored(session.get_one(RobotRow, robot_id))
 
 
+def others_in_use(session: Session, robot_id: int) -> list[StoredRobot]:
+    """Return the other robots in use that the caller may see, oldest first."""
+    query = select(RobotRow).where(RobotRow.id != robot_id, RobotRow.retired_at.is_(None)).order_by(RobotRow.id)
+    return [_stored(row) for row in session.execute(visible(query)).scalars()]
+
+
 def core_robot(session: Session, robot_id: int) -> Robot:
     """Build core's robot from the stored chain."""
     return by_id(session, robot_id).robot()
@@ -222,7 +228,7 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
+def robots_on_page(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
     """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
     query = visible(_records()).order_by(RobotRow.name).limit(page.fetched)
     if not with_retired:

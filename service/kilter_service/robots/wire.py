@@ -9,6 +9,7 @@ from pydantic import TypeAdapter
 
 from kilter_service.contract.robot_reports import JointSummary, RobotReport, RobotSummary
 from kilter_service.contract.robots import RobotDocument
+from kilter_service.robots.compensation import statement
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.records import RobotRecord
 from kilter_service.wire import DEG, MM
@@ -21,13 +22,13 @@ DOCUMENT: TypeAdapter[RobotDocument] = TypeAdapter(RobotDocument)
 
 def summary(record: RobotRecord) -> RobotSummary:
     """Say what lists tell of a robot."""
-    return RobotSummary(**_told(record))
+    return RobotSummary(**_summary_fields(record))
 
 
 def report(record: RobotRecord, robot: Robot) -> RobotReport:
     """Say all of a robot, as it was posted and as core has it."""
     return RobotReport(
-        **_told(record),
+        **_summary_fields(record),
         joints=[joint_summary(joint) for joint in robot.joints],
         parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
         notes=record.notes,
@@ -40,7 +41,7 @@ def report(record: RobotRecord, robot: Robot) -> RobotReport:
     )
 
 
-def _told(record: RobotRecord) -> dict[str, Any]:
+def _summary_fields(record: RobotRecord) -> dict[str, Any]:
     return {
         "name": record.name,
         "convention": record.document["convention"],
@@ -50,6 +51,7 @@ def _told(record: RobotRecord) -> dict[str, Any]:
         "active_version": record.active_version,
         "remarks": record.remarks,
         "controller_compensation": record.controller_compensation,
+        "controller_sentence": statement(record.name, record.controller_compensation),
         "retired_at": record.retired_at,
     }
 
@@ -61,4 +63,7 @@ def joint_summary(joint: Joint) -> JointSummary:
     limits = tuple(None if bound is None else round(bound * scale, 9) for bound in bounds)
     if joint.kind == "prismatic":
         return JointSummary(name=joint.name, kind="prismatic", limits_mm=limits, gear_ratio=joint.gear_ratio)
-    return JointSummary(name=joint.name, kind="revolute", limits_deg=limits, gear_ratio=joint.gear_ratio)
+    return JointSummary(
+        name=joint.name, kind="revolute", limits_deg=limits, gear_ratio=joint.gear_ratio,
+        drive_stiffness_nm_rad=joint.drive_stiffness,
+    )  # fmt: skip

@@ -206,7 +206,7 @@ def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str], name
 def _json(path: Path) -> dict[str, list[Any]]:
     _check_json(path)
     try:
-        document = json.loads(path.read_bytes(), object_pairs_hook=_once, parse_constant=_no_constant)
+        document = json.loads(path.read_bytes(), object_pairs_hook=_without_duplicates, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise ObservationError(f"The upload is not JSON: {error}.") from error
     if not isinstance(document, dict) or not all(isinstance(column, list) for column in document.values()):
@@ -250,7 +250,7 @@ def _json_tables(path: Path, named: Names) -> Iterator[pa.Table]:
     })  # fmt: skip
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     check_names([name for name, _ in pairs])
     return dict(pairs)
 

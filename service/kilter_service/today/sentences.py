@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 
 from kilter_service.contract.today import ErrorsToday, Today
@@ -40,25 +40,32 @@ def _sentences(today: Today) -> Iterator[str]:
 
 def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
     assert newest.errors.identified is not None
-    refit = f", {' and '.join(newest.refit)} fitted to them" if newest.refit else ""
     mean, aside = newest.errors.identified.mean_mm, left_out(newest.errors.left_out)
-    yield f"Mean error {mean:.3g} mm {SOURCES[newest.source]}{refit}{aside}: {where(newest)}."
-    if today.changed and today.own is not None and today.own.errors.identified is not None:
-        moved = (
-            ""
-            if newest.refit
-            else f" Where the instrument was set up anew, evaluate with `--refit base` first: {_job(today, newest)}."
-        )
-        yield (
-            f"That is {today.larger_by_mm:.3g} mm more than the {today.own.errors.identified.mean_mm:.3g} mm its own job "
-            f"said ({today.own.at:%Y-%m-%d}), more than chance explains: the arm, or what it was measured with, has changed."
-            + moved
-        )
-    elif today.own is not None and today.own.errors.identified is not None and today.own.job_id != newest.job_id:
-        own = today.own.errors.identified.mean_mm
-        yield f"Its own job said {own:.3g} mm ({today.own.at:%Y-%m-%d}); the difference is not more than chance explains."
+    yield f"Mean error {mean:.3g} mm {newest.rows}{aside}: {where(newest)}."
+    if today.compared:
+        yield today.compared
     if newest.source == "fitted":
         yield "Nothing was held out: measure some poses that are only checked (kilter upload --role confirmation)."
+
+
+def rows(source: str, refit: Sequence[str]) -> str:
+    """Say which rows errors are of, and what was fitted to them."""
+    return SOURCES[source] + (f", {' and '.join(refit)} fitted to them" if refit else "")
+
+
+def compared(robot: str, newest: ErrorsToday | None, own: ErrorsToday | None, larger_by_mm: float | None) -> str:
+    """Say whether the arm is worse than the version's own job said; empty where nothing else is known of it."""
+    if newest is None or own is None or own.errors.identified is None or own.job_id == newest.job_id:
+        return ""
+    mean, day = own.errors.identified.mean_mm, f"{own.at:%Y-%m-%d}"
+    if larger_by_mm is None:
+        return f"Its own job said {mean:.3g} mm ({day}); the difference is not more than chance explains."
+    command = f"`kilter evaluate {robot} --campaign {newest.campaigns[0].id} --refit base`"
+    anew = f" Where the instrument was set up anew, evaluate with `--refit base` first: {command}."
+    return (
+        f"That is {larger_by_mm:.3g} mm more than the {mean:.3g} mm its own job said ({day}), more than chance explains: "
+        "the arm, or what it was measured with, has changed." + ("" if newest.refit else anew)
+    )
 
 
 def left_out(rows: int | None) -> str:
@@ -82,7 +89,3 @@ def when(at: datetime, days: int, *, stated: bool) -> str:
     if stated:
         return f"measured on {at:%Y-%m-%d}, {ago(days)}"
     return f"sent on {at:%Y-%m-%d}, {ago(days)} (when it was measured is not stated)"
-
-
-def _job(today: Today, newest: ErrorsToday) -> str:
-    return f"`kilter evaluate {today.robot} --campaign {newest.campaigns[0].id} --refit base`"

@@ -61,8 +61,8 @@ def _all(session: Session, robots: Mapping[int, str], searched: SearchToday | No
 
 def _uncorrected(robot: str, searched: SearchToday | None) -> Today:
     found = Today(
-        robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, not_evaluated=[],
-        missing=searched, sentences=[],
+        robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, compared="",
+        not_evaluated=[], missing=searched, sentences=[],
     )  # fmt: skip
     return found.model_copy(update={"sentences": sentences.of(found)})
 
@@ -85,6 +85,7 @@ def _today(
         own=own,
         changed=more is not None,
         larger_by_mm=more,
+        compared=sentences.compared(robot, newest, own, more),
         not_evaluated=_not_evaluated(version, campaigns, newest, candidates),
         missing=searched,
         sentences=[],
@@ -138,7 +139,8 @@ def _errors(
 ) -> ErrorsToday:
     found = [campaigns[one] for one in used if one in campaigns]
     return ErrorsToday(
-        source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [], errors=errors,
+        source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [],
+        rows=sentences.rows(source, refit or []), errors=errors,
     )  # fmt: skip
 
 
@@ -159,12 +161,15 @@ def _larger(newest: ErrorsToday, own: ErrorsToday) -> float | None:
 def _not_evaluated(
     version: Active, campaigns: Campaigns, newest: ErrorsToday | None, candidates: Iterable[ErrorsToday]
 ) -> list[MeasuredCampaign]:
-    """Campaigns newer than the rows of today's number that say nothing yet."""
+    """Campaigns newer than the rows of today's number that say nothing yet; not what is left of one in use."""
     since = max((one.measured_at for one in newest.campaigns), default=version.created_at) if newest else None
     known = {one.id for found in candidates for one in found.campaigns} | {one["id"] for one in version.campaigns}
     found = [
         one
         for one in campaigns.values()
-        if one.id not in known and not one.hashes & version.fitted and (since is None or one.measured_at > since)
+        if one.id not in known
+        and one.whole is None
+        and not one.hashes & version.fitted
+        and (since is None or one.measured_at > since)
     ]
     return [_campaign(one) for one in sorted(found, key=lambda one: one.measured_at)]

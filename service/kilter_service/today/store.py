@@ -9,6 +9,7 @@ from typing import Any
 
 from sqlalchemy import func, select
 
+from kilter_service.campaigns import rest
 from kilter_service.db import Session
 from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
 from kilter_service.robots import store as robots
@@ -23,6 +24,7 @@ class Measured:
     measured_at: datetime
     stated: bool
     hashes: frozenset[str]
+    whole: str | None = None  # the campaign in use that it is the rest of
 
 
 @dataclass(frozen=True)
@@ -103,17 +105,35 @@ def _fitted(lines: Mapping[str, tuple[str | None, list[dict[str, Any]]]], versio
 def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measured]]:
     """Return the campaigns in use that have rows, by robot and id."""
     row = CampaignRow
+    begins = func.substr(row.notes, 1, rest.READ)
     query = (
-        select(row.robot_id, row.id, row.name, row.measured_at, UploadRow.sha256, UploadRow.created_at)
+        select(
+            row.robot_id, row.id, row.name, row.measured_at, row.retired_at, begins, UploadRow.sha256, UploadRow.created_at
+        )
         .join(UploadRow, UploadRow.campaign_id == row.id)
-        .where(row.robot_id.in_(of), row.retired_at.is_(None), row.staged.is_(False))
-    )
+        .where(row.robot_id.in_(of), row.staged.is_(False))
+    )  # fmt: skip
+    retired: set[str] = set()
     out: dict[int, dict[str, Measured]] = {}
-    for robot, key, name, stated, sha256, sent in session.execute(query):
-        at = stated or sent
-        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, stated is not None, frozenset()))
+    for robot, key, name, stated, ended, notes, sha256, sent in session.execute(query):
+        at, whole = stated or sent, rest.whole_of(notes)
+        retired |= {key} if ended is not None else set()
+        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, stated is not None, frozenset(), whole))
         out[robot][key] = replace(known, measured_at=max(known.measured_at, at), hashes=known.hashes | {sha256})
-    return out
+    return {robot: _together(found, retired) for robot, found in out.items()}
+
+
+def _together(found: Mapping[str, Measured], retired: Collection[str]) -> dict[str, Measured]:
+    """Campaigns in use. What is left of one was measured when the whole one was, and rows of either are rows of the other."""
+    out = dict(found)
+    for key, one in found.items():
+        whole = found.get(one.whole or "")
+        told = None if whole is None or whole.id in retired else whole.id
+        out[key] = replace(out[key], whole=told)
+        if whole is not None:
+            out[key] = replace(out[key], measured_at=whole.measured_at, hashes=out[key].hashes | whole.hashes)
+            out[whole.id] = replace(out[whole.id], hashes=out[whole.id].hashes | one.hashes)
+    return {key: one for key, one in out.items() if key not in retired}
 
 
 def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluated]]:

@@ -40,10 +40,10 @@ def add(database: Database, wanted: NewToken, actor: str) -> MadeToken:
     return MadeToken(**asdict(made), token=secret)
 
 
-def listed(database: Database, page: Page) -> TokenList:
+def list_tokens(database: Database, page: Page) -> TokenList:
     """List the tokens, those that ended too."""
     with database.reading() as session:
-        found = store.listed(session, page)
+        found = store.tokens_on_page(session, page)
     shown, cursor = page.cut(found, lambda token: in_time(token.created_at, token.id))
     return TokenList(tokens=[Token(**asdict(token)) for token in shown], next=cursor)
 

@@ -58,7 +58,7 @@ def by_hash(session: Session, sha256: str) -> TokenRecord | None:
     return None if row is None else _record(row)
 
 
-def listed(session: Session, page: Page) -> list[TokenRecord]:
+def tokens_on_page(session: Session, page: Page) -> list[TokenRecord]:
     """Return tokens, newest first, one more than the page shows; those that ended too."""
     row = TokenRow
     query = select(row).order_by(row.created_at.desc(), row.id)

@@ -19,7 +19,7 @@ from kilter_service.wire import to_deg, to_mm
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
-    from kilter_service.versions.records import Foreseen
+    from kilter_service.versions.records import PreviewedPoses
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def ability(database: Database, version_id: str, temperature_c: float | None) ->
         with database.reading() as session:
             limits = CorrectionLimits(**store.get(session, version_id).limits)
             calibration = store.calibration(session, version_id)
-        robot, within, found = preview.foreseen(database, version_id, temperature_c)
+        robot, within, found = preview.over_poses(database, version_id, temperature_c)
         shown = wire.preview(version_id, robot, found, within, temperature_c)
         objection = of_poses(calibration, found, limits, temperature_c)
     except (CoreError, ArithmeticError, ValueError) as error:
@@ -60,7 +60,7 @@ def ability(database: Database, version_id: str, temperature_c: float | None) ->
 
 
 def of_poses(
-    calibration: Calibration, found: Foreseen, limits: CorrectionLimits, temperature_c: float | None = None
+    calibration: Calibration, found: PreviewedPoses, limits: CorrectionLimits, temperature_c: float | None = None
 ) -> Objection | None:
     """What speaks against a version that refuses too many of the poses or is held at its limits there, and what helps."""
     count, refused = len(found.q), sum(found.refused.values())
@@ -78,7 +78,9 @@ def of_poses(
     )
 
 
-def _remedy(calibration: Calibration, found: Foreseen, limits: CorrectionLimits, temperature_c: float | None) -> str:
+def _remedy(
+    calibration: Calibration, found: PreviewedPoses, limits: CorrectionLimits, temperature_c: float | None
+) -> str:
     """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
     from kilter_core.observations.spread import evenly
 
@@ -103,7 +105,7 @@ def _remedy(calibration: Calibration, found: Foreseen, limits: CorrectionLimits,
     )
 
 
-def _limits(robot: Robot, wide: Foreseen, limits: CorrectionLimits) -> CorrectionLimits:
+def _limits(robot: Robot, wide: PreviewedPoses, limits: CorrectionLimits) -> CorrectionLimits:
     """Limits within which a version corrects nearly everywhere, a little more than it needs.
 
     What the last of a hundred poses needs is left out: near a singular posture a joint would move by 20 deg for nothing.
@@ -125,7 +127,7 @@ def _up(value: float) -> float:
     return round(math.ceil(value / step) * step, 6)
 
 
-def _zeros(calibration: Calibration, wide: Foreseen) -> list[str]:
+def _zeros(calibration: Calibration, wide: PreviewedPoses) -> list[str]:
     """Offsets to enter, in words, of the joints whose zero is off by what is worth entering."""
     robot, out = calibration.robot, []
     for number, (joint, size) in enumerate(zip(robot.joints, _offsets(calibration, wide), strict=True), start=1):
@@ -136,7 +138,7 @@ def _zeros(calibration: Calibration, wide: Foreseen) -> list[str]:
     return out
 
 
-def _offsets(calibration: Calibration, wide: Foreseen) -> list[float]:
+def _offsets(calibration: Calibration, wide: PreviewedPoses) -> list[float]:
     """What each joint stands beyond its reading, rad or m: as identified, else as it is corrected everywhere alike.
 
     Where the zero is not a parameter of its own, other constants of the chain say it; a command less the offset then reaches

@@ -1,6 +1,6 @@
 """What a version does where the robot is driven, before it is activated: the correction itself, at those poses.
 
-:func:`foreseen` is for whoever decides by it, such as the guard of activation; :func:`preview` says it over the wire.
+:func:`over_poses` is for whoever decides by it, such as the guard of activation; :func:`preview` says it over the wire.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction_limits import options_of
 from kilter_service.db import Database
 from kilter_service.versions import store, wire
-from kilter_service.versions.records import Foreseen
+from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -41,11 +41,13 @@ def preview(database: Database, version_id: str, temperature_c: float | None) ->
         ServiceError: no such version.
 
     """
-    robot, within, found = foreseen(database, version_id, temperature_c)
+    robot, within, found = over_poses(database, version_id, temperature_c)
     return wire.preview(version_id, robot, found, within, temperature_c)
 
 
-def foreseen(database: Database, version_id: str, temperature_c: float | None) -> tuple[Robot, Within, Foreseen]:
+def over_poses(
+    database: Database, version_id: str, temperature_c: float | None
+) -> tuple[Robot, Within, PreviewedPoses]:
     """Correct the poses that the robot was driven to ("campaigns"), else poses drawn within its joint limits ("limits").
 
     Raises:
@@ -67,12 +69,12 @@ def at_poses(
     limits: CorrectionLimits,
     q: Floats,
     temperature_c: float | None = None,
-) -> Foreseen:
+) -> PreviewedPoses:
     """Correct poses ``q (N, n)`` as `correct` corrects a file of them without times, within these limits."""
     found = outcome.correct(calibration, Observations(q=q), options_of(limits, temperature_c), known)
     with np.errstate(over="ignore"):  # a version of nonsense moves the tool beyond all numbers
         moved = np.linalg.norm(found.done.error_removed, axis=1)
-    return Foreseen(
+    return PreviewedPoses(
         q=q,
         words=tuple(found.words),
         moved=moved,

@@ -59,7 +59,7 @@ class ActivationRecord:
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class PreviewedPoses:
     """What a version would do at N poses ``q (N, n)`` within its own limits, m and rad.
 
     ``words (N,)`` is the verdict on each pose, as in a corrected file: OK, DAMPED, LIMITED, or why it is refused.

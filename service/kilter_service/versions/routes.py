@@ -36,7 +36,7 @@ router = APIRouter(prefix="/v1", tags=["versions"], route_class=ConditionalRoute
 @router.get("/robots/{robot}/versions")
 def listed(robot: str, database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> VersionList:
     """List the versions of a robot, newest first; with `retired` also those that are out of use."""
-    return service.listed(database, robot, page, retired)
+    return service.list_versions(database, robot, page, retired)
 
 
 @router.get("/robots/{robot}/activations")

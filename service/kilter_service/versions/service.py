@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
+def list_versions(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
     """List the versions of a robot; ``with_retired`` those that are out of use too."""
     with database.reading() as session:
         found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)

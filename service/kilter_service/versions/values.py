@@ -21,13 +21,13 @@ class Value(NamedTuple):
 
 def wire_values(calibration: Calibration) -> dict[str, Value]:
     """Return every parameter by name; base and tool as x, y, z and rx, ry, rz of the frame (URDF order)."""
-    from kilter_core.identify.report import on_wire  # these import scipy: not at the start of the API process
+    from kilter_core.parameters import reported  # these import scipy: not at the start of the API process
     from kilter_core.transforms import xyz_rpy_from_pose
 
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     out = {}
     for parameter, value in zip(model.parameters, values, strict=True):
-        unit, scale = on_wire(parameter.unit)
+        unit, scale = reported(parameter.unit)
         out[parameter.name] = Value(float(value) * scale, unit)
     for which, T in (("base", model.T_base), ("tool", model.T_tool)):
         xyz, rpy = xyz_rpy_from_pose(np.asarray(T))

@@ -23,7 +23,7 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.contract.written import as_written
 from kilter_service.versions.objections import objections_of
-from kilter_service.versions.records import ActivationRecord, Foreseen, VersionRecord
+from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
 from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def version(record: VersionRecord) -> Version:
     """Say all a version holds."""
     report, limits = record.report, CorrectionLimits(**record.limits)
     return Version(
-        **_told(record),
+        **_summary_fields(record),
         sha256=record.sha256,
         hash_scheme=record.hash_scheme,
         robot_sha256=record.robot_sha256,
@@ -69,10 +69,10 @@ def _with_change(row: dict[str, Any]) -> dict[str, Any]:
 
 def summary(record: VersionRecord) -> VersionSummary:
     """Say what lists tell of a version."""
-    return VersionSummary(**_told(record))
+    return VersionSummary(**_summary_fields(record))
 
 
-def _told(record: VersionRecord) -> dict[str, Any]:
+def _summary_fields(record: VersionRecord) -> dict[str, Any]:
     """What a list tells: the record's own fields, and what is read out of its documents."""
     own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
     effects = [effect["id"] for effect in record.calibration["effects"]]
@@ -96,7 +96,11 @@ def rival(difference: Difference, errors: Floats) -> Rival:
 
 
 def preview(
-    version_id: str, robot: Robot, found: Foreseen, within: Literal["campaigns", "limits"], temperature_c: float | None
+    version_id: str,
+    robot: Robot,
+    found: PreviewedPoses,
+    within: Literal["campaigns", "limits"],
+    temperature_c: float | None,
 ) -> VersionPreview:
     """Say how a version would correct."""
     scale, units, counts = joint_scale(robot), joint_units(robot), found.counts

@@ -14,7 +14,7 @@ from kilter_service.db import Database
 from kilter_service.versions import store
 from kilter_service.versions.places import in_base
 from kilter_service.versions.preview import at_poses, drawn
-from kilter_service.versions.records import Foreseen
+from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -28,7 +28,7 @@ class Workspace:
 
     robot: Robot
     limits: CorrectionLimits
-    found: Foreseen
+    found: PreviewedPoses
     points: Floats
 
 

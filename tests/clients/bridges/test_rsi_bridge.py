@@ -95,7 +95,8 @@ def test_the_arm_is_on_its_path_ramped_in_and_out_through_a_change_of_version(
         finally:
             peer.stop()
     answered, wanted, offsets = peer.answered(), peer.wanted(), peer.offsets()
-    assert answered.mean() > 0.5  # a busy machine makes some late
+    assert answered[:until_change].sum() >= 20  # a busy machine makes some late
+    assert answered[until_change:until_end].sum() >= 20
     settled = np.flatnonzero(answered[:until_change])[-20:]
     assert off_mm(wanted, 0 * offsets)[settled].min() > NOMINAL_MM * 0.5
     assert off_mm(wanted, offsets)[settled].max() < CALIBRATED_MM

@@ -57,6 +57,13 @@ def test_the_step_of_readings_is_found_in_degrees_radians_ticks_and_mm():
     )
 
 
+def test_servos_of_4096_ticks_step_as_lerobot_converts_them():
+    """In degrees from the middle of a range, which may lie between two ticks, as float32: 4095 ticks to a full circle."""
+    ticks = np.random.default_rng(2).integers(700, 3400, (40, 6))
+    degrees = ((ticks - 2051.5) * 360.0 / 4095.0).astype(np.float32)
+    np.testing.assert_allclose(reading_steps(np.radians(degrees.astype(np.float64)), HINGES), 2.0 * np.pi / 4095.0)
+
+
 def test_few_levels_tell_no_step_of_their_own():
     q = np.round(np.random.default_rng(1).uniform(-2.0, 2.0, (40, 2)) / 1e-4) * 1e-4
     q[:, 1] = np.tile([0.0, 0.5, 1.0, 1.5], 10)

@@ -1,4 +1,7 @@
-"""A check by views: quiet where the arm is as it was, loud where a joint moved, refused for a camera it does not know."""
+"""A check by views: quiet where the arm is as it was, loud where a joint moved, refused for a camera it does not know.
+
+A version that was made by views judges a tracker's rows by their own noise, and is re-zeroed by views.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,15 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.errors import ObservationError
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.evaluate import evaluate
+from kilter_core.evaluate.uncertainty import Budget
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.watch import check
+from kilter_core.identify.estimate import refitted
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.measurement import Measurement
+from kilter_core.observations import Observations
+from kilter_core.watch import check, rezero
 from tests.core.pixel_scene import eye_to_hand
 
 SCENE = eye_to_hand(yielding=np.zeros(6))
@@ -32,3 +41,48 @@ def test_a_joint_that_moved_is_seen_by_the_camera() -> None:
     with pytest.raises(ObservationError) as refused:
         check(made.calibration, other, made.predictive)
     assert refused.value.code == "camera_unknown"
+
+
+def test_a_version_by_views_judges_a_tracker_by_its_own_noise() -> None:
+    rng = np.random.default_rng(2)
+    rows = SCENE.observed(SCENE.poses(60, rng), rng, 0.1)
+    made = identify(robot_from_document(SCENE.drawn.document()), rows, None, IdentifyOptions())
+    assert made.predictive.noise_of == "pixels"
+    known = Predictive.from_document(made.predictive.to_document())
+    assert known is not None
+    tracker = 5e-6
+    q = np.tile(SCENE.poses(20, rng), (2, 1))
+    twice = Observations(q, position=SCENE.tools(q)[0] + tracker * rng.standard_normal((40, 3)))
+    measurement = Measurement.of(twice, held=True)
+    at = refitted(made.calibration, measurement, ("base", "tool"))
+    budget = Budget.of(at, known, measurement, None, ("base", "tool"))
+    assert budget is not None
+    assert np.sqrt(budget.variances["repeatability"].mean()) == pytest.approx(tracker, rel=0.3)
+    assert 2e3 * np.sqrt(np.mean(budget.measured**2)) < 0.02  # mm; a corner is 0.1 mm wide, which no tracker is
+    once = replace(twice, q=twice.q[:20], position=twice.position[:20])
+    lacking = Budget.of(at, known, Measurement.of(once, held=True), None, ("base", "tool"))
+    assert lacking is not None
+    assert "repeatability" in lacking.to_document()["not_assessed"]
+    assert evaluate(at, once, [], known)["within_u95"] is None
+    stated = replace(once, sigma=np.full((20, 3), tracker))
+    assert evaluate(at, stated, ["base", "tool"], known)["within_u95"] > 0.85
+    with pytest.raises(OptionError, match="state the noise"):
+        check(made.calibration, once, known, new_setup=["base", "tool"])
+    assert check(made.calibration, twice, known, new_setup=["base", "tool"]).noise == pytest.approx(tracker, rel=0.3)
+
+
+def test_a_joint_is_rezeroed_by_views() -> None:
+    rng = np.random.default_rng(3)
+    rows = SCENE.observed(SCENE.poses(60, rng), rng, 0.1)
+    made = identify(robot_from_document(SCENE.drawn.document()), rows, None, IdentifyOptions())
+    fresh, moved = SCENE.poses(12, rng), np.radians(0.2)
+    crashed = fresh + moved * np.eye(6)[2]
+    seen = replace(SCENE.observed(crashed, rng, 0.1), q=fresh, pose_id=None)
+    found = rezero(made.calibration, seen, made.predictive)
+    assert [one.name for one in found.causes] == ["zero_3"]
+    assert abs(found.change[0] - moved) < 3.0 * found.sigma[0] < 0.1 * moved
+    assert found.after.verdict == "ok"
+    later = SCENE.poses(10, rng)
+    again = replace(SCENE.observed(later + moved * np.eye(6)[2], rng, 0.1), q=later, pose_id=None)
+    assert check(found.calibration, again, found.known).verdict == "ok"
+    assert check(made.calibration, again, made.predictive).verdict != "ok"

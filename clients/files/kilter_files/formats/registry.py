@@ -102,7 +102,7 @@ def describe(path: Path, hints: Hints) -> Document:
     return known | reader.describe(head)
 
 
-def listed() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
+def list_formats() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
     """Every format that is read: the command that takes it, its name, endings and title."""
     for use in USES:
         for reader in readers_for(use).values():

@@ -11,7 +11,7 @@ from typing import Any
 from kilter_files.formats.unknown.guess import Columns, Entry
 from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.formats.unknown.turns import Turned
-from kilter_files.formats.unknown.understood import listed, understand
+from kilter_files.formats.unknown.understood import joined_names, understand
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.units import UNKNOWN, converter
@@ -69,9 +69,13 @@ def draft(path: Path) -> Draft:
     columns, turn, axes = found.columns, found.turn, found.axes
     lines = [_file(found.shape), "[columns]", *(_line(columns, entry) for entry in found.entries)]
     patterns = [pattern for pattern in found.other_joints if not any(_matches(pattern, name) for name in found.taken)]
-    lines += [f"# other columns that might be the joints: {listed(patterns)}"] if patterns else []
-    lines += [f"# other columns that might be the position: {listed(found.other_places)}"] if found.other_places else []
-    lines += [f"# not used: {listed(found.unused)}"] if found.unused else []
+    lines += [f"# other columns that might be the joints: {joined_names(patterns)}"] if patterns else []
+    lines += (
+        [f"# other columns that might be the position: {joined_names(found.other_places)}"]
+        if found.other_places
+        else []
+    )
+    lines += [f"# not used: {joined_names(found.unused)}"] if found.unused else []
     lines += [] if axes else [JOIN.rstrip(), POSES]
     lines += ["", *_turned_lines(columns, turn)] if turn else []
     lines += _poses(columns, found.entries, axes) + _rows(columns, found.entries, found.unused)
@@ -155,7 +159,7 @@ def _rows(columns: Columns, entries: Sequence[Entry], unused: Sequence[str]) -> 
             else []
         )
         if 1 < len(states) <= MOST_STATES:
-            told = f"it holds {listed(states)}"
+            told = f"it holds {joined_names(states)}"
             out.append(
                 f"# keep = [{{ column = {_quoted(columns.key(name))}, equals = {_quoted(states[0])} }}]   # {told}"
             )

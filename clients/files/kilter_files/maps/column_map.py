@@ -12,25 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.orientation import MATRICES, is_sequence
-from kilter_files.ground.units import UNKNOWN, units_like
 from kilter_files.maps.columns import Columns, read_columns
 from kilter_files.maps.join import Join, read_join
+from kilter_files.maps.orientation import Orientation, read_orientation
 from kilter_files.maps.section import Section
 from kilter_files.tables.source import Layout
 
 # TOML wants quotes around a key with a *; people write q* = { ... } without them
 BARE_PATTERN = re.compile(r"^([ \t]*)([A-Za-z]\w*\*\w*)([ \t]*=)", re.MULTILINE)
-QUATERNIONS = ("wxyz", "xyzw")
-
-
-@dataclass(frozen=True)
-class Orientation:
-    """Three Euler angles, four quaternion parts, or a matrix of nine by ``order``, that become qw, qx, qy, qz."""
-
-    sources: tuple[str | int, ...]
-    order: str
-    unit: str = "rad"
 
 
 @dataclass(frozen=True)
@@ -55,7 +44,8 @@ class ColumnMap:
     repeats_deg: float | None
     drop_missing: bool
     keep: tuple[Keep, ...]
-    join: Join | None = None
+    joins: tuple[Join, ...] = ()
+    marker: str | int | None = None  # the column that names the one marker of a row
 
 
 def read_map(path: Path, formats: Collection[str]) -> ColumnMap:
@@ -75,12 +65,12 @@ def read_map(path: Path, formats: Collection[str]) -> ColumnMap:
     form, layout = _file(top.part("file"), formats)
     rows = top.part("rows")
     columns = read_columns(top)
-    orientation, repeats = _orientation(top), _repeats(top, columns)
+    orientation, repeats = read_orientation(top), _repeats(top, columns)
     drop, keep = _rows(rows) if rows else (False, ())
-    joined = top.part("join")
-    join = None if joined is None else read_join(joined, *_file(joined.part("file"), formats))
+    joins = tuple(read_join(joined, *_file(joined.part("file"), formats)) for joined in top.parts("join"))
+    marker = _marker(top)
     top.finish()
-    return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, join)
+    return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, joins, marker)
 
 
 def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None, Layout]:
@@ -110,30 +100,15 @@ def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None
     return form, layout
 
 
-def _orientation(top: Section) -> Orientation | None:
-    section = top.part("orientation")
+def _marker(top: Section) -> str | int | None:
+    section = top.part("markers")
     if section is None:
         return None
-    sources = tuple(section.items("from"))
-    euler, quaternion, unit = section.text("euler"), section.text("quaternion"), section.text("unit")
-    matrix = section.text("matrix")
+    column = section.column("from")
     section.finish()
-    if UNKNOWN in (euler, quaternion, unit, *sources):
-        raise section.error('the draft could not determine: fill in what is "?", or delete the table')
-    if matrix is not None and (matrix not in MATRICES or euler or quaternion or unit or len(sources) != 9):
-        raise section.error('a rotation matrix is nine columns and matrix = "rows" or "columns", without unit')
-    if matrix is not None:
-        return Orientation(sources, matrix)
-    if quaternion is not None and (quaternion not in QUATERNIONS or euler or unit or len(sources) != 4):
-        raise section.error('a quaternion is four columns and quaternion = "wxyz" or "xyzw", without unit')
-    if quaternion is not None:
-        return Orientation(sources, quaternion)
-    if euler is None or not is_sequence(euler) or len(sources) != 3 or unit not in units_like("rad"):
-        raise section.error(
-            'Euler angles are three columns in the order of rotation, unit = "deg" or "rad", and euler = three letters: '
-            '"XYZ" about the moving axes (intrinsic), "xyz" about the fixed ones (extrinsic)'
-        )
-    return Orientation(sources, euler, unit or "rad")
+    if column is None:
+        raise section.error("needs 'from', the column that names the marker of a row", "from")
+    return column
 
 
 def _repeats(top: Section, columns: Columns) -> float | None:

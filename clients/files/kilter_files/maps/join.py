@@ -1,4 +1,4 @@
-"""The table [join] of a column map: the rows of a second file, found by row, by id or by time."""
+"""The tables [join] of a column map: the rows of further files, found by row, by id or by time."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.time_stamps import DAY_S, Stamp, seconds_of, stamp_of
 from kilter_files.ground.units import SIZES, TIMESTAMP
 from kilter_files.maps.columns import Columns, read_columns
+from kilter_files.maps.orientation import Orientation, read_orientation
 from kilter_files.maps.section import Section
 from kilter_files.tables.source import Layout, Source
 
@@ -22,7 +23,7 @@ SHOWN = 5
 
 @dataclass(frozen=True)
 class Join:
-    """A second file, and how its rows belong to those of the first; ``columns`` None: contract columns as they are."""
+    """A further file, and how its rows belong to those of the first; ``columns`` None: contract columns as they are."""
 
     path: str | None
     by: str
@@ -34,10 +35,12 @@ class Join:
     form: str | None
     layout: Layout
     columns: Columns | None
+    orientation: Orientation | None
+    place: str
 
 
 def read_join(section: Section, form: str | None, layout: Layout) -> Join:
-    """Read the table [join]; ``form`` and ``layout`` are those of [join.file].
+    """Read a table [join]; ``form`` and ``layout`` are those of [join.file].
 
     Raises:
         FileError: no way of joining, or one that lacks its columns.
@@ -47,6 +50,7 @@ def read_join(section: Section, form: str | None, layout: Layout) -> Join:
     here, there, unit = section.column("here"), section.column("there"), section.text("unit")
     within, offset = section.number("within_s"), section.number("offset_s")
     columns = read_columns(section) if section.raw("columns") is not None else None
+    orientation = read_orientation(section)
     section.finish()
     if by not in WAYS:
         raise section.error(f"how rows of both files belong together is one of {', '.join(WAYS)}, not {by!r}", "by")
@@ -62,7 +66,7 @@ def read_join(section: Section, form: str | None, layout: Layout) -> Join:
         units = ", ".join((*SIZES["time"], TIMESTAMP))
         raise section.error(f"by time needs within_s, how far apart rows may be, and unit = one of {units}")
     return Join(path, by, here, here if there is None else there, unit or "s", within or 0.0, offset or 0.0, form, layout,
-                columns)  # fmt: skip
+                columns, orientation, section.place)  # fmt: skip
 
 
 def partners(join: Join, here: Source, there: Source, rows: tuple[int, int]) -> list[int | None]:
@@ -103,7 +107,7 @@ def refuse_alone(join: Join, found: Sequence[int | None], lines: Sequence[int], 
     remedy = "widen 'within_s', state 'offset_s'" if join.by == "time" else f"correct {join.here!r}"
     raise FileError(
         f"{files[0]}: {len(alone)} of {len(found)} rows have no row of {files[1]} with their {join.by}{near} (line {shown}). "
-        f"Under [join] {remedy}, or set drop_missing = true under [rows] to leave them out.",
+        f"Under [{join.place}] {remedy}, or set drop_missing = true under [rows] to leave them out.",
         file=str(files[0]),
         line=alone[0],
         lines=alone[:1000],

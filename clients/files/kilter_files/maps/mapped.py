@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
 from pathlib import Path
 from shlex import quote
 
@@ -14,9 +14,11 @@ from kilter_files.ground.faults import fault
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.ground.time_stamps import seconds_of
 from kilter_files.ground.units import MARKER, TIMESTAMP, converter, unit_of
-from kilter_files.maps.column_map import ColumnMap, Keep, Orientation
+from kilter_files.maps.column_map import ColumnMap, Keep
 from kilter_files.maps.columns import Column, expanded
 from kilter_files.maps.join import Join, partners, refuse_alone, stamps
+from kilter_files.maps.nests import number_nests, spread_nests
+from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source
 from kilter_files.tables.table import Table
 from kilter_files.tables.text_source import TextSource
@@ -27,8 +29,8 @@ LINK = re.compile(r"link\d+_(deg|rad|mm|m)")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
-def mapped(source: Source, column_map: ColumnMap, there: Source | None = None) -> Table:
-    """Return a file in contract columns as ``column_map`` says; ``there`` is the second file of its [join].
+def mapped(source: Source, column_map: ColumnMap, further: Sequence[Source]) -> Table:
+    """Return a file in contract columns as ``column_map`` says; ``further`` are the files of its [join] tables.
 
     Raises:
         FileError: a column that is not there, a cell that is not a number, columns of different lengths, no row left.
@@ -38,15 +40,19 @@ def mapped(source: Source, column_map: ColumnMap, there: Source | None = None) -
     measured = {c.target: _convert(c, source) for c in columns if c.source is not None}
     if column_map.orientation:
         measured |= _orientation(source, column_map.orientation)
-    table = _table(source, measured, there is not None)
+    table = _table(source, measured, bool(further))
     table.notes += [_understood(column) for column in columns]
     for column in columns:
         if column.value is not None:
             table.columns[column.target] = [column.value] * len(table)
-    if column_map.join is not None and there is not None:
-        _add_columns(source, table, column_map, column_map.join, there)
+    for join, there in zip(column_map.joins, further, strict=True):
+        _add_columns(source, table, column_map, join, there)
+    if column_map.marker is not None:
+        number_nests(source, table, column_map)
     _filter(source, table, column_map.keep)
     _missing(source, table, column_map.drop_missing)
+    if column_map.marker is not None:
+        spread_nests(table)
     _dead(table)
     if column_map.repeats_deg is not None:
         _number_poses(table, column_map.repeats_deg)
@@ -75,54 +81,56 @@ def contract_table(source: Source) -> Table:
     return table
 
 
-def second_file(path: Path, column_map: ColumnMap, named: Path | None) -> Path | None:
-    """Return the second file of a map with a [join]: the one that is named, else the map's, beside the file or the map.
+def further_files(path: Path, column_map: ColumnMap, named: Path | None) -> list[Path]:
+    """Return the file of each [join] of a map: that of the first as named, else the map's, beside the file or the map.
 
     Raises:
         FileError: a file is named for a map without [join], or there is none for a map with one.
 
     """
-    join = column_map.join
-    if join is None and named is not None:
+    if named is not None and not column_map.joins:
         raise FileError(
             f"{column_map.path}: does not say how rows of {named} belong to those of {path}. Add a table [join], for example "
             'by = "row".',
             file=str(column_map.path),
         )
-    if join is None or named is not None:
-        return named
+    joins = column_map.joins if named is None else column_map.joins[1:]
+    return [*([] if named is None else [named]), *(_file_of(join, path, column_map) for join in joins)]
+
+
+def _file_of(join: Join, path: Path, column_map: ColumnMap) -> Path:
+    remedy = "or name it with --joints" if join is column_map.joins[0] else "as --joints names the first"
+    place = f"{join.place}.path"
     if join.path is None:
-        raise FileError(
-            f"{column_map.path}, join: names no second file. Give 'path', or name it with --joints.",
-            file=str(column_map.path),
-            key="join.path",
-        )
+        what = f"{column_map.path}, {join.place}: names no second file. Give 'path', {remedy}."
+        raise FileError(what, file=str(column_map.path), key=place)
     places = [folder / join.path for folder in (path.parent, column_map.path.parent)]
     found = next((place for place in places if place.exists()), None)
     if found is None:
-        raise FileError(
-            f"{column_map.path}, join.path: there is no file {places[0]}. Correct 'path', or name the file with --joints.",
-            file=str(column_map.path),
-            key="join.path",
-        )
+        what = f"{column_map.path}, {place}: there is no file {places[0]}. Correct 'path', {remedy}."
+        raise FileError(what, file=str(column_map.path), key=place)
     return found
 
 
 def _add_columns(source: Source, table: Table, column_map: ColumnMap, join: Join, there: Source) -> None:
-    """Add the columns of the second file, row for row."""
+    """Add the columns of a further file, row for row."""
     files = source.path, there.path
     columns = expanded(
         _contract(there) if join.columns is None else join.columns, there.choices, column_map.path, there.path
     )
     found = {c.target: _convert(c, there) for c in columns if c.source is not None}
+    if join.orientation:
+        found |= _orientation(there, join.orientation)
     twice = sorted(set(found) & set(table.columns))
     if twice or not found:
         what = (
-            f"{twice[0]} comes from both files"
+            f"{twice[0]} comes from {there.path.name} and from a file before it"
             if twice
             else f"{there.path} gives no contract column: add [join.columns]"
         )
-        raise FileError(f"{column_map.path}, join: {what}.", file=str(column_map.path), key="join.columns")
+        raise FileError(
+            f"{column_map.path}, {join.place}: {what}.", file=str(column_map.path), key=f"{join.place}.columns"
+        )
     theirs = _table(there, found)
     rows = partners(join, source, there, (len(table), len(theirs)))
     if not column_map.drop_missing:

@@ -88,6 +88,13 @@ class Section:
         value = self.raw(key)
         return None if value is None else Section(self.path, ".".join(filter(None, (self.place, key))), value)
 
+    def parts(self, key: str) -> list[Section]:
+        """Return the table under ``key`` or, where it stands several times as ``[[key]]``, each of them, numbered from 1."""
+        value, place = self.raw(key), ".".join(filter(None, (self.place, key)))
+        if not isinstance(value, list):
+            return [] if value is None else [Section(self.path, place, value)]
+        return [Section(self.path, f"{place} {number}", one) for number, one in enumerate(value, 1)]
+
     def names(self) -> list[str]:
         """Return every key of the table."""
         return list(self._content)

@@ -114,13 +114,15 @@ def refuse_drift(path: Path, log: JointLog, drift: float, sigma: float, checks: 
     return [checks.refuse(path, what, "Is the frame rate right (--rate), and t_s of the log in seconds?")]
 
 
-def said(jump: Jump) -> str:
+def describe_jump(jump: Jump) -> str:
     """Say a jump in words."""
     return f"by {jump.size_s:+.2f} s between {jump.from_s:.2f} and {jump.to_s:.2f} s"
 
 
 def _refuse_jumps(path: Path, log: JointLog, found: LagPath, checks: Checks) -> str:
-    named = "; ".join(said(jump) for jump in found.jumps[:SHOWN]) + (" ..." if len(found.jumps) > SHOWN else "")
+    named = "; ".join(describe_jump(jump) for jump in found.jumps[:SHOWN]) + (
+        " ..." if len(found.jumps) > SHOWN else ""
+    )
     what = f"its clock and that of {log.path.name} jump against each other {named}"
     if found.found is None:
         what += " (by the speeds alone, so roughly)"

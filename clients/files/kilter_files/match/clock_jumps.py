@@ -16,9 +16,9 @@ from kilter_files.match.lag_evidence import (
     REACH_S,
     Frames,
     Window,
-    again,
     best_windows,
     frames_of,
+    register_again,
     spread,
     squares_by_model,
     squares_by_speed,
@@ -81,7 +81,7 @@ def lag_path(thinned: Thinned, log: JointLog, arm: Arm | None) -> LagPath:
     squares = squares_by_speed(thinned, log, frames, lag)
     usual = float(np.nan_to_num(mean_seen(squares, 0)[squares.shape[1] // 2], nan=1.0))
     followed = _followed(frames, squares / max(usual, LEAST_UNLIKE), lag, SPEED_PRICE)
-    return LagPath(*_told(frames, followed, lag), *_drift(frames, followed))
+    return LagPath(*_parts_and_jumps(frames, followed, lag), *_drift(frames, followed))
 
 
 def _by_model(thinned: Thinned, log: JointLog, frames: Frames) -> LagPath:
@@ -103,13 +103,13 @@ def _by_window(frames: Frames, window: Window) -> LagPath | None:
     for _ in range(ROUNDS):
         squares = squares_by_model(frames, found, lag) / (scale**2 + blur).astype(np.float32)
         followed = _followed(frames, squares, lag, MODEL_PRICE)
-        found, left = again(frames, _lags(frames, followed, lag), found, 5 * scale)
+        found, left = register_again(frames, _lags(frames, followed, lag), found, 5 * scale)
         far = max(FAR * scale, LOST_SHARE * size) / scale
         scale = max(1.5 * left, LEAST_MM)
     own = followed.cost[np.arange(len(followed.path)), followed.path]
     if np.mean(own < FITS) < MOSTLY:
         return None
-    parts, jumps = _told(frames, followed, lag)
+    parts, jumps = _parts_and_jumps(frames, followed, lag)
     return LagPath(parts, jumps, *_drift(frames, followed), window.share, found, _lost(frames, followed, far))
 
 
@@ -183,7 +183,9 @@ def _lost(frames: Frames, followed: _Followed, far: float) -> tuple[tuple[float,
     return tuple(out)
 
 
-def _told(frames: Frames, followed: _Followed, lag: float) -> tuple[list[tuple[float, float, float]], list[Jump]]:
+def _parts_and_jumps(
+    frames: Frames, followed: _Followed, lag: float
+) -> tuple[list[tuple[float, float, float]], list[Jump]]:
     parts: list[tuple[float, float, float]] = []
     jumps: list[Jump] = []
     chunks = followed.chunks

@@ -134,7 +134,7 @@ def _registered(frames: Frames, index: NDArray[np.int64], lag: float, steps: int
     return Window(found, lag, float(np.sqrt(np.mean(size))) / max(spread(points), 1e-9), index)
 
 
-def again(frames: Frames, lags_s: Floats, before: Registration, limit_mm: float) -> tuple[Registration, float]:
+def register_again(frames: Frames, lags_s: Floats, before: Registration, limit_mm: float) -> tuple[Registration, float]:
     """Register anew with the frames that ``before`` explains to ``limit_mm`` at their lags; return what it leaves, mm."""
     at = frames.at(lags_s)
     inside = np.flatnonzero((at >= 0) & (at < len(frames.grid_s)))

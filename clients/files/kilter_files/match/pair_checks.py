@@ -36,7 +36,7 @@ def refuse_knocks(recording: Recording, points: Floats, spans: Floats, checks: C
         FileError: marker, time and size.
 
     """
-    return _said(recording, knocks_of_rows(points, spans), checks)
+    return _describe_knocks(recording, knocks_of_rows(points, spans), checks)
 
 
 def refuse_knocks_of_frames(recording: Recording, thinned: Thinned, checks: Checks) -> list[str]:
@@ -46,10 +46,10 @@ def refuse_knocks_of_frames(recording: Recording, thinned: Thinned, checks: Chec
         FileError: marker, time and size.
 
     """
-    return _said(recording, knocks_of_frames(thinned), checks)
+    return _describe_knocks(recording, knocks_of_frames(thinned), checks)
 
 
-def _said(recording: Recording, found: list[Knock], checks: Checks) -> list[str]:
+def _describe_knocks(recording: Recording, found: list[Knock], checks: Checks) -> list[str]:
     if not found:
         return []
     what = "; ".join(knock.said(recording.markers) for knock in found[:SHOWN]) + (" ..." if len(found) > SHOWN else "")

@@ -194,24 +194,24 @@ def _number(sheet: Sheet, line: int, column: str, cell: str) -> float:
 
 def _frame(sheet: Sheet, key: str) -> dict[str, float]:
     """Return base or tool from a comment such as ``# tool x_mm=0 ... rz_deg=90``."""
-    return _said(sheet, key, r"[xyz]_mm|r[xyz]_deg")
+    return _numbers_in_comments(sheet, key, r"[xyz]_mm|r[xyz]_deg")
 
 
 def _gravity(sheet: Sheet) -> list[float]:
     """Return gravity in the base frame from ``# gravity x_m_s2=0 y_m_s2=0 z_m_s2=-9.80665``; empty where nothing is said."""
-    said = _said(sheet, "gravity", "[xyz]_m_s2")
+    said = _numbers_in_comments(sheet, "gravity", "[xyz]_m_s2")
     return [said.get(f"{axis}_m_s2", 0.0) for axis in "xyz"] if said else []
 
 
 def _load(sheet: Sheet) -> dict[str, Any]:
     """Return the default load from ``# load payload_kg=2.5 x_mm=0 y_mm=0 z_mm=60``; empty where nothing is said."""
-    said = _said(sheet, "load", "payload_kg|[xyz]_mm")
+    said = _numbers_in_comments(sheet, "load", "payload_kg|[xyz]_mm")
     if "payload_kg" not in said:
         return {}
     return {"payload_kg": said["payload_kg"], "payload_com_mm": [said.get(f"{axis}_mm", 0.0) for axis in "xyz"]}
 
 
-def _said(sheet: Sheet, key: str, names: str) -> dict[str, float]:
+def _numbers_in_comments(sheet: Sheet, key: str, names: str) -> dict[str, float]:
     for comment in sheet.comments:
         word, _, rest = comment.partition(" ")
         if word == key:

@@ -19,7 +19,8 @@ MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turn
 class JointLog:
     """``columns`` by contract name, each (n); ``joints`` are the names q1_..., in order.
 
-    ``calibration_sha256`` is that of the servos' zeros, where the log has any: rows of another are those of another arm.
+    ``begins_ns`` is the clock's time at which ``t_s`` is zero, of a bag. ``calibration_sha256`` is that of the servos'
+    zeros, where the log has any: rows of another are those of another arm.
     """
 
     path: Path
@@ -28,6 +29,7 @@ class JointLog:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     calibration_sha256: str | None = None
+    begins_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self.columns[self.joints[0]])

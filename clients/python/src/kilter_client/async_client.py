@@ -111,6 +111,7 @@ class AsyncKilter:
     health = awaited(server.health)
     tombstones = awaited(server.tombstones)
     whoami = awaited(access.whoami)
+    login_link = awaited(access.login_link)
     add_token = awaited(access.add_token)
     tokens = awaited(access.tokens)
     revoke_token = awaited(access.revoke_token)

@@ -122,6 +122,7 @@ class Kilter:
     health = waiting(server.health)
     tombstones = waiting(server.tombstones)
     whoami = waiting(access.whoami)
+    login_link = waiting(access.login_link)
     add_token = waiting(access.add_token)
     tokens = waiting(access.tokens)
     revoke_token = waiting(access.revoke_token)

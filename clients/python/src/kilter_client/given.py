@@ -113,7 +113,7 @@ def name_of(data: Data) -> str:
 
 def _columns(data: Any, columns: Sequence[str] | None) -> dict[str, list[Any]]:
     if isinstance(data, Mapping):
-        return {str(name): _listed(name, values) for name, values in data.items()}
+        return {str(name): _as_list(name, values) for name, values in data.items()}
     names = getattr(getattr(data, "dtype", None), "names", None)
     if names:  # a structured array
         return {name: data[name].tolist() for name in names}
@@ -131,7 +131,7 @@ def _columns(data: Any, columns: Sequence[str] | None) -> dict[str, list[Any]]:
     return {name: data[:, k].tolist() for k, name in enumerate(columns)}
 
 
-def _listed(name: Any, values: Any) -> list[Any]:
+def _as_list(name: Any, values: Any) -> list[Any]:
     if isinstance(values, str | bytes) or not hasattr(values, "__len__"):
         raise UsageError(f"Column {name!r} is {type(values).__name__}, not a sequence of numbers.")
     found = values.tolist() if hasattr(values, "tolist") else list(values)

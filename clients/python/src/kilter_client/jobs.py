@@ -60,7 +60,7 @@ class Jobs:
 
     def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
         """Return the newest jobs, of one robot or of all."""
-        return self._run(jobs.listed(robot, limit))
+        return self._run(jobs.list_jobs(robot, limit))
 
     def get(self, job: str, robot: str | None = None) -> Document:
         """Return a job's document; the id may be its beginning, a name, or ``latest`` with its robot."""

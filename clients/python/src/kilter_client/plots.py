@@ -67,7 +67,7 @@ def draw(figure: Mapping[str, Any], stem: Path, formats: tuple[str, ...]) -> lis
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingPackageError(
-            "PNG and SVG need matplotlib: pip install matplotlib. The Plotly JSON needs nothing.",
+            "PNG and SVG need matplotlib: pip install matplotlib.",
             package="matplotlib",
         ) from error
     with rc_context(STEADY):

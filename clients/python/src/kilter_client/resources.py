@@ -48,7 +48,7 @@ class Robots:
 
     def list(self, retired: bool = False) -> list[Document]:
         """Return the robots, by name; with ``retired`` also those that are out of use."""
-        return self._run(robots.listed(retired))
+        return self._run(robots.list_robots(retired))
 
     def get(self, name: str) -> Document:
         """Return a robot with its joints, parameters and document."""
@@ -150,7 +150,7 @@ class Campaigns(Kept):
 
         With ``retired`` also those that are out of use.
         """
-        return self._run(campaigns.listed(robot, staged, retired))
+        return self._run(campaigns.list_campaigns(robot, staged, retired))
 
     def commit(self, campaign_id: str, sha256: Sequence[str]) -> Document:
         """Make a staged campaign visible, if it holds exactly the parts of these content hashes."""
@@ -192,7 +192,7 @@ class Versions(Kept):
 
     def list(self, robot: str, retired: bool = False) -> list[Document]:
         """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
-        return self._run(versions.listed(robot, retired))
+        return self._run(versions.list_versions(robot, retired))
 
     def get(self, version: str, robot: str | None = None) -> Document:
         """Return a version: parent, job, campaigns, effects, parameters, covariance."""

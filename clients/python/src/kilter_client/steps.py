@@ -115,7 +115,7 @@ def post(
     return read(Request("POST", path, body=body, headers=headers or {}, again=again))
 
 
-def once() -> dict[str, str]:
+def idempotency_header() -> dict[str, str]:
     """Return a header by which the server knows a request that is sent again, and does it once."""
     return {"Idempotency-Key": os.urandom(16).hex()}
 

@@ -14,8 +14,10 @@ from kilter_core.arm.conventions import PARALLEL_RAD, Row
 from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
 from kilter_core.arm.conversions.tables import link_table
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.documents.parts import STIFFNESS
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot, moved_link
 from kilter_core.errors import OptionError, RobotError
+from kilter_core.parameters import degrees, mm, reported
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
 
@@ -49,7 +51,7 @@ def robot_document(robot: Robot, convention: str) -> Document:
     }
     _refuse_other_poses(robot, document)
     share, centre = robot.payload_sigma
-    stated = {"payload_sigma": {"mass_percent": 100.0 * share, "com_mm": 1e3 * centre}}
+    stated = {"payload_sigma": {"mass_percent": 100.0 * share, "com_mm": mm(centre)}}
     document |= stated if robot.payload_sigma != (MASS_SHARE, CENTRE_M) else {}
     document |= load_document(robot)
     return document | ({"links": _links(robot, document)} if robot.links else {})
@@ -58,15 +60,15 @@ def robot_document(robot: Robot, convention: str) -> Document:
 def pose_document(T: Floats) -> dict[str, float]:
     """Pose (4, 4) as x_mm ... rz_deg."""
     xyz, rpy = xyz_rpy_from_pose(T)
-    lengths = dict(zip(("x_mm", "y_mm", "z_mm"), _plain(xyz * 1e3), strict=True))
-    return lengths | dict(zip(("rx_deg", "ry_deg", "rz_deg"), _plain(np.degrees(rpy)), strict=True))
+    lengths = dict(zip(("x_mm", "y_mm", "z_mm"), _plain(mm(xyz)), strict=True))
+    return lengths | dict(zip(("rx_deg", "ry_deg", "rz_deg"), _plain(degrees(rpy)), strict=True))
 
 
 def load_document(robot: Robot) -> Document:
     """The default load as ``load`` of a robot document; nothing where there is none."""
     if robot.load is None:
         return {}
-    return {"load": {"payload_kg": robot.load.mass, "payload_com_mm": [1e3 * value for value in robot.load.com]}}
+    return {"load": {"payload_kg": robot.load.mass, "payload_com_mm": [mm(value) for value in robot.load.com]}}
 
 
 def _chain(robot: Robot) -> Document:
@@ -76,7 +78,7 @@ def _chain(robot: Robot) -> Document:
 def _element(robot: Robot, k: int) -> Document:
     e = robot.chain.elements[k]
     axis = e.axis.name.capitalize()
-    out: Document = {"axis": axis, "value": math.degrees(e.value) if e.axis.rotates else e.value * 1e3}
+    out: Document = {"axis": axis, "value": degrees(e.value) if e.axis.rotates else mm(e.value)}
     out |= {"fixed": True} if e.name is None else {"name": e.name}
     out |= {} if e.joint is None else {"joint": robot.joints[e.joint].name, "ratio": e.ratio}
     out |= {} if e.drive is None else {"drive": e.drive}
@@ -91,7 +93,7 @@ def _poe(robot: Robot) -> Document:
             "joint": robot.joints[screws.joint[k]].name,
             "type": _kind(screws, k),
             "direction": _plain(screws.direction[k]),
-            "point_mm": _plain(1e3 * screws.point[k]),
+            "point_mm": _plain(mm(screws.point[k])),
             "ratio": float(screws.ratio[k]),
             **({} if drives[k] is None else {"drive": drives[k]}),
         }
@@ -108,13 +110,13 @@ def _cpc(robot: Robot) -> Document:
         frame = frame @ rotation_to(b)
         x, y = _shifts(frame, screws, k)
         frame = frame @ _shift(x, y)
-        rows.append({"type": _kind(screws, k), "b": _plain(b), "x_mm": x * 1e3, "y_mm": y * 1e3})
+        rows.append({"type": _kind(screws, k), "b": _plain(b), "x_mm": mm(x), "y_mm": mm(y)})
     end = inverse(frame) @ screws.home
     b = end[:3, 2]
     beta = rotation_to(b)[:3, :3].T @ end[:3, :3]
     shift = end[:3, :3].T @ end[:3, 3]
-    flange = {"b": _plain(b), "beta_deg": math.degrees(math.atan2(beta[1, 0], beta[0, 0]))}
-    return {"rows": rows, "flange": flange | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(shift * 1e3), strict=True))}
+    flange = {"b": _plain(b), "beta_deg": degrees(math.atan2(beta[1, 0], beta[0, 0]))}
+    return {"rows": rows, "flange": flange | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(mm(shift)), strict=True))}
 
 
 def _mcpc(robot: Robot) -> Document:
@@ -127,7 +129,7 @@ def _mcpc(robot: Robot) -> Document:
         if rows:
             # The joint before is given a zero in which beta is 0: with beta near 90 degrees the model would be singular.
             zero = _to_level(z)
-            rows[-1]["theta_offset_deg"] = math.degrees(zero)
+            rows[-1]["theta_offset_deg"] = degrees(zero)
             frame = frame @ _rotation("z", zero)
             z = frame[:3, :3].T @ screws.direction[k]
         alpha = math.atan2(-z[1], z[2])
@@ -136,8 +138,8 @@ def _mcpc(robot: Robot) -> Document:
         x, y = _shifts(frame, screws, k)
         frame = frame @ _shift(x, y)
         rows.append({
-            "type": _kind(screws, k), "alpha_deg": math.degrees(alpha), "beta_deg": math.degrees(beta),
-            "x_mm": x * 1e3, "y_mm": y * 1e3,
+            "type": _kind(screws, k), "alpha_deg": degrees(alpha), "beta_deg": degrees(beta),
+            "x_mm": mm(x), "y_mm": mm(y),
         })  # fmt: skip
     end = inverse(frame) @ screws.home
     document: Document = {"rows": rows, "flange": _xyz_flange(end)}
@@ -160,8 +162,8 @@ def _xyz_flange(end: Floats) -> Document:
     R = end[:3, :3]
     # The transpose is Rz(-gamma) Ry(-beta) Rx(-alpha): URDF's order.
     _, rpy = xyz_rpy_from_pose(np.block([[R.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
-    angles = dict(zip(("alpha_deg", "beta_deg", "gamma_deg"), _plain(-np.degrees(rpy)), strict=True))
-    return angles | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(R.T @ end[:3, 3] * 1e3), strict=True))
+    angles = dict(zip(("alpha_deg", "beta_deg", "gamma_deg"), _plain(-degrees(rpy)), strict=True))
+    return angles | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(mm(R.T @ end[:3, 3])), strict=True))
 
 
 def _table(convention: str) -> Callable[[Robot], Document]:
@@ -182,14 +184,14 @@ def _table(convention: str) -> Callable[[Robot], Document]:
 def _row(row: Row, convention: str) -> Document:
     out: Document = {
         "type": "prismatic" if row.prismatic else "revolute",
-        "theta_offset_deg": math.degrees(row.theta_offset),
-        "d_mm": None if row.d is None else row.d * 1e3,
-        "a_mm": row.a * 1e3,
-        "alpha_deg": math.degrees(row.alpha),
+        "theta_offset_deg": degrees(row.theta_offset),
+        "d_mm": None if row.d is None else mm(row.d),
+        "a_mm": mm(row.a),
+        "alpha_deg": degrees(row.alpha),
     }
     if convention == "s_model":
-        return out | {"gamma_deg": math.degrees(row.gamma), "b_mm": row.b * 1e3}
-    return out | ({"beta_deg": math.degrees(row.beta)} if row.beta is not None else {})
+        return out | {"gamma_deg": degrees(row.gamma), "b_mm": mm(row.b)}
+    return out | ({"beta_deg": degrees(row.beta)} if row.beta is not None else {})
 
 
 WRITERS: Mapping[str, Callable[[Robot], Document]] = MappingProxyType({
@@ -205,8 +207,8 @@ def _refuse_other_poses(robot: Robot, document: Document) -> None:
     apart = float(np.abs(here - there).max())
     if apart > SAME_M:
         raise RobotError(
-            f"As {document['convention']} the arm is {apart * 1e3:.3g} mm off: it has axes less than "
-            f"{math.degrees(PARALLEL_RAD):.0f} degree from parallel. Take mdh (with beta), poe, cpc or mcpc.",
+            f"As {document['convention']} the arm is {mm(apart):.3g} mm off: it has axes less than "
+            f"{degrees(PARALLEL_RAD):.0f} degree from parallel. Take mdh (with beta), poe, cpc or mcpc.",
             apart_m=apart,
         )
 
@@ -239,19 +241,25 @@ def _link(link: Link) -> Document:
     six = [inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return {
         "mass_kg": link.mass,
-        "com_mm": _plain(1e3 * link.com),
+        "com_mm": _plain(mm(link.com)),
         "inertia_kg_m2": [float(value) for value in six],
         **({} if link.mass_sigma is None else {"mass_sigma_kg": link.mass_sigma}),
-        **({} if link.com_sigma is None else {"com_sigma_mm": 1e3 * link.com_sigma}),
+        **({} if link.com_sigma is None else {"com_sigma_mm": mm(link.com_sigma)}),
     }
 
 
 def _joint(joint: Joint) -> Document:
-    unit, scale = ("mm", 1e3) if joint.kind == "prismatic" else ("deg", 180.0 / math.pi)
+    unit, scale = reported("m" if joint.kind == "prismatic" else "rad")
     out: Document = {"name": joint.name}
     if math.isfinite(joint.lower) and math.isfinite(joint.upper):
         out[f"limits_{unit}"] = [joint.lower * scale, joint.upper * scale]
-    return out | ({} if joint.gear_ratio is None else {"gear_ratio": joint.gear_ratio})
+    return out | drive_document(joint)
+
+
+def drive_document(joint: Joint) -> Document:
+    """What is known of the drive of a joint: its gear ratio, its stiffness."""
+    told = {"gear_ratio": joint.gear_ratio, STIFFNESS: joint.drive_stiffness}
+    return {name: value for name, value in told.items() if value is not None}
 
 
 def _kind(screws: Screws, k: int) -> str:

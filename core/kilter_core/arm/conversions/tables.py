@@ -15,6 +15,7 @@ import numpy as np
 from kilter_core.arm.chain import Axis
 from kilter_core.arm.conventions import PARALLEL_RAD, Row
 from kilter_core.arm.conversions.screws import Screws
+from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import aligned, inverse
 from kilter_core.types import Bools, Floats
 
@@ -188,8 +189,8 @@ def _about(x: Floats, z0: Floats, z: Floats) -> float:
 
 def angles_and_lengths(row: Row) -> Iterator[tuple[str, float | None]]:
     """Cells of a row as they are written: mm and degrees under the names of the robot document."""
-    yield "theta_offset_deg", math.degrees(row.theta_offset)
-    yield "d_mm", None if row.d is None else row.d * 1e3
-    yield "a_mm", row.a * 1e3
-    yield "alpha_deg", math.degrees(row.alpha)
-    yield "beta_deg", None if row.beta is None else math.degrees(row.beta)
+    yield "theta_offset_deg", degrees(row.theta_offset)
+    yield "d_mm", None if row.d is None else mm(row.d)
+    yield "a_mm", mm(row.a)
+    yield "alpha_deg", degrees(row.alpha)
+    yield "beta_deg", None if row.beta is None else degrees(row.beta)

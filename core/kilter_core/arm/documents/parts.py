@@ -15,6 +15,7 @@ from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_core.types import Floats
 
 MM = 1e-3
+STIFFNESS = "drive_stiffness_nm_rad"
 Document = Mapping[str, Any]
 
 
@@ -49,7 +50,21 @@ def joint_of(i: int, joint: Document, kind: str) -> Joint:
         raise RobotError(
             f"Joint {i + 1} has limits {list(limits)}: the first must be below the second.", field=f"joints[{i}].limits"
         )
-    return Joint(str(joint.get("name") or f"j{i + 1}"), kind, lower, upper, joint.get("gear_ratio"))
+    return Joint(
+        str(joint.get("name") or f"j{i + 1}"), kind, lower, upper, joint.get("gear_ratio"), _stiffness(joint, i, kind)
+    )
+
+
+def _stiffness(joint: Document, i: int, kind: str) -> float | None:
+    stiffness = joint.get(STIFFNESS)
+    if stiffness is None:
+        return None
+    if kind == "prismatic" or not float(stiffness) > 0.0:
+        raise RobotError(
+            f"Joint {i + 1} has {STIFFNESS} {stiffness!r}: give N m/rad above 0, of a revolute joint; or leave it out.",
+            field=f"joints[{i}].{STIFFNESS}",
+        )
+    return float(stiffness)
 
 
 def links_of(links: Sequence[Document], frames: tuple[int, ...], chain: Chain) -> tuple[Link, ...]:

@@ -59,13 +59,14 @@ def robot_from_resolved(name: str, document: Mapping[str, Any]) -> Robot:
 def _joint(joint: Joint) -> dict[str, Any]:
     lower, upper = (float(bound) if math.isfinite(bound) else None for bound in (joint.lower, joint.upper))
     ratio = None if joint.gear_ratio is None else float(joint.gear_ratio)
-    return {"name": joint.name, "kind": joint.kind, "lower": lower, "upper": upper, "gear_ratio": ratio}
+    told = {"name": joint.name, "kind": joint.kind, "lower": lower, "upper": upper, "gear_ratio": ratio}
+    return told | ({} if joint.drive_stiffness is None else {"drive_stiffness": float(joint.drive_stiffness)})
 
 
 def _joint_of(joint: Mapping[str, Any]) -> Joint:
     lower = -math.inf if joint["lower"] is None else joint["lower"]
     upper = math.inf if joint["upper"] is None else joint["upper"]
-    return Joint(joint["name"], joint["kind"], lower, upper, joint["gear_ratio"])
+    return Joint(joint["name"], joint["kind"], lower, upper, joint["gear_ratio"], joint.get("drive_stiffness"))
 
 
 def _element(element: Element) -> dict[str, Any]:

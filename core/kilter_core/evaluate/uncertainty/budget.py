@@ -11,7 +11,7 @@ uncertainty is U = k u with k = 2, about 95 % (6.2.1, 6.3.3). Two sums are taken
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ import numpy as np
 from kilter_core.evaluate.uncertainty.instrument import RECTANGULAR, PermissibleError
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 K = 2.0  # coverage factor, about 95 %: JCGM 100:2008, 6.3.3
@@ -56,11 +56,13 @@ class Budget:
     ) -> Budget | None:
         """Return the budget at measured rows; None where no place is measured.
 
-        ``known`` is what the version knows of itself; ``refit`` frames were fitted to these rows.
+        ``known`` is what the version knows of itself; ``refit`` frames were fitted to these rows. Repeatability is that of
+        the rows that were fitted, or of these where a camera or a contact measured those.
         """
         if not measurement.observes_places:
             return None
         measurement = measurement.of_tool()
+        known = known.judging(measurement) or replace(known, noise=0.0)
         parts = known.parts(calibration, measurement, refit)
         count = len(measurement.observations)
         whole = np.ones((count, 3))

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from kilter_core.errors import OptionError
-from kilter_core.measurement.metrics import mm
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 Decision = Literal["accepted", "rejected", "not_proved"]

@@ -12,8 +12,8 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import LinearizedProblem, go_on
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.source import Source
-from kilter_core.identify.errors_by_kind import shown_in
 from kilter_core.identify.noise import pooled_columns
+from kilter_core.parameters import reported
 from kilter_core.types import Bools, Floats
 
 
@@ -57,7 +57,7 @@ def _row(
     fitted: tuple[list[Floats], Bools],
     held: tuple[list[Floats], Bools],
 ) -> dict[str, Any]:
-    unit, scale = shown_in(kind.unit)
+    unit, scale = reported(kind.unit)
     source, noise = problem.settings.source, problem.settings.noise
     lengths = slice(kind.part.start, noise.lengths) if kind.of_tool and noise.lengths else kind.part
     repeats = _repeats(kind, prepared, problem)

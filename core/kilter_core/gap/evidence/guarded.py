@@ -18,9 +18,9 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import solved
 from kilter_core.identify.compare import errors_by_pose, lacking
 from kilter_core.identify.model_comparison import Difference
-from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 CODE = "confirmation_worse"
@@ -47,7 +47,7 @@ class Guarded:
 
     def sentence(self, without: str) -> str:
         """Both numbers in words."""
-        return f"{self.with_it * 1e3:.3g} mm with it, {self.without * 1e3:.3g} mm {without}"
+        return f"{mm(self.with_it):.3g} mm with it, {mm(self.without):.3g} mm {without}"
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class Guard:
                 yield {
                     "code": CODE, "simpler_mm": mm(told.without), "identified_mm": mm(told.with_it),
                     "beyond_chance": True,
-                    "message": f"The confirmation is predicted worse ({told.with_it * 1e3:.3g} mm) than with {words} "
-                    f"({told.without * 1e3:.3g} mm), base and tool fitted to it: do not activate this version. What was found "
+                    "message": f"The confirmation is predicted worse ({mm(told.with_it):.3g} mm) than with {words} "
+                    f"({mm(told.without):.3g} mm), base and tool fitted to it: do not activate this version. What was found "
                     "is not what the arm does there; measure more poses in both campaigns and search again.",
                 }  # fmt: skip
                 return

@@ -20,7 +20,7 @@ from kilter_core.gap.evidence.smooth import is_curve, own_curve
 from kilter_core.gap.evidence.stability import reweighted
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.measurement.metrics import mm
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one

@@ -25,6 +25,7 @@ from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory
+from kilter_core.parameters import DEG, reported
 from kilter_core.types import Bools, Floats, Ints
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
@@ -277,9 +278,9 @@ def on_rows(source: Source, rows: Observations, search: SearchResult, fitted: Fl
 def noise_document(settings: ProblemSettings) -> dict[str, Any]:
     """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
     noise, joint = settings.noise, settings.source.unit == "rad"
-    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    unit, scale = reported("rad" if joint else "m")
     scales = np.full(len(noise.row), scale)
-    scales[noise.lengths or len(scales) :] = 180.0 / np.pi
+    scales[noise.lengths or len(scales) :] = DEG
     return {
         "source": noise.source, "absolute": noise.absolute,
         "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
@@ -318,7 +319,7 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
         "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,
         "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
     }  # fmt: skip
-    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    unit, scale = reported("rad" if joint else "m")
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
     if joint:
         out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}

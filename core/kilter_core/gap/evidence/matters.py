@@ -16,6 +16,7 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import moved_by, noise_rms
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 
 SURE = 0.05  # chance that the misfit is larger than its upper bound
 LONG_MM = 0.1  # from which a size is written in mm
@@ -73,7 +74,7 @@ def misfit(found: SearchResult, fit: Adequacy, rows: Observations, options: GapO
     floor = floor_mm(rows, options)
     if not settings.noise.absolute:
         return Misfit(None, None, floor, fit.adequate)
-    noise, freedom = 1e3 * noise_rms(settings), settings.noise.freedom
+    noise, freedom = mm(noise_rms(settings)), settings.noise.freedom
     nu = max(fit.nu, 1.0)
     least = chi2.ppf(SURE, nu) / nu if np.isinf(freedom) else f.ppf(SURE, nu, max(freedom, 1.0))
     sizes = [noise * float(np.sqrt(max(ratio - 1.0, 0.0))) for ratio in (fit.lack_of_fit, fit.lack_of_fit / least)]
@@ -84,7 +85,7 @@ def floor_mm(rows: Observations, options: GapOptions) -> float:
     """Size that matters: the option, or what the instrument promises of a coordinate where that is more."""
     promised = 0.0 if options.noise_mm is None else options.noise_mm
     if rows.sigma is not None:
-        promised = max(promised, 1e3 * float(np.sqrt(np.nanmean(rows.sigma**2))))
+        promised = max(promised, mm(float(np.sqrt(np.nanmean(rows.sigma**2)))))
     return max(options.matters_um * 1e-3, promised)
 
 
@@ -96,4 +97,4 @@ def moves_mm(found: SearchResult) -> dict[int, float]:
     used = found.problem.settings.used
     own = {k: found.selector.scorer.candidates[k].columns for k in found.chosen}
     moved = {k: moved_by(found.problem, columns)[used] for k, columns in own.items()}
-    return {k: 1e3 * source.rms(m) for k, m in moved.items()}
+    return {k: mm(source.rms(m)) for k, m in moved.items()}

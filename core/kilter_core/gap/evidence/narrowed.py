@@ -27,8 +27,8 @@ def _once(found: SearchResult) -> SearchResult:
     source = problem.settings.source
     if not found.chosen or source.batch.blur is None:
         return found
-    soft = np.flatnonzero(source.soft)
-    after = blurred(source, problem.values, of_all(found)[2][np.ix_(soft, soft)])
+    loads = np.flatnonzero(source.of_loads)
+    after = blurred(source, problem.values, of_all(found)[2][np.ix_(loads, loads)])
     before = source.batch.blur
     if after.batch.blur is None or np.all(np.abs(after.batch.blur - before) <= CHANGED * before):
         return found

@@ -25,12 +25,11 @@ from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
 from kilter_core.gap.search.tails import tail
-from kilter_core.identify.report import on_wire
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
-from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm, reported
 from kilter_core.types import Floats, Progress
 
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
@@ -85,7 +84,7 @@ class Replication:
         """Wire units; ``robot_units`` are the SI units of the parameters by name."""
         rows = []
         for name, value, sigma in zip(self.names, self.values, self.sigma, strict=True):
-            unit, scale = on_wire(robot_units[name])
+            unit, scale = reported(robot_units[name])
             rows.append({"name": name, "value": float(value) * scale, "unit": unit, "sigma": float(sigma) * scale})
         return {
             "outcome": self.outcome, "parameters": rows, "p_value": self.p_value, "apart_sigma": self.apart,

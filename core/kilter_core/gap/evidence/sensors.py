@@ -18,6 +18,7 @@ from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
+from kilter_core.parameters import reported
 from kilter_core.types import Floats
 
 ALONE = 3.0  # standard deviations in which a sensor must show the effect, or must have been able to
@@ -64,7 +65,7 @@ class Sensed:
     @property
     def told(self) -> str:
         """Both numbers in words."""
-        unit, scale = ("mm", 1e3) if self.slides else ("deg", 180.0 / np.pi)
+        unit, scale = reported("m" if self.slides else "rad")
         size = scale * self.expected
         shown, said = with_sigma(self.slope * size, self.read * size), with_sigma(size, self.known * size)
         return f"{self.sensor} shows {shown} {unit} where the tool says {said} {unit}"

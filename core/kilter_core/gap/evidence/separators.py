@@ -22,6 +22,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.projection import Projection
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
+from kilter_core.parameters import reported
 from kilter_core.types import Floats
 
 ALONE = 3.0  # standard deviations in which the part that follows the condition must show by itself
@@ -104,7 +105,7 @@ def _order(search: SearchResult, place: int) -> Separated:
     seen = revisits(search, place)
     told = "no pose was revisited at another time" if seen is None else "revisits at other times are too few to tell"
     if seen is not None:
-        unit, scale = ("deg", 180.0 / np.pi) if settings.source.unit == "rad" else ("mm", 1e3)
+        unit, scale = reported(settings.source.unit)
         size = seen.predicted * scale
         vary = f"{seen.poses} poses revisited at other times vary by {with_sigma(seen.slope * size, seen.sigma * size)} {unit}"
         whose = "the other poses predict" if seen.held_out else "the law says"

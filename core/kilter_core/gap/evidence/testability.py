@@ -13,8 +13,8 @@ from kilter_core.gap.evidence.likeness import correlations
 from kilter_core.gap.search.candidates import FAMILY, Candidate, Library, Untestable
 from kilter_core.gap.search.gram import VISIBLE
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.identify.report import on_wire
 from kilter_core.observations import CONDITIONS, Observations
+from kilter_core.parameters import reported
 from kilter_core.types import Bools, Floats
 
 DETECTED = 30.0  # post-geometry non-centrality that a 1 % family-wise test finds in 95 % of cases
@@ -110,7 +110,7 @@ def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]
     """Smallest detectable amplitude of every testable parameter, in wire units."""
     out = []
     for seen in visible(library, judged):
-        unit, scale = on_wire(seen.unit)
+        unit, scale = reported(seen.unit)
         out.append({
             "id": seen.id, "parameter": seen.parameter, "unit": unit, "smallest_detectable": seen.smallest * scale,
             "visibility": seen.visibility,
@@ -170,7 +170,7 @@ def _reason(
     if not judged.smallest[worst] < NEVER * plausible:
         why = f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
         return why, varied or ABSORBED
-    unit, scale = on_wire(p.unit)
+    unit, scale = reported(p.unit)
     size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
     why = f"Only {p.name} above {size} would show, more than the plausible {plausible * scale:.3g}."
     return why, varied or TOO_SMALL

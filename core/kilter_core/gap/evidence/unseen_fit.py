@@ -19,8 +19,8 @@ from kilter_core.gap.noise.visits import visits_of
 from kilter_core.gap.search.in_space import root_of
 from kilter_core.gap.search.rounding import readings_of
 from kilter_core.gap.search.source import Source
-from kilter_core.measurement.metrics import metres, mm
 from kilter_core.observations import Observations
+from kilter_core.parameters import metres, mm
 from kilter_core.types import Floats, Ints
 
 REFUTED = 0.01  # chance below which noise does not explain what held-out rows leave
@@ -56,8 +56,8 @@ class UnseenFit:
         if not self.refuted:
             return ""
         return (
-            f" On {self.poses} held-out poses, which no choice saw, {self.left * 1e3:.3g} mm are left (rms error in space) "
-            f"where noise leaves {self.noise * 1e3:.3g} mm (p {self.p_value:.1g}): the model is not closed."
+            f" On {self.poses} held-out poses, which no choice saw, {mm(self.left):.3g} mm are left (rms error in space) "
+            f"where noise leaves {mm(self.noise):.3g} mm (p {self.p_value:.1g}): the model is not closed."
         )
 
     def to_document(self) -> dict[str, Any]:

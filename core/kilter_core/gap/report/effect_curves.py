@@ -21,7 +21,7 @@ from kilter_core.gap.evidence.intervals import interval_width
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.search.candidates import JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.identify.report import on_wire
+from kilter_core.parameters import reported
 from kilter_core.types import Bools, Floats
 
 MOST_VISITS = 400
@@ -182,8 +182,8 @@ class _Drawn:
     def document(self, alike: set[str]) -> dict[str, Any]:
         """The curve with its 95 % band, the visits, the rival, and how far two sides are apart."""
         prismatic = self.search.problem.settings.source.model.robot.joints[self.joint].kind == "prismatic"
-        x_unit, x_scale = on_wire(self.follows.units[prismatic])
-        unit, scale = on_wire("m" if prismatic else "rad")
+        x_unit, x_scale = reported(self.follows.units[prismatic])
+        unit, scale = reported("m" if prismatic else "rad")
         grid = self._grid()
         values, covariance = self._amounts()
         width, rival = interval_width(self.search), self._rival(alike)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.report import on_wire
 from kilter_core.model import Calibration
+from kilter_core.parameters import reported
 
 
 def at_ends(calibration: Calibration) -> Iterator[dict[str, Any]]:
@@ -21,7 +21,7 @@ def at_ends(calibration: Calibration) -> Iterator[dict[str, Any]]:
         )
         if end is None or end == p.value:
             continue
-        unit, scale = on_wire(p.unit)
+        unit, scale = reported(p.unit)
         size = f"{end * scale:.3g} {unit}".removesuffix(" 1")
         yield {
             "code": "at_end_of_range", "parameter": p.name, "value": end * scale, "unit": unit,

@@ -13,6 +13,7 @@ from kilter_core.gap.search.in_space import moved_by
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees, reported
 from kilter_core.types import Floats
 
 MOST_POINTS = 1500
@@ -49,7 +50,7 @@ def _residuals(problem: LinearizedProblem, columns: Sequence[int]) -> Floats:
 
 
 def _unit(search: SearchResult) -> float:
-    return 180.0 / np.pi if search.problem.settings.source.unit == "rad" else 1e3
+    return reported(search.problem.settings.source.unit)[1]
 
 
 def _joint_data(search: SearchResult) -> bool:
@@ -77,7 +78,7 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
 
     rest = [k for k in search.columns if k not in own]
     return {
-        "joint": j + 1, "q_deg": [round(float(v), 4) for v in np.degrees(rows.q[order, j])],
+        "joint": j + 1, "q_deg": [round(float(v), 4) for v in degrees(rows.q[order, j])],
         "before": drawn(_residuals(problem, rest)),
         "after": drawn(_residuals(problem, search.columns)), "curve": drawn(curve),
     }  # fmt: skip

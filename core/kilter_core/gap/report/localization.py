@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import flipped, residual_given
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees
 from kilter_core.types import Bools, Floats, Ints
 
 BINS = 6
@@ -156,7 +157,7 @@ def _levels(problem: LinearizedProblem, rows: Observations, r: Floats) -> Iterat
     for j, along in enumerate(_along_joints(problem, rows, r)):
         if np.ptp(rows.q[:, j]) < 1e-6 or not along.shape[1]:
             continue
-        for level, mask in _ranges(np.degrees(rows.q[:, j]), "°"):
+        for level, mask in _ranges(degrees(rows.q[:, j]), "°"):
             yield f"angle of joint {j + 1}", level, mask, along
         if rows.direction is not None:
             for s, word in ((-1, "-"), (1, "+")):

@@ -21,6 +21,7 @@ from kilter_core.gap.search.source import Source
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.parameters import DEG, MM, mm
 from kilter_core.types import Floats
 
 POOL = 250
@@ -78,12 +79,12 @@ def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot)
 
 def wire_scale(robot: Robot) -> Floats:
     """What a joint value (n,) in SI is multiplied by for ``q_deg``: to degrees, a prismatic joint's to mm."""
-    return np.array([1e3 if joint.kind == "prismatic" else 180.0 / np.pi for joint in robot.joints])
+    return np.array([MM if joint.kind == "prismatic" else DEG for joint in robot.joints])
 
 
 def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str, Any]:
     com = None if p.rows.payload_kg is None or p.rows.payload_com is None else p.rows.payload_com[k]
-    place = {} if com is None else {"payload_com_mm": [round(float(v) * 1e3, 3) for v in com]}
+    place = {} if com is None else {"payload_com_mm": [round(mm(float(v)), 3) for v in com]}
     return place | {
         "kind": p.kind, "change": p.change or None,
         "q_deg": [round(float(v), 3) for v in p.rows.q[k] * scale],

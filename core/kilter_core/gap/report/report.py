@@ -19,8 +19,8 @@ from kilter_core.gap.report.remedies import to_confirm
 from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.candidates import Library, Untestable
-from kilter_core.identify.report import on_wire
 from kilter_core.model import Calibration
+from kilter_core.parameters import reported
 from kilter_core.types import Ints
 
 MOST_PLACES = 60
@@ -184,7 +184,7 @@ def amplitude_row(
 ) -> dict[str, Any]:
     """A parameter in wire units, its interval conditional on the library."""
     parameter = library.parameters[column]
-    unit, scale = on_wire(parameter.unit)
+    unit, scale = reported(parameter.unit)
     return {
         "name": parameter.name, "value": value * scale, "unit": unit, "sigma": sigma * scale,
         "interval_low": interval[0] * scale, "interval_high": interval[1] * scale,

@@ -14,6 +14,7 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
+from kilter_core.identify.fleet.said import resting_on
 from kilter_core.identify.identifiability import identifiable, null_directions
 from kilter_core.identify.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
@@ -43,7 +44,11 @@ class Stored:
         found, model = self.posterior, self.calibration.model
         known = identifiable(found.sigma, found.prior_sigma)
         known &= ~np.isin(found.names, list(unobservable_names(model, self.shown)))
-        return rows_of(self.calibration, found.names, found.sigma, known)
+        rows = rows_of(self.calibration, found.names, found.sigma, known)
+        if model.of_type is None:
+            return rows
+        rests = resting_on(model.of_type, found.names, found.sigma, found.prior_sigma)
+        return [{**row, "from_prior": bool(one)} for row, one in zip(rows, rests, strict=True)]
 
     def load_model(self) -> list[dict[str, Any]]:
         """Masses and centres as stated and as found, where an effect that follows the load shows them."""

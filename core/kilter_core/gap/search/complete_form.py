@@ -16,6 +16,7 @@ from scipy.stats import f
 
 from kilter_core.arm.chain import Axis, Element
 from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.parameters import degrees
 from kilter_core.types import Floats
 
 STEP_RAD = 1e-5  # of the difference quotient: far above rounding, far below where a tilt is no longer linear
@@ -34,7 +35,9 @@ class MissingDirection:
 
     def words(self) -> str:
         """Name the rotation as a person would look for it."""
-        return f"the rotation of axis {self.joint + 1} about {self.axis.name[1].lower()} ({np.degrees(self.angle):.3g} deg)"
+        return (
+            f"the rotation of axis {self.joint + 1} about {self.axis.name[1].lower()} ({degrees(self.angle):.3g} deg)"
+        )
 
 
 def missing_directions(problem: LinearizedProblem, chosen: Sequence[int]) -> tuple[MissingDirection, ...]:

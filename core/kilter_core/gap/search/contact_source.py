@@ -98,8 +98,13 @@ class ContactSource(ToolSource):
 
     @property
     def soft(self) -> Bools:
-        """Which of the free parameters are load errors: no place is."""
+        """Which of the free parameters their priors hold: no place is."""
         return np.concatenate([np.zeros(self.own, dtype=bool), super().soft])
+
+    @property
+    def of_loads(self) -> Bools:
+        """Which of the free parameters are load errors."""
+        return np.concatenate([np.zeros(self.own, dtype=bool), super().of_loads])
 
     @cached_property
     def contacts(self) -> tuple[tuple[Contact, slice], ...]:

@@ -44,7 +44,7 @@ def _carried(model: RobotModel, measurement: Measurement) -> tuple[LoadError, ..
 
 def with_masses(effects: tuple[Effect, ...], source: Source) -> tuple[Effect, ...]:
     """The effects as a version keeps them: load errors where any effect reads loads, signs as soft as they were fitted."""
-    if not source.soft.any():
+    if not source.of_loads.any():
         return effects
     softer = tuple(e.softened(source.batch) for e in effects)
     carried = tuple(e for e in source.model.effects if e.nuisance)
@@ -54,9 +54,9 @@ def with_masses(effects: tuple[Effect, ...], source: Source) -> tuple[Effect, ..
 
 def blurred(source: Source, values: Floats, covariance: Floats | None = None) -> Source:
     """The source with its loads as uncertain as the priors of the load errors, or their ``covariance``, make them."""
-    if not source.soft.any() or source.batch.slopes is None:
+    if not source.of_loads.any() or source.batch.slopes is None:
         return source
-    prior = np.diag(source.prior_sigma[source.soft] ** 2)
+    prior = np.diag(source.prior_sigma[source.of_loads] ** 2)
     return source.blurred(blur_of(source, values, prior if covariance is None else covariance))
 
 

@@ -44,16 +44,17 @@ from kilter_core.identify.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
-from kilter_core.measurement.metrics import metres
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
+from kilter_core.parameters import metres
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
 
 NOT_FITTED = "geometry_not_fitted"
 DOMINATES = 10.0  # times the noise that geometry leaves, from which its shape is not that of the noise
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
 POSE = 6  # numbers of a pose; visits with more show markers
+NESTS = " Of a pose that was visited with a reflector in several nests the first row has them all."
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
 
@@ -163,21 +164,21 @@ class _Preparation:
         columns = (o.position, o.markers, o.link_q, o.t, o.socket, o.plane, o.bar, o.bar_length)
         measured = [v.reshape(len(o), -1) for v in columns if v is not None]
         whole = np.nan_to_num(np.hstack([o.q, *measured]), nan=-1e300)
-        first = np.unique(whole, axis=0, return_index=True)[1]
+        seen = np.flatnonzero(o.tool_seen)
+        first = seen[np.unique(whole[seen], axis=0, return_index=True)[1]]
         kept = np.zeros(len(o), dtype=bool)
         kept[first] = True
-        kept &= o.tool_seen
-        if not o.tool_seen.all():
+        if len(seen) < len(o):
             self._warn(
                 "rows_without_tool",
-                f"{int((~o.tool_seen).sum())} rows do not measure the tool and were left out: a search compares whole visits. "
-                "An identification uses them.",
+                f"{len(o) - len(seen)} rows do not measure the tool and were left out: a search compares whole visits. "
+                f"An identification uses them.{NESTS if o.markers is not None else ''}",
             )
-        if len(first) < len(o):
-            count = len(o) - len(first)
+        if len(first) < len(seen):
             self._warn(
                 "copied_rows",
-                f"{count} rows are exact copies of others and were left out: a copy does not count as a repeat.",
+                f"{len(seen) - len(first)} rows are exact copies of others and were left out: a copy does not count as a "
+                "repeat.",
             )
         return self._without_identical(kept)
 

@@ -15,10 +15,10 @@ from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.noise.visits import Visits
 from kilter_core.gap.search.source import Source
 from kilter_core.identify.shared_errors import SharedErrors
-from kilter_core.measurement.metrics import mm
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_rows
 from kilter_core.observations.rounding import reading_steps
+from kilter_core.parameters import DEG, MM, mm
 from kilter_core.types import Bools, Floats, Ints
 
 COUNTS = 0.25  # of the noise of a coordinate, below which rounding is not worth its weights
@@ -114,5 +114,5 @@ def rounding_document(one: Rounding | None, source: Source) -> dict[str, Any]:
     if one is None:
         return {"rounding_steps": None, "rounding_mm": None}
     slides = [joint.kind == "prismatic" for joint in source.model.robot.joints]
-    steps = [s * (1e3 if slid else 180.0 / np.pi) for s, slid in zip(one.steps.tolist(), slides, strict=True)]
+    steps = [s * (MM if slid else DEG) for s, slid in zip(one.steps.tolist(), slides, strict=True)]
     return {"rounding_steps": steps, "rounding_mm": mm(coordinate(one, source))}

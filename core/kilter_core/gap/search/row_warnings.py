@@ -13,6 +13,7 @@ from kilter_core.gap.search.rounding import Rounding, coordinate
 from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
+from kilter_core.parameters import DEG, degrees, mm
 from kilter_core.types import Bools
 
 Warning_ = dict[str, Any]
@@ -66,20 +67,20 @@ def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Itera
     for step in dict.fromkeys(s for s in one.steps.tolist() if s > 0.0):
         own = [j for j, s in enumerate(one.steps) if s == step]
         slides = joints[own[0]].kind == "prismatic"
-        size = f"{step * 1e3:.4g} mm" if slides else f"{np.degrees(step):.4g} deg"
+        size = f"{mm(step):.4g} mm" if slides else f"{degrees(step):.4g} deg"
         said.append(f"{size} (joint{'s' if len(own) > 1 else ''} {', '.join(str(j + 1) for j in own)})")
     counted = "which the noise holds already" if held else "which counts as noise beside that of the repeats"
     yield {
         "code": "rounded_readings",
         "message": f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
-        f"{coordinate(one, source) * 1e3:.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
+        f"{mm(coordinate(one, source)):.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
     }  # fmt: skip
 
 
 def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
     """Say how far repeats drifted, or that the rows cannot show it."""
     drift = noise.drift
-    unit, scale = ("deg", 180.0 / np.pi) if joint else ("µm", 1e6)
+    unit, scale = ("deg", DEG) if joint else ("µm", 1e6)
     if drift is not None and drift.seen:
         sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
         said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
@@ -102,11 +103,11 @@ def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[Warning_
     if stated is None or not stated > 0.0 or noise.between is None or noise.coordinate < BEYOND * stated:
         return
     ratio = noise.coordinate / stated
-    within = "" if noise.within is None else f" ({noise.within * 1e3:.3g} mm without leaving the pose)"
+    within = "" if noise.within is None else f" ({mm(noise.within):.3g} mm without leaving the pose)"
     yield {
         "code": "noise_beyond_instrument", "ratio": ratio,
-        "message": f"Repeats differ by {noise.coordinate * 1e3:.3g} mm (standard deviation of a coordinate){within}, "
-        f"{ratio:.2g} times what the instrument states ({stated * 1e3:.3g} mm): something moves between visits. Hysteresis "
+        "message": f"Repeats differ by {mm(noise.coordinate):.3g} mm (standard deviation of a coordinate){within}, "
+        f"{ratio:.2g} times what the instrument states ({mm(stated):.3g} mm): something moves between visits. Hysteresis "
         "and friction memory of the joints (presliding), a loose mount or nest, or warming do that; errors smaller than this "
         "cannot be seen. Approach poses from the same side and on the same way, and check mounts.",
     }  # fmt: skip

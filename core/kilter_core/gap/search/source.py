@@ -55,7 +55,14 @@ class Source(ABC):
     @property
     @abstractmethod
     def soft(self) -> Bools:
-        """Which of the geometry (P,) are load errors: known about as well by their priors as by the data."""
+        """Which of the geometry (P,) are known about as well by their priors as by the data: load errors, or what other arms
+        of the type say.
+        """
+
+    @property
+    def of_loads(self) -> Bools:
+        """Which of the geometry (P,) are load errors."""
+        return self.soft
 
     @property
     def tool_numbers(self) -> int:

@@ -40,15 +40,29 @@ class ToolSource(Source):
         """Wrap a model and its rows."""
         chosen = [model.parameters[k] for k in free]
         library = model.parameters[len(model.names) - n_library :]
+        mean, sigma = (np.array([getattr(p, part) for p in chosen]) for part in ("value", "prior_sigma"))
+        if model.of_type is not None:
+            mean, sigma = model.of_type.told().alone([p.name for p in chosen], mean, sigma)
         return ToolSource(
             model, measurement, free, n_library, model.batch(measurement.observations),
-            np.array([p.value for p in chosen]), np.array([p.prior_sigma for p in chosen]),
-            np.array([p.prior_sigma for p in library]),
+            mean, sigma, np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 
-    @cached_property
+    @property
     def soft(self) -> Bools:
+        """Which of the free parameters are load errors, or told by other arms of the type."""
+        prior = self.model.of_type
+        if prior is None:
+            return self._loads
+        return self._loads | np.isin(np.array(self.model.names)[self.free], prior.told().names)
+
+    @property
+    def of_loads(self) -> Bools:
         """Which of the free parameters are load errors."""
+        return self._loads
+
+    @cached_property
+    def _loads(self) -> Bools:
         out = np.zeros(len(self.model.names), dtype=bool)
         for effect, where in zip(self.model.effects, self.model.effect_slices().values(), strict=True):
             out[where] = effect.nuisance

@@ -8,6 +8,7 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import estimate
+from kilter_core.identify.fleet.believed import believed
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.methods.kalman import Prior, kalman
 from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
@@ -29,8 +30,21 @@ def fit_by_method(
     """Fit by the method the options name, and again while loads on the fitted chain differ from those it took.
 
     Only ``kalman`` continues from a ``prior``. With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20);
-    a start that has none of their values gets them fitted first, the chain held at its nominal values.
+    a start that has none of their values gets them fitted first, the chain held at its nominal values. A model that knows
+    its type is fitted without and with that.
     """
+    if start.model.of_type is None:
+        return _by_method(start, measurement, options, progress, prior)
+    return believed(start, options, lambda begin: _by_method(begin, measurement, options, progress, prior))
+
+
+def _by_method(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None,
+    prior: Prior | None,
+) -> Fit:
     asked = measurement, options, prior
     fit = _loaded(start, _fitted(start, measurement, options, progress, prior), *asked)
     soft = softened(fit)

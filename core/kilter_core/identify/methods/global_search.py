@@ -6,7 +6,6 @@ candidate, so neither needs a guess. It needs no slope and leaves a wrong valley
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +18,7 @@ from kilter_core.identify.least_squares import Fit, Problem
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
+from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats, Ints, Progress
 
@@ -84,8 +84,8 @@ def global_search(
         )
     fit = fits[0] if _left(fits[0]) < BETTER * _left(fits[-1]) else fits[-1]
     report = {
-        "evaluations": int(best.nfev), "best_mm": float(best.fun) * 1e3,
-        "start_mm": search(np.zeros(len(search.span))) * 1e3, "needed": len(fits) == 1 or fit is not fits[-1],
+        "evaluations": int(best.nfev), "best_mm": mm(float(best.fun)),
+        "start_mm": mm(search(np.zeros(len(search.span)))), "needed": len(fits) == 1 or fit is not fits[-1],
     }  # fmt: skip
     return replace(fit, report=report)
 
@@ -99,8 +99,7 @@ def _search(problem: Problem, values: Floats, options: IdentifyOptions) -> _Sear
     tool = problem.free[(problem.free >= n - 6) & (problem.free < n - 3)]
     searched = np.concatenate([chain, tool])
     model = replace(problem.model, effects=())
-    width = {"m": options.search_mm * 1e-3, "rad": math.radians(options.search_deg)}
-    span = np.array([width[model.parameters[k].unit] for k in searched])
+    span = np.array([options.search_span[model.parameters[k].unit] for k in searched])
     o = problem.measurement.observations
     some = np.random.default_rng(options.seed).permutation(len(o))[:POSES]
     few = Measurement(o.select(some), problem.measurement.marker_points)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.model import Calibration
-from kilter_core.parameters import ANGLE_PRIOR_RAD, LENGTH_PRIOR_M
+from kilter_core.parameters import ANGLE_PRIOR_RAD, LENGTH_PRIOR_M, reported
 from kilter_core.types import Floats
 
 CODE = "another_arm"
@@ -40,7 +40,7 @@ class Difference:
     @property
     def sentence(self) -> str:
         """In words, mm and degrees."""
-        scale, unit = (180.0 / np.pi, "deg") if self.turns else (1e3, "mm")
+        scale, unit = reported("rad" if self.turns else "m")[::-1]
         return f"{self.what}: {self.nominal * scale:.4g} {unit} as described, {self.found * scale:.4g} {unit} as found"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
+from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats
 
 EACH_SIDE = 4  # rows from each side that a joint needs
@@ -26,7 +27,7 @@ def lag_warnings(robot: Robot, rows: Observations) -> list[dict[str, Any]]:
     if not found:
         return []
     shown = [
-        f"{abs(widths[j]) * 1e3:.3g} mm" if robot.joints[j].kind == "prismatic" else f"{np.degrees(abs(widths[j])):.3g} deg"
+        f"{mm(abs(widths[j])):.3g} mm" if robot.joints[j].kind == "prismatic" else f"{degrees(abs(widths[j])):.3g} deg"
         for j in found
     ]  # fmt: skip
     said = ", ".join(f"joint {j + 1} by {size}" for j, size in zip(found, shown, strict=True))

@@ -8,12 +8,13 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.plausibility import FACTOR, FOREIGN
 from kilter_core.observations import Observations
+from kilter_core.parameters import DEG, degrees
 from kilter_core.types import Floats
 
 NEAR_RAD = np.radians(2.0)  # scatter between the encoders of a joint that is not looked at further
 ROWS = 500
 FEWEST = 3
-UNITS = ((1.0, ""), (180.0 / np.pi, "radians declared as degrees"), (np.pi / 180.0, "degrees declared as radians"))
+UNITS = ((1.0, ""), (DEG, "radians declared as degrees"), (np.pi / 180.0, "degrees declared as radians"))
 
 
 def refuse_foreign_links(robot: Robot, rows: Observations) -> None:
@@ -47,9 +48,9 @@ def refuse_foreign_links(robot: Robot, rows: Observations) -> None:
         )
         raise ObservationError(
             f"The link-side encoder of joint {j + 1} looks to {' and to '.join(parts)}: the encoders differ by "
-            f"{np.degrees(before):.3g} deg as the rows are, by {np.degrees(after):.3g} deg without that. Remedy: correct "
+            f"{degrees(before):.3g} deg as the rows are, by {degrees(after):.3g} deg without that. Remedy: correct "
             f"column link{j + 1}_deg, or its name, sign and unit in the column map, and upload again.",
-            code=FOREIGN, joint=robot.joints[j].name, before_deg=float(np.degrees(before)), after_deg=float(np.degrees(after)),
+            code=FOREIGN, joint=robot.joints[j].name, before_deg=float(degrees(before)), after_deg=float(degrees(after)),
         )  # fmt: skip
 
 

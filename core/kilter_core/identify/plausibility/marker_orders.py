@@ -13,6 +13,7 @@ from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import degrees
 from kilter_core.transforms import rotation_log
 from kilter_core.types import Bools, Floats
 
@@ -31,14 +32,14 @@ def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
 
     """
     o, shape = measurement.observations, measurement.marker_points
-    if shape is None or o.markers is None:
+    if shape is None or o.markers_of_poses is None:
         return
-    if np.count_nonzero(~np.isnan(o.markers).any(axis=(1, 2))) < LEAST_ROWS:
+    if np.count_nonzero(~np.isnan(o.markers_of_poses).any(axis=(1, 2))) < LEAST_ROWS:
         return
     orders = [(order, rotation) for order, rotation in alike_orders(shape) if _angle(rotation[None])[0] > LARGE_RAD]
     if not orders:
         return
-    rotations, usable = _tool_rotations(begin, measurement, shape, o.markers)
+    rotations, usable = _tool_rotations(begin, measurement, shape, o.markers_of_poses)
     reference = rotations[_most_common(rotations)]
     off = _angle(reference.T @ rotations)
     feigned = [np.flatnonzero(_angle((reference @ rotation).T @ rotations) < NEAR_RAD) for _, rotation in orders]
@@ -49,7 +50,7 @@ def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
         place = np.flatnonzero(usable)[rows]
         raise ObservationError(
             f"In {len(rows)} of {len(rotations)} rows, the first is row {place[0] + 1}, the markers show the tool rotated by "
-            f"{np.degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
+            f"{degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
             "number them the same in all rows, and space them unevenly so that it is noticed at once.",
             code="markers_swapped",
             row=int(place[0]) + 1,

@@ -9,9 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.parameters import DEG, MM
 from kilter_core.types import Floats, Ints
 
-DEGREES = 180.0 / np.pi
 # What the values were, what they were declared as, and what converts them to what they were.
 LENGTHS = (
     ("millimetres", "metres", 1e-3), ("metres", "millimetres", 1e3),
@@ -89,7 +89,7 @@ class MixUp:
 
 def wire_units(robot: Robot) -> Floats:
     """Factors (n,) from rad and m to the degrees and mm that joints are sent in."""
-    return np.array([DEGREES if j.kind == "revolute" else 1e3 for j in robot.joints])
+    return np.array([DEG if j.kind == "revolute" else MM for j in robot.joints])
 
 
 def mix_ups(robot: Robot) -> Iterator[MixUp]:
@@ -153,7 +153,7 @@ def _units(robot: Robot) -> Iterator[MixUp]:
         [(revolute, "Joints look" if len(revolute) == n else "The revolute joints look")] if len(revolute) > 1 else []
     )
     for which, who in groups:
-        for was, declared, factor in (("radians", "degrees", DEGREES), ("degrees", "radians", 1.0 / DEGREES)):
+        for was, declared, factor in (("radians", "degrees", DEG), ("degrees", "radians", 1.0 / DEG)):
             yield MixUp(
                 f"{who} like {was} declared as {declared}",
                 f"give the columns, or the column map, the unit {was}",

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from kilter_core.identify.plausibility.mix_ups import mix_ups
 from kilter_core.identify.plausibility.placed import Sample
+from kilter_core.parameters import degrees
 from kilter_core.transforms import nearest_rotation, rotation_log
 from kilter_core.types import Floats
 
@@ -59,7 +60,7 @@ def rotation_faults(sample: Sample, stated: bool) -> tuple[Accusation | None, tu
     alike = [r for r, size in zip(readings, sizes, strict=True) if size < 1.5 * best + 1e-6]
     return (
         tuple(dict.fromkeys(r.sentence for r in alike)), tuple(dict.fromkeys(r.remedy for r in alike)),
-        float(np.degrees(before)), float(np.degrees(best)),
+        float(degrees(before)), float(degrees(best)),
     ), ()  # fmt: skip
 
 
@@ -139,7 +140,7 @@ def _other_axes(rotations: Floats, flange: Floats) -> Iterator[Reading]:
         named = _axis(about)
         yield Reading(
             f"The orientation looks to be given about other axes than the positions, rotated by "
-            f"{np.degrees(angle):.0f} degrees about {named or axis.tolist()}",
+            f"{degrees(angle):.0f} degrees about {named or axis.tolist()}",
             "give positions and orientations in one frame", flange, (axes.T @ rotations)[None],
         )  # fmt: skip
 

@@ -171,8 +171,8 @@ def _of_each_pose(pose: Ints) -> Ints:
 
 
 def _seen(measurement: Measurement, rows: Observations) -> tuple[Floats, Floats | None, Bools]:
-    if rows.markers is not None and measurement.marker_points is not None:
-        return fit_poses(measurement.marker_points, rows.markers)
+    if rows.markers_of_poses is not None and measurement.marker_points is not None:
+        return fit_poses(measurement.marker_points, rows.markers_of_poses)
     assert rows.position is not None
     return rows.position, rows.rotation, np.ones(len(rows), dtype=bool)
 

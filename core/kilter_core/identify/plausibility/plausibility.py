@@ -25,6 +25,7 @@ from kilter_core.identify.plausibility.unrelated import mastered_otherwise, unre
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import equal_markers
 from kilter_core.model import Calibration
+from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 FOREIGN = "foreign_observations"
@@ -72,8 +73,8 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
         return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None and not mastered_otherwise(sample, ALIKE * found.after):
-        moved = {} if found.moved is None else {"moved_mm": _mm(found.moved)}
-        _refuse(found.sentences, found.remedies, _mm(found.before), _mm(found.after), "mm", moved)
+        moved = {} if found.moved is None else {"moved_mm": mm(found.moved)}
+        _refuse(found.sentences, found.remedies, mm(found.before), mm(found.after), "mm", moved)
     _refuse_unrelated(sample)
     if sample.rotations is None or _far(sample):
         return copied
@@ -114,7 +115,7 @@ def _refuse_unrelated(sample: Sample) -> None:
     """Refuse rows of which base and tool make no more than of shuffled ones, and which no mix-up explains."""
     found = unrelated(sample) if _far(sample) else None
     if found is not None:
-        before, shuffled = _mm(found.left), _mm(found.shuffled)
+        before, shuffled = mm(found.left), mm(found.shuffled)
         raise ObservationError(
             f"Joints and positions do not belong together: with base and tool registered {before:.3g} mm are left, "
             f"{shuffled:.3g} mm with the rows shuffled, and no mix-up of columns, signs, units, zeros or rows explains it. "
@@ -202,7 +203,7 @@ def _changed_in_order(sample: Sample) -> Finding | None:
         return None
     what, where = _what_moved(late, head, tail, size), f"row {sample.row[cut] + 1}"
     return Finding(
-        (f"{what} looks changed by {_mm(moved):.3g} mm from {where} on",),
+        (f"{what} looks changed by {mm(moved):.3g} mm from {where} on",),
         ("make a campaign of the rows before and one of those after it, and identify them apart",),
         sample.placed.size, size, moved,
     )  # fmt: skip
@@ -276,10 +277,6 @@ def _parts(sample: Sample) -> list[tuple[Sample, Sample, str]]:
     out.append((sample.part(rows[-third:]), sample.part(rows[:third]), "in the later rows"))
     out.append((sample.part(rows[:third]), sample.part(rows[-third:]), "in the earlier rows"))
     return out
-
-
-def _mm(metres: float) -> float:
-    return 1e3 * metres
 
 
 def _size(points: Floats) -> float:

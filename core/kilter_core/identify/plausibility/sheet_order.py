@@ -22,6 +22,7 @@ from kilter_core.effects.clearance_tilt import ClearanceTilt
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import last_motion
+from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats, Ints
 
@@ -73,8 +74,8 @@ class SheetOrder:
         """What was found, with the remedy."""
         order = ", ".join(map(str, self.order))
         return (
-            f"its line fits this robot with the quarter points in the order {order} ({self.left * 1e3:.3f} mm are left), "
-            f"not as given ({self.as_given * 1e3:.3f} mm). Write the rows of the points file in the order {order}, join the "
+            f"its line fits this robot with the quarter points in the order {order} ({mm(self.left):.3f} mm are left), "
+            f"not as given ({mm(self.as_given):.3f} mm). Write the rows of the points file in the order {order}, join the "
             "sheet again (kilter sheet-join) and upload what that writes"
         )
 

@@ -16,9 +16,9 @@ from kilter_core.errors import ObservationError
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
 from kilter_core.measurement.hand_eye import solve_axzb
-from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.transforms import inverses
 from kilter_core.types import Floats
 
@@ -73,14 +73,14 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
     name = begin.robot.joints[best].name
     if reversed_[best] < BETTER * given and reversed_[best] < UNRELATED * shuffled:
         raise ObservationError(
-            f"With the readings of joint {name} reversed, camera and arm agree to {1e3 * reversed_[best]:.3g} mm, as given to "
-            f"{1e3 * given:.3g} mm: it seems to be read with the opposite sign. Reverse its column, or correct the robot.",
+            f"With the readings of joint {name} reversed, camera and arm agree to {mm(reversed_[best]):.3g} mm, as given to "
+            f"{mm(given):.3g} mm: it seems to be read with the opposite sign. Reverse its column, or correct the robot.",
             code="foreign_observations",
             joint=name,
         )
     if given > UNRELATED * shuffled:
         raise ObservationError(
-            f"Camera and arm agree to {1e3 * given:.3g} mm, shuffled rows to {1e3 * shuffled:.3g} mm: the joint readings do "
+            f"Camera and arm agree to {mm(given):.3g} mm, shuffled rows to {mm(shuffled):.3g} mm: the joint readings do "
             "not belong to the pictures. Join them by their times again; check that robot, mounts and board are right.",
             code="foreign_observations",
             shuffled_mm=mm(shuffled),

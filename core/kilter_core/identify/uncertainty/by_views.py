@@ -37,7 +37,7 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     taken = float(np.mean(problem.weights.points)) / views.metres_per_px
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
     scaled = fit.J * problem.prior_sigma
-    H = scaled.T @ scaled / max(factor, 1e-12) + np.eye(len(fit.names))
+    H = scaled.T @ scaled / max(factor, 1e-12) + problem.prior_information()
     scale = as_normal(problem.prior_sigma, found.freedom)
     inverse_ = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return replace(fit, covariance=inverse_ * np.outer(scale, scale), freedom=found.freedom)
@@ -53,7 +53,7 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     M = np.concatenate([np.eye(len(fit.names))[arm], *(block for _, block in frames)])
     names = [*np.array(fit.names)[arm].tolist(), *(f"{frame}_{k}" for frame, _ in frames for k in FRAME_NAMES)]
     noise = found.sigma_px * views.metres_per_px
-    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise)
+    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise, noise_of=views.name)
 
 
 def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
@@ -66,12 +66,11 @@ def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
     outside = rig.rig.cameras[camera].mount == "fixed"
     places = {True: (True, camera), False: (False, board)}
     room, tool = (places[True], places[False]) if outside else (places[False], places[True])
+    ball = any(name.startswith("tool_") for name in fit.names)  # told by contacts, and a parameter like any other
     T = inverse(fit.calibration().model.T_base)
     poses = {key: (rig.cameras if key[0] else rig.boards)[key[1]].pose for key in (room, tool)}
-    return [
-        ("base", -_adjoint(T @ poses[room]) @ _selected(fit, *room)),
-        ("tool", _adjoint(poses[tool]) @ _selected(fit, *tool)),
-    ]
+    base = ("base", -_adjoint(T @ poses[room]) @ _selected(fit, *room))
+    return [base] if ball else [base, ("tool", _adjoint(poses[tool]) @ _selected(fit, *tool))]
 
 
 def _selected(fit: Fit, camera: bool, place: int) -> Floats:

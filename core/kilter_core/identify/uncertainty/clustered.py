@@ -44,16 +44,17 @@ def clustered(fit: Fit) -> Fit:
     if len(fit.J) > A.shape[0] * A.shape[1]:
         return fit  # a filter goes on from what it knew, and takes the noise it is given
     total = _products(A, A)
-    eye = np.eye(len(total))
+    eye, known = np.eye(len(total)), problem.prior_information()
     held = eye[:0] if problem.held is None else problem.held
     bend = bend_of(fit)
-    bread: Floats = np.asarray(np.linalg.inv(bend * total + eye + HOLD * held.T @ held), dtype=np.float64)
+    bread: Floats = np.asarray(np.linalg.inv(bend * total + known + HOLD * held.T @ held), dtype=np.float64)
     numbers = problem.measurement.numbers()
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     shared = _shared(A, r, levers(fit), groups, numbers / left, _seen(fit))
     meat = _mixed(shared, *_by_pose(A, r, groups, bread))
     rest = eye - bread @ (bend * total)
-    around = bread @ meat @ bread + rest @ rest.T
+    spread = rest if problem.prior_precision is None else rest @ np.linalg.inv(known)
+    around = bread @ meat @ bread + spread @ rest.T
     scale = as_normal(problem.prior_sigma, left)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=left)
 

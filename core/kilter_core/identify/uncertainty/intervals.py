@@ -46,8 +46,9 @@ def bootstrap(fit: Fit, seed: int, progress: Progress, resamples: int = RESAMPLE
     o = problem.measurement.observations
     H, g = _by_pose(fit, o.pose_groups())
     rng, scale = np.random.default_rng(seed), problem.prior_sigma
-    prior = -(fit.values[problem.free] - problem.prior_mean) / scale
-    rest = np.eye(len(scale)) * (1.0 + 1e-12)
+    known = problem.prior_information()
+    prior = -known @ ((fit.values[problem.free] - problem.prior_mean) / scale)
+    rest = known * (1.0 + 1e-12)
     moves = np.empty((resamples, len(scale)))
     for b in range(resamples):
         count = rng.multinomial(len(H), np.full(len(H), 1.0 / len(H))).astype(np.float64)

@@ -18,6 +18,8 @@ from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.pixels import PixelsAlone
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -26,6 +28,7 @@ QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
 CHANCE = 0.05  # that what is left is taken to be beyond the noise although both only scatter; F test
 EXACT = 10_000  # freedom of a noise that is stated
 SLICE = 4096  # rows whose Jacobians are held at once
+NOT_COORDINATES = (PixelsAlone.name, Contacts.name)  # kinds whose noise is not that of a coordinate of the tool
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Predictive:
     """What a version knows of itself: ``covariance (K, K)`` SI of the parameters ``names``, and standard deviations (m) of
     a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Where nothing shows them apart all that
     is left counts as inadequacy, and ``noise`` is 0. All of them were scaled by what the fit left, which has that ``freedom``;
-    infinite where nobody says it.
+    infinite where nobody says it. ``noise_of`` is the kind of measurement that was fitted, empty where nobody says it.
     """
 
     names: tuple[str, ...]
@@ -41,6 +44,7 @@ class Predictive:
     inadequacy: float
     noise: float
     freedom: float = float("inf")
+    noise_of: str = ""
 
     @staticmethod
     def from_document(known: Mapping[str, Any], report: Mapping[str, Any] | None = None) -> Predictive | None:
@@ -52,15 +56,27 @@ class Predictive:
             found = float(known["inadequacy_m"]), float(known["noise_m"])
         else:
             found = _of_report(report or {})
-        return Predictive(tuple(known["names"]), matrix, *found, float(known.get("freedom") or "inf"))
+        kind = known.get("noise_of") or ("pixels" if (report or {}).get("pixels") else "")
+        return Predictive(tuple(known["names"]), matrix, *found, float(known.get("freedom") or "inf"), kind)
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, SI."""
         return {
             "names": list(self.names), "matrix": self.covariance.tolist(), "units": "SI",
             "inadequacy_m": self.inadequacy, "noise_m": self.noise,
-            "freedom": self.freedom if np.isfinite(self.freedom) else None,
+            "freedom": self.freedom if np.isfinite(self.freedom) else None, "noise_of": self.noise_of or None,
         }  # fmt: skip
+
+    def judging(self, measurement: Measurement) -> Predictive | None:
+        """The same with the noise of what is measured there; None where that is of another kind and nobody says its noise.
+
+        How far off a corner or a ball in its socket is tells nothing of how readings of a tracker scatter: of those only
+        what is stated of them and their own repeats do.
+        """
+        if self.noise_of not in NOT_COORDINATES or not measurement.observes_places:
+            return self
+        own = noise_of_rows(measurement.observations)
+        return None if own is None else replace(self, noise=own, noise_of=measurement.tool.name)
 
     def of_the_tool(self, calibration: Calibration, rows: Observations, axes: Floats | None = None) -> Floats:
         """Half widths (N, 3) m for where the tool is when the joints are at ``rows``, along the axes (3, 3) of a frame.
@@ -149,7 +165,7 @@ def predictive(
     counts, since a noise from few repeats hides much. Where no noise is known the structure alone tells; as soon as it shows
     that the model lacks something, all that is left counts, for what is rough in it looks like noise.
     """
-    left, freedom = left_of(fit), repeats.freedom
+    left, freedom, kind = left_of(fit), repeats.freedom, fit.problem.measurement.tool.name
     sigma = fit.problem.measurement.observations.sigma
     noise = stated if stated is not None else repeats.between
     if noise is None and sigma is not None:
@@ -157,13 +173,23 @@ def predictive(
     if noise is None:
         share = 1.0 if structure is None else structure.at_most
         inadequacy = _reaching(share * left**2, left, structure)
-        return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, fit.freedom or np.inf)
+        return Predictive(
+            fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, fit.freedom or np.inf, kind
+        )
     known = EXACT if stated is not None or repeats.between is None else freedom
     by_chance = noise**2 * float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), known))
     beyond = left**2 - noise**2 if left**2 > by_chance else 0.0
     smooth = 0.0 if structure is None else structure.share * left**2
     inadequacy = _reaching(max(beyond, smooth), left, structure)
-    return Predictive(fit.names, fit.covariance, inadequacy, noise, fit.freedom or np.inf)
+    return Predictive(fit.names, fit.covariance, inadequacy, noise, fit.freedom or np.inf, kind)
+
+
+def noise_of_rows(rows: Observations) -> float | None:
+    """Standard deviation (m) of a coordinate by the rows' own repeats, or as stated with them; None where neither tells."""
+    between = Repeats.of(rows).between
+    if between is not None or rows.sigma is None:
+        return between
+    return float(np.sqrt(np.nanmean(rows.sigma**2)))
 
 
 def _reaching(variance: float, left: float, structure: Structure | None) -> float:

@@ -19,7 +19,7 @@ from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.uncertainty.predictive import EXACT, left_of
-from kilter_core.measurement.metrics import mm
+from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints
 
 CHANCE = 0.01  # of saying it of a fit that leaves its noise
@@ -90,8 +90,8 @@ class BeyondNoise:
         return {
             "code": "more_than_stated_noise", "stated_mm": mm(self.noise), "left_mm": mm(self.left),
             "factor": self.factor, "widened_by": self.widening, "rows": rows.tolist(), "near_sign_change": near.tolist(),
-            "message": f"The fit leaves {self.left * 1e3:.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
-            f"{self.noise * 1e3:.3g} mm that is known of the rows: the model lacks something. {self._where(rows, near)} "
+            "message": f"The fit leaves {mm(self.left):.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
+            f"{mm(self.noise):.3g} mm that is known of the rows: the model lacks something. {self._where(rows, near)} "
             f"{self._intervals()}{self._remedy()}",
         }  # fmt: skip
 

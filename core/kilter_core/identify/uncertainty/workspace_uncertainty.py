@@ -11,6 +11,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.identify.least_squares import Fit
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import mm
 from kilter_core.types import Floats, Ints
 
 SAMPLES = 200
@@ -37,10 +38,10 @@ class WorkspaceUncertainty:
         """The same in words."""
         return {
             "code": "poses_ill_conditioned",
-            "here_mm": self.here * 1e3,
-            "elsewhere_mm": self.elsewhere * 1e3,
-            "message": f"The result knows the tool to {self.here * 1e3:.3g} mm in these poses but only to "
-            f"{self.elsewhere * 1e3:.3g} mm over the joint limits: the poses are too alike ({self.narrow} used "
+            "here_mm": mm(self.here),
+            "elsewhere_mm": mm(self.elsewhere),
+            "message": f"The result knows the tool to {mm(self.here):.3g} mm in these poses but only to "
+            f"{mm(self.elsewhere):.3g} mm over the joint limits: the poses are too alike ({self.narrow} used "
             f"{self.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
             "use the result near these poses only.",
         }

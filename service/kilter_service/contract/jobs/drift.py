@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from kilter_service.contract.fits import Remark, StageErrors
-from kilter_service.contract.jobs.shared import NoiseMm, Version
+from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, Version
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
 
 CauseKind = Literal["zero", "sag", "base", "tool", "scale"]
@@ -22,7 +22,7 @@ class DriftOptions(Asked):
     noise_mm: NoiseMm | None = Field(
         None, description="Standard deviation of a coordinate, mm, above 0; null: what the version's fit found."
     )
-    new_setup: Annotated[list[Literal["base", "tool"]], Field(max_length=2)] = Field(
+    new_setup: NewFrames = Field(
         [],
         description='Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen.',
     )

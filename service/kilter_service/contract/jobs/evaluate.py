@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import Remark, StageErrors
-from kilter_service.contract.jobs.shared import Version
+from kilter_service.contract.jobs.shared import NewFrames, Version
 from kilter_service.contract.units import Asked, Deg, Mm, Stored
 
 Symbol = Literal["AP", "RP", "vAP", "AD", "RD", "AT", "RT", "dAP", "dRP"]
@@ -17,7 +17,7 @@ class EvaluateOptions(Asked):
     """What can be asked of an evaluation."""
 
     version: Version = Field(None, description="Id of the version; null: the active one, else the nominal robot.")
-    refit: Annotated[list[Literal["base", "tool"]], Field(max_length=2)] = Field(
+    refit: NewFrames = Field(
         [],
         description='Frames refitted to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up again).',
     )

@@ -9,6 +9,7 @@ from pydantic import Field
 from kilter_service.contract.effect_curves import EffectCurve
 from kilter_service.contract.figures import GapFigures
 from kilter_service.contract.fits import LoadNumber, Reference, SetAside
+from kilter_service.contract.fleet_priors import PriorUsed
 from kilter_service.contract.gap_details import (
     Adequacy,
     AliasMatrix,
@@ -27,6 +28,7 @@ from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
     LIMITS,
+    PRIOR,
     REFERENCE,
     SEED,
     Effects,
@@ -35,6 +37,7 @@ from kilter_service.contract.jobs.shared import (
     MadeVersion,
     Names,
     NoiseMm,
+    PriorName,
     ReferenceFrames,
     Seed,
     Version,
@@ -59,6 +62,7 @@ class GapOptions(Asked):
     base: Free = Field("free", description="Whether the base is fitted.")
     tool: Free = Field("free", description="Whether the tool is fitted.")
     reference: ReferenceFrames = Field("auto", description=REFERENCE)
+    prior: PriorName = Field(None, description=PRIOR)
     max_effects: Annotated[int, Field(ge=1, le=50)] = Field(8, description="Most effects to name, 1 to 50.")
     bootstraps: Annotated[int, Field(ge=1, le=20_000)] = Field(
         1999, description="Resamples behind the p-value of an effect, 1 to 20000."
@@ -113,4 +117,5 @@ class GapResult(MadeVersion):
     set_aside: list[SetAside] | None = Field(None, description="Rows that the search set aside, held out or not.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
+    prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")

@@ -13,6 +13,7 @@ from kilter_service.contract.jobs.shared import (
     FREE,
     LIMITS,
     NOISE,
+    PRIOR,
     REFERENCE,
     SEED,
     START,
@@ -22,6 +23,7 @@ from kilter_service.contract.jobs.shared import (
     MadeVersion,
     Names,
     NoiseMm,
+    PriorName,
     ReferenceFrames,
     Seed,
     Version,
@@ -90,6 +92,7 @@ class IdentifyOptions(Asked):
         None,
         description="Standard deviation of each coordinate of every centre of mass, mm, above 0; null: what the robot says.",
     )
+    prior: PriorName = Field(None, description=PRIOR)
     socket_distances_mm: dict[
         Annotated[str, Field(pattern=r"^[0-9]+-[0-9]+$", max_length=32)], Annotated[Mm, Field(gt=0)]
     ] = Field({}, description='Known distances between ball sockets, mm, above 0: {"1-2": 400.0}.')

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 
 from kilter_service.contract.fits import Remark
 from kilter_service.contract.jobs.drift import SmallestChange
-from kilter_service.contract.jobs.shared import Effects, NoiseMm, Seed, Version
+from kilter_service.contract.jobs.shared import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
 from kilter_service.contract.next_poses import ToldApart
 from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
 
@@ -63,6 +63,7 @@ class PlanOptions(Asked):
     within: Within = Field(
         "campaigns", description="Where poses may be: where the robot was driven before, or anywhere in its limits."
     )
+    prior: PriorName = Field(None, description="Of `identify` by `d_optimal`: " + PRIOR)
     payloads_kg: Annotated[list[Annotated[Kg, Field(ge=0, le=HEAVIEST_KG)]], Field(max_length=100)] = Field(
         [], description="Loads at hand, kg, 0 to 1000; used where an effect feels them."
     )

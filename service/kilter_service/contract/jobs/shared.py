@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, PlainSerializer
+from pydantic import AfterValidator, Field, PlainSerializer
 
 from kilter_service.contract.effects import AnyEffect
 from kilter_service.contract.fits import Remark
@@ -19,8 +19,18 @@ ReferenceFrames = Literal["auto", "robot", "registration"]
 Seed = Annotated[int, Field(ge=0, le=2**31)]
 NoiseMm = Annotated[Mm, Field(gt=0)]
 Version = Id | None
+PriorName = Literal["fleet"] | None
 AskedLimits = Annotated[CorrectionLimits, PlainSerializer(lambda limits: limits.model_dump(exclude_unset=True))]
 Limits = AskedLimits | None
+
+
+def _base_first(frames: list[str]) -> list[str]:
+    if frames == ["tool"]:
+        raise ValueError('give [], ["base"] or ["base", "tool"]')
+    return frames
+
+
+NewFrames = Annotated[list[Literal["base", "tool"]], Field(max_length=2), AfterValidator(_base_first)]
 
 FREE = "Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."
 FIX = "Parameters to hold, by name or pattern (`alpha_*`)."
@@ -33,6 +43,10 @@ START = "Id of the version to start from; null: the nominal robot."
 LIMITS = (
     "The largest correction the version may make; null: what it needs at 99 % of its poses, from 1 degree and 5 mm to "
     "5 degrees and 10 mm."
+)
+PRIOR = (
+    "`fleet`: add what versions of at least five other robots of this type say before the rows; null: none of them is "
+    "asked."
 )
 SEED = "Seed of everything that is drawn by chance, 0 or more."
 

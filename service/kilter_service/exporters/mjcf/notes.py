@@ -53,12 +53,12 @@ def _mm(errors: Errors) -> str:
 
 def _of_effects(calibration: Calibration, exported: ExportedEffects) -> Iterator[str]:
     sizes = displacements_mm(calibration)
-    yield from _told("In the model", exported.in_elements, sizes)
-    yield from _told("Added by the step in Python (kilter.twin.apply) only", exported.in_step, sizes)
-    yield from _told("Left out", exported.left_out, sizes)
+    yield from _effect_notes("In the model", exported.in_elements, sizes)
+    yield from _effect_notes("Added by the step in Python (kilter.twin.apply) only", exported.in_step, sizes)
+    yield from _effect_notes("Left out", exported.left_out, sizes)
 
 
-def _told(where: str, effects: Sequence[Effect], sizes: dict[str, tuple[float, float]]) -> Iterator[str]:
+def _effect_notes(where: str, effects: Sequence[Effect], sizes: dict[str, tuple[float, float]]) -> Iterator[str]:
     for effect in effects:
         size = sizes.get(effect.id)
         if size is None:

@@ -47,7 +47,7 @@ class FanOut:
             if not self._engine.pays(n - 1, time.perf_counter() - begun):
                 return first + one_by_one(work, tasks[1:], _later(progress, n))
         left = tasks[len(first) :]
-        found = dict(self.as_completed(work, left, _told(progress, len(first), n)))
+        found = dict(self.as_completed(work, left, _progress_of_parts(progress, len(first), n)))
         return first + [found[k] for k in range(len(left))]
 
     def as_completed(
@@ -112,7 +112,7 @@ def _sent(opened: Opened, k: int, work: Work[Task, Answer], task: Task) -> Packe
     return path
 
 
-def _told(progress: Progress, first: int, n: int) -> Callable[[int, str], None]:
+def _progress_of_parts(progress: Progress, first: int, n: int) -> Callable[[int, str], None]:
     """What hears of the parts after the ``first`` ones of ``n``."""
 
     def told(done: int, state: str) -> None:

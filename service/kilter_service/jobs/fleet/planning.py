@@ -34,7 +34,7 @@ def named(session: Session, fleet: NewFleetJob) -> list[str]:
 
     """
     if fleet.robots is None:
-        found = [one.name for one in robots.listed(session, Page(limit=MOST))]
+        found = [one.name for one in robots.robots_on_page(session, Page(limit=MOST))]
     else:
         found = [robots.get(session, name).name for name in dict.fromkeys(fleet.robots)]
     if not found:
@@ -121,7 +121,7 @@ def _of_version(session: Session, version_id: str) -> tuple[set[str], set[str], 
 
 
 def _with_rows(session: Session, robot_id: int) -> Sequence[CampaignRecord]:
-    found = campaigns.listed(session, robot_id, staged=False, page=ALL)
+    found = campaigns.campaigns_on_page(session, robot_id, staged=False, page=ALL)
     return [one for one in found if campaigns.uploads_of(session, one.id)]
 
 

@@ -7,8 +7,8 @@ from fastapi import APIRouter, Response
 from kilter_service.auth.access import Admin
 from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
+from kilter_service.idempotency.key import OnceOnly
 from kilter_service.jobs.fleet import service
-from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfJobs
 from kilter_service.state import DatabaseOfApp
 
@@ -28,7 +28,7 @@ def submit(
 @router.get("")
 def listed(database: DatabaseOfApp, page: PageOfJobs) -> FleetJobList:
     """List the newest fleet jobs."""
-    return service.listed(database, page)
+    return service.list_fleet_jobs(database, page)
 
 
 @router.get("/{fleet_job}")

@@ -7,11 +7,11 @@ from pydantic import TypeAdapter
 from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
 from kilter_service.jobs.fleet import planning, store, wire
 from kilter_service.jobs.kinds.identify import IDENTIFY
 from kilter_service.jobs.records import Asked
 from kilter_service.observability import logs, tracing
-from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 
 ANSWER = TypeAdapter(FleetJobSummary)
@@ -47,10 +47,10 @@ def get(database: Database, fleet_id: str) -> FleetJob:
         return _fleet_job(session, fleet_id)
 
 
-def listed(database: Database, page: Page) -> FleetJobList:
+def list_fleet_jobs(database: Database, page: Page) -> FleetJobList:
     """List the newest fleet jobs."""
     with database.reading() as session:
-        found = store.listed(session, page)
+        found = store.newest_fleet_jobs(session, page)
     shown, cursor = page.cut(found, lambda one: in_time(one.created_at, one.id))
     return FleetJobList(fleet_jobs=[wire.summary(one) for one in shown], next=cursor)
 

@@ -66,7 +66,7 @@ def get(session: Session, fleet_id: str) -> FleetRecord:
     return _records(session, [row])[0]
 
 
-def listed(session: Session, page: Page) -> list[FleetRecord]:
+def newest_fleet_jobs(session: Session, page: Page) -> list[FleetRecord]:
     """Return the newest fleet jobs that the caller may see, one more than the page shows."""
     row = FleetJobRow
     query = select(row).order_by(row.created_at.desc(), row.id)

@@ -16,15 +16,15 @@ from kilter_service.jobs.fleet.records import FleetRecord, FleetRobotRecord
 
 def fleet_job(record: FleetRecord, robots: Sequence[FleetRobotRecord]) -> FleetJob:
     """Say all of a fleet job."""
-    return FleetJob(**_told(record), report=[_robot(one) for one in robots])
+    return FleetJob(**_summary_fields(record), report=[_robot(one) for one in robots])
 
 
 def summary(record: FleetRecord) -> FleetJobSummary:
     """Say what lists tell of a fleet job."""
-    return FleetJobSummary(**_told(record))
+    return FleetJobSummary(**_summary_fields(record))
 
 
-def _told(record: FleetRecord) -> dict[str, Any]:
+def _summary_fields(record: FleetRecord) -> dict[str, Any]:
     counts = FleetCounts(**{one.state or "refused": one.number for one in record.counts})
     robots = sum(one.number for one in record.counts)
     over = robots - counts.queued - counts.running

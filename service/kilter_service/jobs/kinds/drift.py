@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.jobs.budgets import budget_of
-from kilter_service.jobs.foresight import Foresight
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.jobs.job_preview import JobPreview
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
 from kilter_service.jobs.plain import plain
 from kilter_service.wire import to_metres_if_known, to_mm
 
@@ -16,22 +16,6 @@ if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.observations import Observations
     from kilter_core.watch import Check
-
-SETUPS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
-
-
-def check(options: DriftOptions) -> None:
-    """Refuse options that do not go together.
-
-    Raises:
-        OptionError: a tool that was set up anew without its base.
-
-    """
-    if options.new_setup not in SETUPS:
-        raise OptionError(
-            f'options.new_setup is {options.new_setup}: give [], ["base"] or ["base", "tool"], for a job of kind drift.',
-            option="new_setup",
-        )
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -42,10 +26,10 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(plain(_document(job, rows, known, found)))
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Check, which takes no time, and say only what would be refused."""
     found.learn_from(*job.campaigns.values())
-    with found.foreseen():
+    with found.noting_refusals():
         checked(job, rows_of(job), known_of(job))
 
 
@@ -106,7 +90,6 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     from kilter_core.watch.check import FALSE_ALARM
     from kilter_service.drift import wire
 
-    options: DriftOptions = job.options
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
@@ -115,7 +98,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "misfit_mm": to_mm(found.misfit),
-        "noise_mm": to_mm(known.noise) if options.noise_mm is None else options.noise_mm,
+        "noise_mm": to_mm(found.noise),
         "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
         "unseen": [wire.cause_words(one) for one in found.unseen], "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
@@ -142,6 +125,6 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
 
 
 DRIFT = JobKind(
-    "drift", DriftOptions, check, run, version_option="version", takes_folds=False, against_fit=True,
-    most_campaigns=1, foresee=foresee,
+    "drift", DriftOptions, refuse_nothing, run, version_option="version", takes_folds=False, against_fit=True,
+    most_campaigns=1, preview_job=preview_job,
 )  # fmt: skip

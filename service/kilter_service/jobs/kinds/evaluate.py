@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
 from kilter_service.jobs.budgets import budget_of
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
 if TYPE_CHECKING:
@@ -15,21 +15,15 @@ if TYPE_CHECKING:
 
 MOST_CHECKED = 500  # poses of a campaign that a check looks at
 REMEDY = "Plan its poses with `kilter plan --purpose iso9283`, and drive them as often as the standard demands."
-REFITS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
 
 
 def check(options: EvaluateOptions) -> None:
     """Refuse options that do not go together.
 
     Raises:
-        OptionError: a tool refitted without its base, or criteria without their standard.
+        OptionError: criteria without their standard.
 
     """
-    if options.refit not in REFITS:
-        raise OptionError(
-            f'options.refit is {options.refit}: give [], ["base"] or ["base", "tool"], for a job of kind evaluate.',
-            option="refit",
-        )
     if options.criteria and options.metrics != "iso9283":
         raise OptionError('options.criteria goes with metrics "iso9283": give both, or none.', option="criteria")
 
@@ -57,7 +51,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(result | {"warnings": warnings})
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Evaluate some of the rows, or see which criteria all of them support."""
     from kilter_core.evaluate import evaluate
     from kilter_core.evaluate.iso9283 import Trial, criteria
@@ -68,7 +62,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
     calibration = job.calibration or Calibration.nominal(job.robot)
     found.learn_from(*job.campaigns.values())
     for campaign, rows in job.campaigns.items():
-        with found.foreseen():
+        with found.noting_refusals():
             if options.metrics == "errors":
                 evaluate(calibration, thinned(rows, MOST_CHECKED), options.refit, None)
                 continue
@@ -87,4 +81,4 @@ def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> Job
     return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
 
 
-EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version", foresee=foresee)
+EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version", preview_job=preview_job)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.cancellable import cancellable
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.gap import gap_figures
@@ -22,9 +23,10 @@ from kilter_service.wire import to_metres
 if TYPE_CHECKING:
     from kilter_core.gap import GapOptions as Asked
     from kilter_core.gap import GapReport
+    from kilter_core.gap.of_type import KnownType
     from kilter_core.observations import Observations
 
-NOT_OF_THE_CORE = {"start", "limits"}
+NOT_OF_THE_CORE = {"start", "limits", "prior"}
 
 
 def check(options: GapOptions) -> None:
@@ -52,8 +54,12 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
     progress(0.0, "fitting the geometry")
-    report = find_gap(job.robot, rows, options, job.calibration, validation, progress, confirmation)
     train, held = parted(rows, validation, options.seed)
+    known = _of_type(job, train)
+    start = job.calibration if known is None else known.start
+    report = find_gap(job.robot, rows, options, start, validation, progress, confirmation)
+    if known is not None:
+        report = replace(report, warnings=(*known.warnings(), *report.warnings))
     share = share_of(rows, None) if validation is None and held is not None else None
     found = report.to_document()
     aside = _set_aside(job, found.pop("set_aside"), found.pop("held_aside"))
@@ -63,12 +69,23 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
             "set_aside": aside,
             "figures": gap_figures(found),
             "next_poses_csv": _file(job, found["next_poses"]),
+            "prior": None if known is None else known.to_document(),
             "start": job.version_id,
             "version_id": None,
         }
     )
     progress(0.98, "errors of the new version")
-    return JobOutput(result, _version(job, report, train, held, share, aside))
+    version = _version(job, report, train, held, share, aside)
+    return JobOutput(result, replace(version, report={**version.report, "prior": result["prior"]}))
+
+
+def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
+    """The prior of the type, judged by the rows that are searched; None where it was not asked for."""
+    from kilter_core.gap.of_type import known_type
+
+    if job.options.prior is None:
+        return None
+    return known_type(job.robot, rows, _core(job.options), job.calibration, job.fleet)
 
 
 def _set_aside(
@@ -81,22 +98,24 @@ def _set_aside(
     return [*by_campaign(searched, counts), *({**one, "held_out": True} for one in apart)]
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be searched and held out, and which effects these rows can test."""
     from kilter_core.gap.check import check_gap
     from kilter_core.gap.evidence.holding_out import parted
     from kilter_core.observations import Observations
 
     options = _core(job.options)
-    with found.foreseen():
+    with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
         found.learn_from(rows)
-        _, held = parted(rows, validation, options.seed)
+        train, held = parted(rows, validation, options.seed)
+        known = _of_type(job, train)
+        start = job.calibration if known is None else known.start
         if isinstance(validation, Observations):
             found.hold("campaigns", validation)
         elif held is not None:
             found.hold("unasked" if validation is None else "fraction", held)
-        found.search = check_gap(job.robot, rows, options, job.calibration, validation, confirmation)
+        found.search = check_gap(job.robot, rows, options, start, validation, confirmation)
         found.seconds = found.search.seconds
         if found.search.poses < found.search.of:
             found.limited.append(
@@ -191,5 +210,5 @@ GAP = JobKind(
     takes_folds=False,
     takes_confirmation=True,
     long=True,
-    foresee=foresee,
+    preview_job=preview_job,
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.budgets import add_to_metrics
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
@@ -46,9 +46,9 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     remarks = doubts(job.robot, named, job.devices, job.options.sheet_order)
     train, validation = _rows(job, setups)
     each = job.each or one_by_one
-    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each)
+    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each, job.fleet)
     report = found.to_document()
-    remarks += bar_lengths(found, job.robot, named, lambda name, rows: _again(job, name, rows))
+    remarks += bar_lengths(found, job.robot, named, lambda name, rows: _refit(job, name, rows))
     report |= {f"{which}_refitted": setups.named(report[f"{which}_refitted"]) for which in FRAMES}
     apart = validation if isinstance(validation, Observations) else None
     held = tuple(job.validation) if isinstance(job.validation, dict) else ()
@@ -64,7 +64,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput({**report, "figures": plain(drawn)}, content)
 
 
-def _again(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
+def _refit(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
     """The same fit with other rows of a campaign; None where the campaign was not fitted."""
     from kilter_core.identify import identify
 
@@ -73,10 +73,10 @@ def _again(job: JobInput, campaign: str, rows: Observations) -> Identification |
     other = replace(job, campaigns={**job.campaigns, campaign: rows})
     train, validation = _rows(other, Setups(job.options.refit, job.devices))
     held = validation if isinstance(validation, float) else None  # the same rows are fitted
-    return identify(job.robot, train, held, _core(job.options), job.calibration, None, _prior(job))
+    return identify(job.robot, train, held, _core(job.options), job.calibration, None, _prior(job), fleet=job.fleet)
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be fitted and held out, and which parameters the poses tell."""
     from kilter_core.identify import Folds
     from kilter_core.identify.check import check_identification
@@ -85,7 +85,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
     from kilter_core.observations import Observations
 
     options = _core(job.options)
-    with found.foreseen():
+    with found.noting_refusals():
         doubts(job.robot, _named(job), job.devices, job.options.sheet_order)
         train, validation = _rows(job, Setups(options.refit, job.devices))
         found.learn_from(train)
@@ -101,7 +101,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
             found.hold("fraction", train.select(outside))
             train = train.select(inside)
             options = between_rows(options, train)
-        found.identification = check_identification(job.robot, train, options, job.calibration)
+        found.identification = check_identification(job.robot, train, options, job.calibration, job.fleet)
         found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
 
 
@@ -151,4 +151,4 @@ def _core(options: IdentifyOptions) -> Asked:
     return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
-IDENTIFY = JobKind("identify", IdentifyOptions, check, run, version_option="start", foresee=foresee)
+IDENTIFY = JobKind("identify", IdentifyOptions, check, run, version_option="start", preview_job=preview_job)

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
 
@@ -57,13 +57,13 @@ def _measured(job: JobInput) -> JobOutput:
     return _by_inclinometers(job.robot, _log_of_campaigns(job))
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Measure the joints, which takes no time, and say what could not be determined."""
     options: Options = job.options
     found.learn_from(*job.campaigns.values())
     if isinstance(job.validation, dict):
         found.hold("campaigns", *job.validation.values())
-    with found.foreseen():
+    with found.noting_refusals():
         if options.propose is not None:
             _joint(job.robot, options.propose)
             return
@@ -236,5 +236,5 @@ JOINT_PARAMETERS = JobKind(
     run,
     takes_folds=False,
     instead_of_campaigns=("readings", "propose"),
-    foresee=foresee,
+    preview_job=preview_job,
 )

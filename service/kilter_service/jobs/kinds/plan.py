@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.plan import PlanOptions
-from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.poses import Pose, document_of, poses_of
@@ -62,6 +62,11 @@ def check(options: PlanOptions) -> None:
         raise OptionError(
             f"options.count is {options.count}: a check needs {FEWEST_CHECKED} poses, better five.", option="count"
         )
+    if options.prior is not None and (options.purpose, options.method) != ("identify", "d_optimal"):
+        raise OptionError(
+            "options.prior is 'fleet': it goes with purpose identify and method d_optimal, leave it out.",
+            option="prior",
+        )
     if options.method in CYCLES and options.purpose != "iso9283":
         raise OptionError(
             f"options.method is {options.method!r}: it is a cycle of ISO 9283, give purpose iso9283.", option="method"
@@ -88,11 +93,11 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(plain({**made, "within": _within(job), "warnings": warnings}))
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Plan a single pose, which is refused as the whole plan would be, and say what the plan has to do without."""
     options: PlanOptions = job.options
     found.learn_from(*job.campaigns.values())
-    with found.foreseen():
+    with found.noting_refusals():
         few = FEWEST_CHECKED if options.purpose == "check" else 1
         run(replace(job, options=options.model_copy(update={"count": few})), lambda fraction, stage: None)
         planned = "Three poses were" if options.purpose == "check" else "A single pose was"
@@ -198,7 +203,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method == "views":
         rows = view_poses(_with_cameras(job), driven=job.driven, **given)
     else:
-        rows = d_optimal_poses(_begin(job), **given)
+        rows = d_optimal_poses(_begin(job), fleet=None if job.options.prior is None else job.fleet, **given)
     return document_of(job.robot, poses_of(rows))
 
 
@@ -330,5 +335,12 @@ def _count(job: JobInput) -> int:
 
 
 PLAN = JobKind(
-    "plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True, foresee=foresee
+    "plan",
+    PlanOptions,
+    check,
+    run,
+    version_option="version",
+    needs_campaigns=False,
+    history=True,
+    preview_job=preview_job,
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.jobs.foresight import Foresight
+from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import known_of, rows_of
 from kilter_service.jobs.plain import plain
@@ -54,10 +54,10 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(plain(result), content)
 
 
-def foresee(job: JobInput, found: Foresight) -> None:
+def preview_job(job: JobInput, found: JobPreview) -> None:
     """Re-zero, which takes no time, and say only what would be refused."""
     found.learn_from(*job.campaigns.values())
-    with found.foreseen():
+    with found.noting_refusals():
         _found(job)
 
 
@@ -91,5 +91,5 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
 
 REZERO = JobKind(
     "rezero", RezeroOptions, check, run, version_option="version", takes_folds=False, against_fit=True,
-    most_campaigns=1, foresee=foresee,
+    most_campaigns=1, preview_job=preview_job,
 )  # fmt: skip

@@ -31,8 +31,11 @@ DONE: Mapping[str, str] = {
     "POST /jobs/{job}/gap/again": "asked for job {job}, a search once more",
     "POST /jobs/{job}/gap/plan": "asked for job {job}, a plan of poses",
     "POST /login": "logged in",
+    "POST /login/link": "logged in by a link",
     "POST /logout": "logged out",
+    "POST /new-robot": "added robot {robot}",
     "POST /robots/{robot}/campaigns/new/{draft}/store": "stored campaign {campaign} of {robot}",
+    "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
     "POST /robots/{robot}/jobs": "asked for job {job} of {robot}",
     "POST /robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
@@ -48,6 +51,7 @@ DONE: Mapping[str, str] = {
     "POST /v1/instruments": "stored an instrument",
     "POST /v1/jobs": "asked for job {job}",
     "POST /v1/jobs/{job}/cancel": "cancelled job {job}",
+    "POST /v1/login-links": "made a link to log in with",
     "POST /v1/robots": "added robot {robot}",
     "POST /v1/robots/{robot}/campaigns": "added campaign {campaign} to {robot}",
     "POST /v1/robots/{robot}/purge": "purged robot {robot}",
@@ -86,7 +90,7 @@ class Said:
     reason: str
 
 
-def said(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
+def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
     """Put entries in words, with names instead of ids."""
     known = _Names(database)
     return [Said(one, _what(one, known), _reason(one)) for one in entries]

@@ -11,7 +11,7 @@ from kilter_service.contract.audit import AuditEntry
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
-from kilter_service.page.audit.action_words import DONE, Said, said
+from kilter_service.page.audit.action_words import DONE, Said, describe_entries
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.paging import Page
 from kilter_service.versions import service as versions
@@ -37,7 +37,7 @@ def found(database: Database, robot: str, actor: str, asked: Asked) -> Found:
     total = 0
     after: tuple[str, ...] | None = None
     while True:
-        page = audit.listed(database, Page(AT_ONCE, after))
+        page = audit.list_entries(database, Page(AT_ONCE, after))
         total += len(page.entries)
         kept += [one for one in page.entries if _is_wanted(one, robot, ids, actor)]
         if page.next is None:
@@ -45,7 +45,7 @@ def found(database: Database, robot: str, actor: str, asked: Asked) -> Found:
         after = (str(page.entries[-1].number),)
     head, broken = _state(database)
     shown = part(kept[::-1], asked, _words, {})
-    return Found(shown, said(database, shown.shown), total, head, broken)
+    return Found(shown, describe_entries(database, shown.shown), total, head, broken)
 
 
 def _words(entry: AuditEntry) -> str:
@@ -78,9 +78,9 @@ def _is_about(entry: AuditEntry, robot: str, ids: frozenset[str]) -> bool:
 def _ids(database: Database, robot: str) -> frozenset[str]:
     """Names of a robot and of all that belongs to it; of one that is not there any more its own."""
     try:
-        ids = [one.id for one in campaigns.listed(database, robot, Page(), with_retired=True).campaigns]
-        ids += [one.id for one in versions.listed(database, robot, Page(), with_retired=True).versions]
-        ids += [one.id for one in jobs.listed(database, robot, Page()).jobs]
+        ids = [one.id for one in campaigns.list_campaigns(database, robot, Page(), with_retired=True).campaigns]
+        ids += [one.id for one in versions.list_versions(database, robot, Page(), with_retired=True).versions]
+        ids += [one.id for one in jobs.list_jobs(database, robot, Page()).jobs]
     except ServiceError:
         return frozenset({robot})
     return frozenset({robot, *ids})

@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns import keeping
+from kilter_service.concurrency import compute
 from kilter_service.contract.references import Change
 from kilter_service.page.campaign import chosen, service
 from kilter_service.page.campaign.without import without
@@ -18,7 +19,6 @@ from kilter_service.page.shared import proposing
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import is_part, redirect, render, root_of
 from kilter_service.robots import service as robots
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
@@ -31,7 +31,7 @@ Rows = Annotated[int, Query(ge=0, le=10**12)]
 @router.get("/robots/{robot}/campaigns")
 def listed(robot: str, request: Request, database: DatabaseOfApp, retired: bool = False) -> HTMLResponse:
     """List the campaigns of a robot."""
-    found = service.listed(database, robot, retired, Asked.of(request, ("role", "retired")))
+    found = service.list_campaigns(database, robot, retired, Asked.of(request, ("role", "retired")))
     name = robots.get(database, robot).name
     return render(request, "campaign/list.html", robot=name, part=found, retired=retired)
 

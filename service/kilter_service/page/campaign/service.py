@@ -42,10 +42,10 @@ class Shown:
     columns: list[tuple[str, str]]
 
 
-def listed(database: Database, robot: str, with_retired: bool, asked: Asked) -> Part[Campaign]:
+def list_campaigns(database: Database, robot: str, with_retired: bool, asked: Asked) -> Part[Campaign]:
     """Return the campaigns of a robot that the address asks for, newest first."""
     return part(
-        campaigns.listed(database, robot, Page(), False, with_retired).campaigns[::-1],
+        campaigns.list_campaigns(database, robot, Page(), False, with_retired).campaigns[::-1],
         asked,
         lambda one: f"{one.name} {one.device} {one.instrument or ''} {one.notes} {one.id}",
         {

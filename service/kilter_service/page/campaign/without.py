@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kilter_core.errors import CoreError
-from kilter_service.campaigns import looking
+from kilter_service.campaigns import looking, rest
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
 from kilter_service.db import Database
@@ -56,7 +56,7 @@ def _rest(database: Database, campaign: Campaign, rows: list[int]) -> bytes:
 
 def _new(campaign: Campaign, rows: list[int], actor: str) -> NewCampaign:
     ending = f" without {plural(len(rows), 'row')}"
-    said = f"Campaign {campaign.id} ({campaign.name}) without rows {ranges(rows)}, set aside by {actor} on the page."
+    said = rest.said(campaign.id, campaign.name, ranges(rows), actor)
     notes = f"{said}\n\n{campaign.notes}".strip()
     return NewCampaign(
         name=campaign.name[: LONGEST_NAME - len(ending)] + ending,

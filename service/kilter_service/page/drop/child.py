@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kilter_service.limited import confine
+from kilter_service.sandbox import confine
 
 MOST_ROWS = 2_000_000
 MOST_COLUMNS = 400  # of the file, that are described one by one
@@ -59,8 +59,8 @@ def understood(path: Path, read_as: str) -> Document:
     if read_as not in ("auto", "map"):
         return _prepared(path, read_as)
     seen = _looked(path)
-    if seen.get("ready"):
-        return seen | _prepared(path, seen["device"])
+    if seen.get("ready") and read_as == "auto":
+        return seen | _called(seen) | _prepared(path, seen["device"])
     if read_as == "auto" and seen["kind"] in ALONE:
         return seen | {"refusal": f"{path.name}: {ALONE[seen['kind']]}"}
     return seen | _described(path) | _drafted(path, chosen)
@@ -95,6 +95,14 @@ def _looked(path: Path) -> Document:
         "kind": kind, "ready": found["ready"], "device": found.get("device"),
         "remarks": [text for text in remarks if not text.startswith("ready for")],
     }  # fmt: skip
+
+
+def _called(seen: Document) -> Document:
+    """What a file that is read as it is looks like, in words. A reader of a device states units and columns itself."""
+    from kilter_files.formats.registry import readers
+
+    known = readers().get(seen["kind"])
+    return ({} if known is None else {"kind": known.title}) | ({"remarks": []} if seen["device"] else {})
 
 
 def _problems(found: Document) -> list[str]:

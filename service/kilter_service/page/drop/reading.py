@@ -6,11 +6,11 @@ import json
 from typing import Any
 
 from kilter_core.errors import CoreError
-from kilter_service import limited
+from kilter_service import sandbox
 from kilter_service.campaigns import looking
 from kilter_service.db import Database
-from kilter_service.limited import Ended, Limits
 from kilter_service.page.drop.drafts import Draft
+from kilter_service.sandbox import Ended, Limits
 
 CHILD = "kilter_service.page.drop.child"
 LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
@@ -39,7 +39,7 @@ def _understood(draft: Draft) -> dict[str, Any]:
         (draft.folder / name).unlink(missing_ok=True)
     asked = json.dumps({"file": draft.name, "read_as": draft.read_as})
     (draft.folder / "asked.json").write_text(asked, encoding="utf-8")
-    ended = limited.run(CHILD, draft.folder, [], LIMITS)
+    ended = sandbox.run(CHILD, draft.folder, [], LIMITS)
     said = draft.folder / "understood.json"
     if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
         return {"refusal": f"{draft.name} {_why(ended)}", "map": _kept_map(draft)}

@@ -11,6 +11,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.auth.access import caller_of
 from kilter_service.bodies import spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.errors import ServiceError
 from kilter_service.instruments import service as instruments
 from kilter_service.logins import service as logins
@@ -22,7 +23,6 @@ from kilter_service.page.shared.measured import seen
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.tokens.service import hash_of
 
@@ -115,11 +115,13 @@ async def otherwise(robot: str, draft: str, request: Request, database: Database
 async def store(
     robot: str, draft: str, request: Request, database: DatabaseOfApp, sha256: Short, name: Short,
     role: Short = "train", device: Short = "", payload_kg: Short = "", temperature_c: Short = "", notes: Text = "",
-    measured_at: Short = "", instrument: Short = "",
+    measured_at: Short = "", instrument: Short = "", payload_com_mm: Short = "",
 ) -> Response:  # fmt: skip
     """Store the rows as a campaign."""
     found = _draft(request, robot, draft)
-    conditions = service.conditions(payload_kg=payload_kg, temperature_c=temperature_c)
+    conditions: dict[str, object] = {**service.conditions(payload_kg=payload_kg, temperature_c=temperature_c)}
+    if payload_com_mm.strip():
+        conditions["payload_com_mm"] = service.point(payload_com_mm)
     campaign: dict[str, object] = {
         "name": name,
         "role": role,
@@ -151,7 +153,7 @@ def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: st
     shown = None if draft.facts is None else seen(draft.facts, draft.understood.get("lines") or ())
     return render(
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
-        instruments=instruments.listed(database, Page()).instruments, problem=problem,
+        instruments=instruments.list_instruments(database, Page()).instruments, problem=problem,
         here=_place(request, draft), **service.form_of(draft, kinds),
     )  # fmt: skip
 

@@ -160,6 +160,22 @@ def conditions(**given: str) -> dict[str, float]:
     return out
 
 
+def point(text: str) -> list[float]:
+    """Read a point as ``x,y,z``.
+
+    Raises:
+        ServiceError: it is not three numbers.
+
+    """
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not all(map(math.isfinite, found)):
+        raise ServiceError(f"{text[:40]!r} is not a point: write three numbers like 0,0,60.", code="payload_invalid")
+    return found
+
+
 def store(database: Database, draft: Draft, campaign: dict[str, object], sha256: str) -> Campaign:
     """Store what is shown as a campaign, once.
 

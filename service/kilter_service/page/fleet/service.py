@@ -16,6 +16,7 @@ from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import LOOKS, standing
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.page.shared.lists import Asked, Part, part
+from kilter_service.page.shared.state import State, state_of
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
@@ -43,6 +44,11 @@ class Card:
         if self.version is None:
             return "uncorrected"
         return "changed" if self.today is not None and self.today.changed else "corrected"
+
+    @property
+    def stands(self) -> State:
+        """How the robot stands, as its own view says it."""
+        return state_of(self.today, self.accuracy, self.drift, self.correcting)
 
     @property
     def rank(self) -> tuple[int, bool, float]:
@@ -73,11 +79,11 @@ def cards(database: Database, settings: Settings) -> list[Card]:
     open_jobs, active = jobs.open_of_robots(database), versions.active_of_robots(database)
     known, checked = today.of_robots(database), {one.robot: one for one in drift.of_robots(database).robots}
     made = []
-    for robot in robots.listed(database, Page()).robots:
+    for robot in robots.list_robots(database, Page()).robots:
         version = active.get(robot.name)
         now = known.get(robot.name)
         accuracy = None if now is None else accuracy_today(now)
-        correcting = seen.of(robot.name, robot.active_version)
+        correcting = seen.of(robot.name, robot.active_version, robot.controller_compensation)
         jobs_open, drifted = open_jobs.get(robot.name, 0), checked.get(robot.name)
         made.append(Card(robot, version, now, accuracy, correcting, jobs_open, drifted))
     return sorted(made, key=lambda card: card.rank)

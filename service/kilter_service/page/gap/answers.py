@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.page.gap.called import claimed
 from kilter_service.page.gap.claim import LEVELS
-from kilter_service.page.words import listed, number
+from kilter_service.page.shared.called import claimed
+from kilter_service.page.words import joined_by_and, number
 from kilter_service.texts import plural
 
 ORDER = tuple(LEVELS)
@@ -49,7 +49,7 @@ def _which(result: GapResult) -> str:
             f"{number(p.value)} {'' if p.unit in (None, '1') else p.unit}".strip() for p in effect.parameters or []
         )
         said.append(f"{claimed(effect)} ({amounts})")
-    return f"{listed(said)}."
+    return f"{joined_by_and(said)}."
 
 
 def _sure(result: GapResult) -> str:
@@ -97,5 +97,5 @@ def _limits(result: GapResult) -> str:
     library = "Nothing that is outside the library can be excluded."
     if not names:
         return f"Every effect of the search could be tested. {library}"
-    shown = listed(names[:4]) if len(names) <= 4 else f"{', '.join(names[:4])} and {len(names) - 4} more"
+    shown = joined_by_and(names[:4]) if len(names) <= 4 else f"{', '.join(names[:4])} and {len(names) - 4} more"
     return f"Whether there is {shown}: these rows do not vary what they depend on enough. {library}"

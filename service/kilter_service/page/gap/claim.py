@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
-from kilter_service.page.gap.called import chance, claimed
-from kilter_service.page.words import listed, number, percent
+from kilter_service.page.shared.called import chance, claimed
+from kilter_service.page.words import joined_by_and, number, percent
 from kilter_service.texts import plural
 
 LEVELS: Mapping[str, str] = {
@@ -151,10 +151,10 @@ def _class(effect: NamedEffect) -> Iterator[str]:
     if effect.claim.said != "class":
         return
     members = [one.replace("_", " ") for one in effect.physical_class.members or []]
-    yield f"It may be any of its class: {listed([*members, *(effect.physical_class.outside or [])])}."
+    yield f"It may be any of its class: {joined_by_and([*members, *(effect.physical_class.outside or [])])}."
     lacking = [one.words for one in effect.claim.evidence or [] if not one.met and one.words]
     if lacking:
-        yield f"A name inside the class needs {listed(lacking)}."
+        yield f"A name inside the class needs {joined_by_and(lacking)}."
 
 
 def _halves(told: Halves) -> str:

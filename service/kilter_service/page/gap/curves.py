@@ -63,7 +63,7 @@ def _curve(joint: int, points: list[Point], unit: str) -> Curve:
     drawn = Plot(
         f"Residual along what joint {joint} moves", around(f"angle of joint {joint}, deg", [p.angle for p in points]),
         around(f"residual, {unit}", values), width=720.0, height=360.0, table=_table(bins, unit),
-        description=_said(joint, flat, named),
+        description=_describe_bins(joint, flat, named),
     )  # fmt: skip
     drawn.points([p.angle for p in shown], [p.residual for p in shown], "one visit", colour=GREY)
     for place, (side, means) in enumerate(zip(sides, bins, strict=True)):
@@ -87,7 +87,7 @@ def _side(drawn: Plot, side: list[Point], means: list[Bin], place: int, of: int,
     )  # fmt: skip
 
 
-def _said(joint: int, bins: list[Bin], named: bool) -> str:
+def _describe_bins(joint: int, bins: list[Bin], named: bool) -> str:
     if not named:
         return f"Residuals over the angle of joint {joint}; no effect was named there."
     agree = sum(each.agrees for each in bins)

@@ -31,7 +31,7 @@ def _effects(job: GapJob) -> list[str]:
     return list(dict.fromkeys(effect.id for effect in effects if not effect.empirical))
 
 
-def again(database: Database, job: GapJob, campaign: str, use: Use) -> Job:
+def search_again(database: Database, job: GapJob, campaign: str, use: Use) -> Job:
     """Queue the same search with a further campaign: as rows to search, or as a confirmation."""
     more = (
         {"campaigns": [*job.campaigns, campaign]} if use == "rows" else {"confirmation": [*job.confirmation, campaign]}

@@ -9,7 +9,7 @@ from kilter_service.contract.gap_details import AliasMatrix, AtJoints, NamedEffe
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.next_poses import NextPose
 from kilter_service.page.figures.heat_map import HeatMap
-from kilter_service.page.gap.called import called
+from kilter_service.page.shared.called import called
 from kilter_service.page.words import number, percent
 from kilter_service.texts import plural
 

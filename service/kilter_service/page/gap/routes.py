@@ -32,5 +32,5 @@ def again(
     use: Annotated[next_steps.Use, Form()],
 ) -> Response:
     """Queue the search again with a further campaign."""
-    queued = next_steps.again(database, service.job_of(database, job), campaign, use)
+    queued = next_steps.search_again(database, service.job_of(database, job), campaign, use)
     return redirect(request, f"{root_of(request)}/jobs/{queued.id}")

@@ -12,9 +12,9 @@ from kilter_service.contract.jobs.job import GapJob
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
-from kilter_service.page.gap import answers, claim, curves, own_curves, rivals, tested, where
-from kilter_service.page.gap.called import claimed
-from kilter_service.page.shared import steps
+from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
+from kilter_service.page.shared import own_curves, steps
+from kilter_service.page.shared.called import claimed
 from kilter_service.paging import Page
 from kilter_service.suspicious import service as suspicious
 
@@ -66,7 +66,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "others_moved": own_curves.without(result),
         "curves": curves.curves(result.figures, unit),
         "steps": None if read is None else steps.plot(read),
-        "steps_said": "" if read is None else steps.said(read),
+        "steps_said": "" if read is None else steps.describe(read),
         "rivals": rivals.rivals(result),
         "alias_map": rivals.heat_map(result.alias_matrix),
         "claims": [claim.claim_of(effect) for effect in result.effects or []],
@@ -92,6 +92,6 @@ def used_by(job: GapJob) -> list[str]:
 def newer(database: Database, job: GapJob) -> list[Campaign]:
     """Return campaigns of the robot that the search did not use, the newest first."""
     used = {*used_by(job), *job.confirmation}
-    found = campaigns.listed(database, job.robot, Page()).campaigns
+    found = campaigns.list_campaigns(database, job.robot, Page()).campaigns
     rest = [campaign for campaign in found if campaign.id not in used]
     return sorted(rest, key=lambda campaign: campaign.created_at, reverse=True)[:MOST_CAMPAIGNS]

@@ -8,8 +8,8 @@ from itertools import groupby
 
 from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Refused, Untestable
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.page.gap.called import called, chance, joint_of, named
-from kilter_service.page.words import listed, number, percent
+from kilter_service.page.shared.called import called, chance, joint_of, named
+from kilter_service.page.words import joined_by_and, number, percent
 
 MIMICKED = 0.1  # share of a signature that geometry leaves, below which it is said to imitate it
 
@@ -77,7 +77,7 @@ def _candidate(
         f"{number(one.smallest_detectable, 2)}{'' if one.unit in (None, '1') else f' {one.unit}'} of {one.parameter or name}"
         for one in group
     )
-    rest = f" beside {listed([called(effect) for effect in effects])}" if effects else ""
+    rest = f" beside {joined_by_and([called(effect) for effect in effects])}" if effects else ""
     reason = f"{_why(score, options, len(effects))}{rest}; would be seen from {seen}"
     share = max((one.visibility or 0.0) for one in group)
     if share < MIMICKED:

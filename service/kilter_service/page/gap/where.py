@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from kilter_service.contract.gap_details import Place
 from kilter_service.page.figures.heat_map import HeatMap
-from kilter_service.page.gap.called import chance
+from kilter_service.page.shared.called import chance
 from kilter_service.page.words import number
 
 SURE = 0.05
@@ -33,7 +33,7 @@ def heat_map(places: Sequence[Place]) -> HeatMap | None:
     values = [[cells.get((row, column), math.nan) for column in columns] for row in rows]
     return HeatMap(
         "Where the model was wrong", rows, columns, values, low=1.0, high=max(2.0, *cells.values()), cell=CELL,
-        description=_said(cells),
+        description=_describe_largest(cells),
     )  # fmt: skip
 
 
@@ -81,6 +81,6 @@ def _words(factor: str) -> str:
     return factor
 
 
-def _said(cells: Cells) -> str:
+def _describe_largest(cells: Cells) -> str:
     row, column = max(cells, key=lambda cell: cells[cell])
     return f"The largest: {row}, {column}, {number(cells[row, column], 2)} times what noise leaves."

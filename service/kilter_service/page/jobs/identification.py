@@ -47,8 +47,12 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
             (figures.held_out_errors or figures.fitted_errors) if figures else None, where, stages.CURVES
         ),
         "effects": gain_of_effects(judged),
-        "seen": [row for row in result.parameters or [] if row.identifiable is not False],
-        "unseen": [row for row in result.parameters or [] if row.identifiable is False and not of_a_mass(row.name)],
+        "seen": [row for row in result.parameters or [] if row.identifiable is not False or row.from_prior],
+        "unseen": [
+            row
+            for row in result.parameters or []
+            if row.identifiable is False and not row.from_prior and not of_a_mass(row.name)
+        ],
         "groups": groups,
         "map": correlation_map(groups, covariance),
         "influence": influence_chart(result.influence or []),

@@ -15,7 +15,7 @@ from kilter_service.jobs.registry import kind_of
 from kilter_service.page.jobs import form, options, seal
 from kilter_service.page.jobs.results import result_of
 from kilter_service.page.shared import lists
-from kilter_service.page.shared.listed_jobs import KINDS, listed
+from kilter_service.page.shared.listed_jobs import KINDS, page_of_jobs
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
@@ -37,7 +37,7 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
     robots.get(database, robot)
     kind_of(kind)
     usual, others = options.fields(kind)
-    found = campaigns.listed(database, robot, Page()).campaigns[::-1]
+    found = campaigns.list_campaigns(database, robot, Page()).campaigns[::-1]
     uses = form.uses(chosen) or form.by_role(kind, found)
     rest = [one for one in found if one.id not in uses]
     return {
@@ -50,17 +50,17 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
         "campaigns": [*(one for one in found if one.id in uses), *rest[:MOST_OFFERED]],
         "more": len(rest[MOST_OFFERED:]),
         "uses": uses,
-        "versions": versions.listed(database, robot, Page(limit=MOST_VERSIONS)).versions,
+        "versions": versions.list_versions(database, robot, Page(limit=MOST_VERSIONS)).versions,
         "effects": effects_in_words() if any(one.name == "effects" for one in (*usual, *others)) else {},
         "confirms": kind_of(kind).takes_confirmation,
-        "found": listed(database, robot, Page(limit=MOST_JOBS)),
+        "found": page_of_jobs(database, robot, Page(limit=MOST_JOBS)),
     }
 
 
 def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, Any]:
     """Return the campaigns of a robot in whose name, device or notes all words of a text are, newest first."""
     kind_of(kind)
-    found = campaigns.listed(database, robot, Page()).campaigns[::-1]
+    found = campaigns.list_campaigns(database, robot, Page()).campaigns[::-1]
     part = lists.part(found, lists.Asked(search=text), lambda one: f"{one.name} {one.device} {one.notes} {one.id}", {})
     shown = part.shown[:MOST_SOUGHT]
     return {"campaigns": shown, "found": part.found, "uses": {}, "confirms": kind_of(kind).takes_confirmation}
@@ -94,7 +94,9 @@ def run(database: Database, key: str, job: NewJob, given: str) -> Job:
 def shown(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
     """Return a job, the template of its result (empty: there is none yet), and what fills it."""
     job = jobs.get(database, job_id)
-    names = {one.id: one.name for one in campaigns.listed(database, job.robot, Page(), with_retired=True).campaigns}
+    names = {
+        one.id: one.name for one in campaigns.list_campaigns(database, job.robot, Page(), with_retired=True).campaigns
+    }
     if job.state != "succeeded" or job.result is None:
         return job, "", {"names": names, "place": jobs.places(database).get(job.id)}
     view = result_of(job.kind)

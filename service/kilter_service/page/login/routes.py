@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated
 from urllib.parse import urlsplit
@@ -40,9 +41,24 @@ def log_in(
     then: Annotated[str, Form(max_length=2000)] = "/",
 ) -> Response:
     """Give the browser a login, if the token holds."""
+    return _begin(request, database, lambda: tokens.hash_of(token.strip()), then)
+
+
+@router.post("/login/link")
+def log_in_by_link(
+    request: Request,
+    database: DatabaseOfApp,
+    link: Annotated[str, Form(max_length=LONGEST)],
+    then: Annotated[str, Form(max_length=2000)] = "/",
+) -> Response:
+    """Give the browser a login, if the link was not used yet."""
+    return _begin(request, database, lambda: service.take_link(database, link.strip()), then)
+
+
+def _begin(request: Request, database: Database, token_sha256: Callable[[], str], then: str) -> Response:
     request.app.state.rates.take(caller_of(request).address)
-    sha256 = tokens.hash_of(token.strip())
     try:
+        sha256 = token_sha256()
         CALLER.set(_caller(request, database, sha256))
     except ServiceError as error:
         refusals.note(request, error.code)

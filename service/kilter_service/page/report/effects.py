@@ -55,4 +55,4 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
 def closing(search: GapResult | None) -> tuple[Plot, str] | None:
     """How a search closed the gap, step by step: drawn, and in a sentence."""
     read = None if search is None else steps.of(search.figures, steps.unit_of(search.gap))
-    return None if read is None else (steps.plot(read, SHADES[:2]), steps.said(read))
+    return None if read is None else (steps.plot(read, SHADES[:2]), steps.describe(read))

@@ -34,7 +34,7 @@ def _errors(version: Version) -> Iterator[str]:
 
 
 def _unknown(version: Version) -> Iterator[str]:
-    nominal, moved = stayed(one for one in version.parameters if one.identifiable is False)
+    nominal, moved = stayed(one for one in version.parameters if one.identifiable is False and not one.from_prior)
     if nominal:
         yield f"These poses cannot determine {_names(nominal)}: their values are those of the nominal robot."
     if moved:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_service import limited
+from kilter_service import sandbox
 from kilter_service.errors import ServiceError
-from kilter_service.limited import Limits
+from kilter_service.sandbox import Limits
 
 CHILD = "kilter_service.page.report.child"
 LIMITS = Limits(seconds=90, memory_mb=3072, output_mb=64)
@@ -22,7 +22,7 @@ def pdf(folder: Path, html: str, css: str) -> bytes:
     """
     (folder / "report.html").write_text(html, encoding="utf-8")
     (folder / "report.css").write_text(css, encoding="utf-8")
-    ended = limited.run(CHILD, folder, [], LIMITS, FONTS)
+    ended = sandbox.run(CHILD, folder, [], LIMITS, FONTS)
     made = folder / "report.pdf"
     if ended.code == 0 and made.exists():
         return made.read_bytes()

@@ -29,6 +29,7 @@ from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, SIZES
 from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
+from kilter_service.page.shared.own_curves import OwnCurve, own_curves
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.suspicious import service as suspicious
@@ -74,6 +75,7 @@ class Sheet:
     effects: Contributions | None
     search: GapResult | None
     closing: tuple[Plot, str] | None
+    curves: list[OwnCurve]
     evaluated: list[Evaluated]
     limits: list[str]
     activations: list[Activation]
@@ -120,7 +122,7 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
         title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),
         judged=judged, parameters=[] if version is None else [_parameter(one) for one in version.parameters],
         effects=effects_of(database, version, search) if version is not None and version.effects else None, search=search,
-        closing=closing(search),
+        closing=closing(search), curves=own_curves(search.effect_curves) if search is not None else [],
         evaluated=list(_evaluated(database, job, version)), limits=[] if version is None else limits(version, search),
         activations=[one for one in log if version is not None and one.version_id == version.id],
         campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
@@ -211,7 +213,15 @@ def _parameter(one: Parameter) -> list[str]:
         interval = f"{_fine(low, one.sigma)} to {_fine(high, one.sigma)}"
     else:
         interval = words.NONE
-    known = "no" if one.identifiable is False else "unusually large" if one.plausible is False else "yes"
+    known = (
+        "by other robots"
+        if one.from_prior
+        else "no"
+        if one.identifiable is False
+        else "unusually large"
+        if one.plausible is False
+        else "yes"
+    )
     return [
         one.name, unit, _fine(one.nominal, one.sigma), _unsigned(words.measured(one.value, one.sigma)),
         _fine(one.change, one.sigma), interval, known,

@@ -96,7 +96,7 @@ def asked(
     for version in dict.fromkeys(filter(None, chosen)):
         scene.check(database, robot, version)
         found = versions.at_pose(database, version, q, campaign, row, settings.temperature_c)
-        said.append(_said(version, versions.get(database, version).name, found))
+        said.append(_moves_of_version(version, versions.get(database, version).name, found))
         q = found.q
     shown = [] if q is None else q * scale
     units = ["mm" if unit == "mm" else "°" for unit in joint_units(arm)]
@@ -104,7 +104,7 @@ def asked(
     return Pose(joints, said, row if campaign else 0)
 
 
-def _said(version: str, name: str, found: AtPose) -> Said:
+def _moves_of_version(version: str, name: str, found: AtPose) -> Said:
     import numpy as np
 
     moved = to_mm(found.moved)

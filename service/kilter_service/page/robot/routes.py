@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import MESH, spool_upload
+from kilter_service.concurrency import compute
 from kilter_service.contract.meshes import MeshUnit
 from kilter_service.contract.references import RobotChange
 from kilter_service.contract.units import ControllerCompensation
@@ -17,10 +18,10 @@ from kilter_service.limits import MAX_MESH_MB
 from kilter_service.meshes import service as meshes
 from kilter_service.page.robot import pose as asked_pose
 from kilter_service.page.robot import scene, service
+from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import is_part, render
 from kilter_service.robots import service as robots
-from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
@@ -42,6 +43,21 @@ def overview(
     """Show how good a robot is, what corrects it, and what to do next."""
     shown = service.of(database, settings, robot, version or None, campaign or None, other)
     return render(request, "robot/overview.html", shown=shown)
+
+
+@router.get("/robots/{robot}/settings")
+def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show what is rarely changed of a robot."""
+    return render(request, "robot/settings.html", shown=settled.of(database, robot))
+
+
+@router.post("/robots/{robot}/remarks")
+def remarks(
+    robot: str, database: DatabaseOfApp, _: Admin, remarks: Annotated[str, Form(max_length=20_000)] = ""
+) -> Response:
+    """Keep what people note on a robot."""
+    robots.change(database, robot, RobotChange(remarks=remarks))
+    return Response(status_code=204, headers=ANEW)
 
 
 @router.post("/robots/{robot}/compensation")

@@ -58,7 +58,7 @@ def arm(database: Database, robot: str) -> Document:
             if one.drive == "linkage" and one.joint is not None
         ],
         "tool": np.round(tool, 6).tolist(),
-        "meshes": [mesh.link for mesh in meshes.listed(database, robot).meshes],
+        "meshes": [mesh.link for mesh in meshes.list_meshes(database, robot).meshes],
     }
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.job import JobSummary
-from kilter_service.contract.meshes import Mesh
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
@@ -16,14 +15,13 @@ from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
 from kilter_service.drift import service as drift
 from kilter_service.jobs import service as jobs
-from kilter_service.limits import MAX_MESH_MB, MAX_TRIANGLES
-from kilter_service.meshes import service as meshes
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import Watched, watched
 from kilter_service.page.shared.correcting import Correcting, corrector
+from kilter_service.page.shared.state import State, state_of
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.robots.compensation import WORDS, sentence
+from kilter_service.robots.compensation import WORDS
 from kilter_service.settings import Settings
 from kilter_service.suspicious import service as suspicious
 from kilter_service.today import service as today
@@ -51,22 +49,15 @@ class Shown:
     looked_at: VersionSummary | None
     other: VersionSummary | None
     campaign: Campaign | None
-    meshes: Sequence[Mesh]
     suspicious: Sequence[SuspiciousRows]
     watched: Watched
+    chosen: bool  # whether the address says what is drawn
     controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
-    most_mb: int = MAX_MESH_MB
-    most_triangles: int = MAX_TRIANGLES
 
     @property
-    def controller(self) -> str:
-        """What follows from what the controller does by itself; empty where nothing does."""
-        return sentence(self.robot.name, self.robot.controller_compensation)
-
-    @property
-    def links(self) -> list[str]:
-        """What may have a shape, from base to tool."""
-        return [meshes.BASE, *(joint.name for joint in self.robot.joints)]
+    def state(self) -> State:
+        """How the robot stands."""
+        return state_of(self.today, self.accuracy, self.watched.found, self.correcting)
 
     @property
     def unseen(self) -> int:
@@ -82,9 +73,9 @@ def of(
     robot, now = robots.get(database, name), today.of_robot(database, name)
     active = None if robot.active_version is None else versions.get(database, robot.active_version)
     log = versions.activations(database, name, Page(limit=1)).activations
-    made = versions.listed(database, name, NEWEST).versions
-    newest = jobs.listed(database, name, Page(limit=1)).jobs
-    measured = [one for one in campaigns.listed(database, name, Page()).campaigns if one.rows]
+    made = versions.list_versions(database, name, NEWEST).versions
+    newest = jobs.list_jobs(database, name, Page(limit=1)).jobs
+    measured = [one for one in campaigns.list_campaigns(database, name, Page()).campaigns if one.rows]
     looked_at = next((one for one in made if one.id == (version or robot.active_version)), made[0] if made else None)
     return Shown(
         robot=robot,
@@ -100,9 +91,9 @@ def of(
         looked_at=looked_at,
         other=next((one for one in made if one.id == other), None),
         campaign=_campaign(database, measured, looked_at, campaign, now),
-        meshes=meshes.listed(database, name).meshes,
         watched=watched(drift.of_robot(database, name)),
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
+        chosen=bool(version or campaign or other),
     )
 
 

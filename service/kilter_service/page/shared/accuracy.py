@@ -37,6 +37,16 @@ class Accuracy:
         return None if self.low is None or self.high is None else (self.high - self.low) / 2
 
     @property
+    def widest(self) -> float:
+        """The largest of the errors that stand beside the mean, mm: its unit is that of all."""
+        return max(one for one in (self.mean, self.low, self.high, self.p95) if one is not None)
+
+    @property
+    def without(self) -> float:
+        """The largest error of the version and of what simpler models leave, mm."""
+        return max(one for one in (self.mean, self.registration, self.nominal) if one is not None)
+
+    @property
     def better(self) -> float | None:
         """How many times smaller the error is than with base and tool alone."""
         return self.registration / self.mean if self.registration and self.mean > 0 else None

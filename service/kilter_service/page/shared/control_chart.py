@@ -72,7 +72,7 @@ def _checks(found: DriftHistory, axis: Days) -> Plot:
     among = [1.0 / max(one.p_value, LEAST_CHANCE) for one in found.history]
     limit = 1.0 / found.false_alarm
     across = around("one unmoved arm in", [*among, limit, 1.0], log=True)
-    drawn = Plot("Checks", axis, across, WIDTH, HEIGHT, description=_said(found), table=_table(found))
+    drawn = Plot("Checks", axis, across, WIDTH, HEIGHT, description=_describe_checks(found), table=_table(found))
     _marked(drawn, found)
     for verdict, label, look in VERDICTS:
         own = [(one, many) for one, many in zip(found.history, among, strict=True) if one.verdict == verdict]
@@ -122,7 +122,7 @@ def _heights(chart: ControlChart) -> list[float]:
     return [one for one in found if math.isfinite(one)]
 
 
-def _said(found: DriftHistory) -> str:
+def _describe_checks(found: DriftHistory) -> str:
     alarmed = sum(one.verdict != "ok" for one in found.history)
     return f"{len(found.history)} checks, of which {alarmed} alarmed. {found.sentence}"
 

@@ -12,6 +12,8 @@ from kilter_service.metrics import service as observability
 from kilter_service.robots.compensation import CORRECTS, WORDS
 from kilter_service.settings import Settings
 
+OFF = "Not corrected"
+
 
 @dataclass(frozen=True)
 class Correcting:
@@ -20,6 +22,7 @@ class Correcting:
     word: str
     look: str
     sentence: str
+    instead: str = ""  # the state of a robot that Kilter does not correct though it has a version
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,11 @@ class Corrector:
         """Say what it does for a robot, whose active version is given, and what its controller does by itself."""
         if compensation in CORRECTS:
             said = f"The controller {WORDS[compensation]}, so its setpoints are not corrected a second time."
-            return Correcting("by the controller", "faint", said)
+            return Correcting("by the controller", "faint", said, "By its controller")
         if self.detail.startswith(health.STARTING):
-            return Correcting("starting", "warn", f"The corrector {self.detail}: setpoints are not corrected yet.")
+            return Correcting("starting", "warn", f"The corrector {self.detail}: setpoints are not corrected yet.", OFF)
         if not self.runs:
-            return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.")
+            return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.", OFF)
         if active is None:
             return Correcting("bypassed", "warn", "No version is active: setpoints are not corrected.")
         mine = [one for one in self.streams if one["robot"] == robot]

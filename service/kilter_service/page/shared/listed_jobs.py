@@ -43,7 +43,7 @@ STATES = ("queued", "running", "succeeded", "failed", "cancelled")
 def asked(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
     """Return the jobs that the address asks for, of one robot or of all that may be seen."""
     found = part(
-        jobs.listed(database, robot, Page()).jobs,
+        jobs.list_jobs(database, robot, Page()).jobs,
         wanted,
         lambda job: f"{job.name} {job.robot} {KINDS.get(job.kind, job.kind)} {job.asked_by} {job.id}",
         {
@@ -59,7 +59,7 @@ def asked(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed,
     return Listed(found.shown, jobs.places(database), None), found
 
 
-def listed(database: Database, robot: str | None, page: Page) -> Listed:
+def page_of_jobs(database: Database, robot: str | None, page: Page) -> Listed:
     """Return a page of jobs, of one robot or of all that may be seen."""
-    found = jobs.listed(database, robot, page)
+    found = jobs.list_jobs(database, robot, page)
     return Listed(found.jobs, jobs.places(database), found.next)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from kilter_service.page import words
 from kilter_service.page.figures.coverage import Bar, Coverage
-from kilter_service.page.figures.plot import BLUE, RED, Plot
+from kilter_service.page.figures.meanings import ERROR
+from kilter_service.page.figures.plot import BLUE, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.wire import to_mm
 
@@ -123,7 +124,7 @@ def _places(facts: Facts, campaign: str) -> list[Plot]:
                 [p[2] for p in marked],
                 "looks wrong",
                 2,
-                RED,
+                ERROR,
                 names,
                 _identities(marked, campaign),
             )

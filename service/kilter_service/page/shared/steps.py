@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from kilter_service.contract.figures import Bars, GapFigures
 from kilter_service.contract.gap_details import GapSize
-from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
+from kilter_service.page.figures.meanings import FITTED, HELD_OUT
+from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.words import number
 
@@ -63,14 +64,14 @@ def _number(value: float | str | None) -> float | None:
     return float(value) if isinstance(value, float | int) else None
 
 
-def plot(read: Steps, colours: tuple[str, str] = (BLUE, ORANGE)) -> Plot:
+def plot(read: Steps, colours: tuple[str, str] = (FITTED, HELD_OUT)) -> Plot:
     """Draw the steps as bars with intervals, and the noise as a line."""
     held = [step.held_out for step in read.steps if step.held_out is not None]
     floor = read.noise.held_out if read.noise.held_out is not None else read.noise.fitted
     values = [step.fitted for step in read.steps] + held + [floor] + [s.high for s in read.steps if s.high is not None]
     drawn = Plot(
         "The gap closing step by step", named("", [step.label for step in read.steps]),
-        around(f"rms error, {read.unit}", values, zero=True), height=340.0, table=_table(read), description=said(read),
+        around(f"rms error, {read.unit}", values, zero=True), height=340.0, table=_table(read), description=describe(read),
     )  # fmt: skip
     shift = WIDTH / 2 if held else 0.0
     places = [place + 0.5 for place in range(len(read.steps))]
@@ -85,7 +86,7 @@ def plot(read: Steps, colours: tuple[str, str] = (BLUE, ORANGE)) -> Plot:
     return drawn.level(floor, f"what noise alone would leave{' of held-out poses' if held else ''}")
 
 
-def said(read: Steps) -> str:
+def describe(read: Steps) -> str:
     """Say in a sentence how far the gap closes."""
     first, last, noise = read.steps[0], read.steps[-1], read.noise
     if first.held_out is not None and last.held_out is not None:

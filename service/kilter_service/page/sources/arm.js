@@ -11,7 +11,6 @@ import { arm, arrows, cloud, mesh, points, release, ROWS } from "./arm/parts.js"
 import { fill, length, mm, quantile } from "./arm/words.js";
 
 const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
-const ARROW = 0xd55e00;
 const SHARE = 0.12; // of the workspace that a large error is drawn as
 const MOST_LISTED = 200;
 
@@ -58,6 +57,7 @@ class Picture {
     if (version && campaign) await this.loadPlaces(version, campaign);
     else this.say("There are no measured errors to show yet: a version and a campaign are needed.");
     this.begin();
+    if (["q", "row", "cloud", "stage", "scale", "camera"].some((name) => this.address.get(name))) this.find("controls").open = true;
     this.place.dataset.ready = "yes";
   }
 
@@ -110,7 +110,7 @@ class Picture {
 
   fit() {
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, Math.max(0.6 * window.innerHeight, 320)));
+    const height = Math.round(Math.min(0.85 * width, Math.max(0.4 * window.innerHeight, 300)));
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
@@ -221,7 +221,7 @@ class Picture {
     this.errors();
     const some = row.length < total ? `${row.length} of ${total} rows are shown, the worst and the outermost among them` : `${total} rows`;
     const mean = sizes.reduce((sum, size) => sum + size, 0) / sizes.length;
-    this.find("legend").textContent = `Grey points: rows that were fitted (${normal.filter(Boolean).length}). Green: held out (${held.filter(Boolean).length}). Large orange: set aside (${aside.filter(Boolean).length}). Arrows: measured minus predicted.`;
+    this.find("legend").textContent = `Grey points: rows that were fitted (${normal.filter(Boolean).length}). Green: held out (${held.filter(Boolean).length}). Large yellow: set aside (${aside.filter(Boolean).length}). Red arrows: measured minus predicted.`;
     this.say(`${some}: ${STAGES[this.find("stage").value]} leaves ${mm(mean)} on average, at most ${mm(Math.max(...sizes))}.`);
     const order = sizes.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]).slice(0, MOST_LISTED);
     fill(this.place.querySelector('[data-table="places"]'), ["row", "x", "y", "z", "error x", "error y", "error z", "error", "use"],
@@ -233,7 +233,7 @@ class Picture {
     if (!this.data.places) return;
     const times = Math.round(10 ** Number(this.find("scale").value));
     this.find("times").textContent = times;
-    this.show("arrows", arrows(this.data.places.at, this.left(), times, ARROW, this.size));
+    this.show("arrows", arrows(this.data.places.at, this.left(), times, ROWS.error, this.size));
     this.draw();
   }
 

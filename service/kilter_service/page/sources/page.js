@@ -7,6 +7,10 @@ import htmx from "htmx.org";
 import "./versions.js";
 import "./drop.js";
 import "./jobs.js";
+import "./correct.js";
+import "./login.js";
+import { missed } from "./lost.js";
+import { ended, offer } from "./ended.js";
 import "./shapes.js";
 import * as rows from "./rows.js";
 import { savable } from "./saving.js";
@@ -25,7 +29,10 @@ document.addEventListener("htmx:configRequest", (event) => {
 
 /** Fetch as the page does: the change is sent with the page's own token. */
 export function send(address, options = {}) {
-  return fetch(root + address, { ...options, headers: { "X-CSRF-Token": csrf, ...(options.headers || {}) } });
+  return fetch(root + address, { ...options, headers: { "X-CSRF-Token": csrf, ...(options.headers || {}) } }).catch((error) => {
+    missed();
+    throw error;
+  });
 }
 window.kilter = { send, root, rows: rows.rows, ajax: (address, target) => htmx.ajax("GET", address, { target, swap: "innerHTML" }) };
 
@@ -55,6 +62,7 @@ function clock(place) {
 function follow(place) {
   const title = document.title;
   if (place.dataset.since) clock(place);
+  offer(place);
   const source = new EventSource(`${root}/v1/jobs/${encodeURIComponent(place.dataset.follow)}/events`);
   const bar = place.querySelector("progress");
   const stage = place.querySelector("[data-stage]");
@@ -70,13 +78,15 @@ function follow(place) {
     if (source.readyState === EventSource.OPEN || before) return;
     before = stage.textContent;
     stage.textContent = "The server does not answer. This page asks again by itself.";
+    missed();
   }, LOST_MS));
   source.addEventListener("open", () => {
     if (before) stage.textContent = before;
     before = "";
   });
-  source.addEventListener("end", () => {
+  source.addEventListener("end", (event) => {
     source.close();
+    ended(event.data);
     window.location.reload();
   });
 }

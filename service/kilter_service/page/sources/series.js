@@ -50,8 +50,8 @@ function start(form) {
       axes: [{ ...axis, label: "Row" }, { ...axis, label, size: 70 }],
       series: [
         { label: "Row" }, { label, stroke: "#0072b2", width: 1.2, points: { show: found.x.length < 400, size: 4 } },
-        { label: "Looks wrong", stroke: "#e69f00", paths: () => null, points: { show: true, size: 9, fill: "#e69f00" } },
-        { label: "Set aside", stroke: "#d55e00", paths: () => null, points: { show: true, size: 11, fill: "#d55e0000", width: 2 } },
+        { label: "Looks wrong", stroke: "#d55e00", paths: () => null, points: { show: true, size: 9, fill: "#d55e00" } },
+        { label: "Set aside", stroke: "#e69f00", paths: () => null, points: { show: true, size: 11, fill: "#e69f0000", width: 2 } },
         { label: "Chosen", stroke: "#cc79a7", paths: () => null, points: { show: true, size: 14, fill: "#cc79a700", width: 3 } },
       ],
       hooks: { setSelect: [(u) => zoom(u)], setCursor: [(u) => point(u, found)], ready: [(u) => pick(u, found)] },

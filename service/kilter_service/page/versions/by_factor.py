@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_service.campaigns import looking
 from kilter_service.db import Database
-from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, Plot
+from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
+from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.left import residuals, size_of
-from kilter_service.page.words import mm
+from kilter_service.page.words import beside
 from kilter_service.versions import service
 from kilter_service.wire import joint_scale
 
@@ -112,22 +113,23 @@ def _course(seen: Seen, cause: Cause) -> Plot:
     there = np.flatnonzero(~np.isnan(cause.values) & ~np.isnan(seen.sizes))
     found = [_mean(seen.sizes[part], cause.values[part]) for part in _parts(there, cause.values)]
     bins = [one for one in found if one is not None]
+    most = max((one[3] for one in bins), default=0.0)
     drawn = _drawn(there, seen.sizes)
     plot = Plot(
         f"Error {cause.title}", around(cause.label, cause.values[there].tolist()),
         around("error, mm", seen.sizes[drawn].tolist(), zero=True), width=560.0,
         description="A mean that rises or falls beyond its intervals says that the model misses something there.",
         table=(["From about", "Mean error", "95 % interval of the mean", "Rows"],
-               [[f"{x:.4g}", mm(m), f"{mm(low)} to {mm(high)}", str(n)] for x, m, low, high, n in bins]),
+               [[f"{x:.4g}", *_beside(m, low, high, most), str(n)] for x, m, low, high, n in bins]),
     )  # fmt: skip
     for held, label, number in ((False, "fitted", 0), (True, "held out", 1)):
         part = drawn[seen.held_out[drawn] == held]
         if len(part):
             xs, ys, rows = cause.values[part].tolist(), seen.sizes[part].tolist(), [seen.rows[k] for k in part]
-            plot.points(xs, ys, label, number, (GREY, ORANGE)[number], rows=rows)
+            plot.points(xs, ys, label, number, (FITTED, HELD_OUT)[number], rows=rows)
     xs, means, lows, highs = ([one[k] for one in bins] for k in range(4))
     if xs:
-        plot.band(xs, lows, highs, "95 % of the mean").line(xs, means, "mean of a bin", colour=BLUE)
+        plot.band(xs, lows, highs, "95 % of the mean").line(xs, means, "mean of a bin", colour=CORRECTED)
     return plot
 
 
@@ -142,16 +144,22 @@ def _levels(seen: Seen, cause: Cause) -> Plot:
         if found is not None:
             names.append(name)
             bars.append(found)
+    most = max((one[3] for one in bars), default=0.0)
     plot = Plot(
         f"Error {cause.title}", named(cause.label, names), around("mean error, mm", [one[3] for one in bars], zero=True),
         width=280.0, height=240.0, description="Whiskers are the 95 % interval of the mean.",
         table=(["Direction", "Mean error", "95 % interval", "Rows"],
-               [[name, mm(m), f"{mm(low)} to {mm(high)}", str(n)]
+               [[name, *_beside(m, low, high, most), str(n)]
                 for name, (_, m, low, high, n) in zip(names, bars, strict=True)]),
     )  # fmt: skip
     return plot.bars(
         [k + 0.5 for k in range(len(bars))], [one[1] for one in bars], 0.5, errors=[(one[2], one[3]) for one in bars]
     )
+
+
+def _beside(mean: float, low: float, high: float, most: float) -> tuple[str, str]:
+    """A mean and its interval in the unit of the largest that stands beside them."""
+    return beside(mean, most), f"{beside(low, most)} to {beside(high, most)}"
 
 
 def _parts(there: Any, values: Floats) -> Iterator[Any]:

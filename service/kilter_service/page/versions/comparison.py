@@ -85,7 +85,7 @@ def of(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Comp
     diff = differences.diff(database, a, b)
     sides = [None if name == NOMINAL else service.get(database, name) for name in (a, b)]
     known = next(side for side in sides if side is not None)
-    there = [one for one in campaigns.listed(database, known.robot, Page()).campaigns if one.rows]
+    there = [one for one in campaigns.list_campaigns(database, known.robot, Page()).campaigns if one.rows]
     chosen = list(wanted) if wanted else _default(known, there)
     left, tables, refusal = _left(database, sides, chosen)
     bars, curve = (None, None) if not left else (_bars(left), _curve(left))

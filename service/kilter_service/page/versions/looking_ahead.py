@@ -57,6 +57,11 @@ class Ahead:
     etag: str
     controller: str
 
+    @property
+    def larger(self) -> float:
+        """The larger of the two errors, mm, whose unit both have."""
+        return max((one.mean for one in (self.accuracy, self.active_accuracy) if one is not None), default=0.0)
+
 
 @dataclass(frozen=True)
 class Download:

@@ -71,7 +71,7 @@ def history(database: Database, robot: str, asked: Asked, log: Asked) -> History
     """Return the versions of a robot that the address asks for, those that are retired too: the lineage has them."""
     found = [
         Listed(one, accuracy_of(one.metrics))
-        for one in service.listed(database, robot, Page(), with_retired=True).versions
+        for one in service.list_versions(database, robot, Page(), with_retired=True).versions
     ]
     entries = service.activations(database, robot, Page()).activations
     return History(
@@ -103,14 +103,16 @@ def _part(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
 def version(database: Database, version_id: str) -> Shown:
     """Return a version."""
     found = service.get(database, version_id)
-    told = [one for one in found.parameters if one.identifiable is not False and one.value is not None]
-    unknown = [one for one in found.parameters if one.identifiable is False or one.value is None]
+    known = [
+        one for one in found.parameters if one.value is not None and (one.identifiable is not False or one.from_prior)
+    ]
+    unknown = [one for one in found.parameters if one not in known]
     unseen = [one for one in unknown if not of_a_mass(one.name)]
-    others = service.listed(database, found.robot, Page(limit=MOST_SHOWN)).versions
+    others = service.list_versions(database, found.robot, Page(limit=MOST_SHOWN)).versions
     rest = [one for one in others if one.id != version_id]
     now = today.of_robot(database, found.robot) if found.active else None
     odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
-    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest, odd, now)
+    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), known, unseen, rest, odd, now)
 
 
 def errors_by_version(found: Sequence[Listed]) -> Plot | None:

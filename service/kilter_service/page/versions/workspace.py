@@ -50,7 +50,7 @@ def of(database: Database, version_id: str, temperature_c: float | None) -> Show
         mine = words == word
         left = found.left[mine]
         most = _most(float(np.nanmax(left))) if not np.isnan(left).all() else "–"
-        rows.append((_said(word), percent(float(mine.mean())), int(mine.sum()), most))
+        rows.append((_state_words(word), percent(float(mine.mean())), int(mine.sum()), most))
     out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
     up = to_mm(seen.points[:, 2])
     plot = Plot(
@@ -81,7 +81,7 @@ def _drawn(word: str) -> tuple[int, str]:
     return (list(LOOKS).index(word) if word in LOOKS else len(LOOKS), word)
 
 
-def _said(word: str) -> str:
+def _state_words(word: str) -> str:
     return WHAT.get(word) or f"refused: {REFUSED.get(word, word.lower().replace('_', ' '))}"
 
 

@@ -232,6 +232,22 @@ def test_one_arm_of_two_is_named(tmp_path: Path) -> None:
     assert np.abs(log.q() - values[1][:, :5]).max() < 1e-5
 
 
+def test_the_arm_of_a_lekiwi_is_named_among_what_its_base_does(tmp_path: Path) -> None:
+    names = [*(f"arm_{name}.pos" for name in SERVOS), "x.vel", "y.vel", "theta.vel"]
+    values = recorded(ticks_of([20])[0], "DEGREES")
+    folder = dataset(
+        tmp_path / "set", "v3.0", [np.hstack([values, np.zeros((20, 3))])], names, suffix="", robot="lekiwi_client"
+    )
+    wheels = {f"base_{side}_wheel": {"id": 7 + k, "drive_mode": 0, "homing_offset": 0, "range_min": 0, "range_max": 4095}
+              for k, side in enumerate(("left", "back", "right"))}  # fmt: skip
+    servos = {f"arm_{name}": servo for name, servo in json.loads(calibration(tmp_path).read_text()).items()}
+    path = tmp_path / "lekiwi.json"
+    path.write_text(json.dumps(servos | wheels))
+    log = read_joints(folder, hints=hints(path, order=[f"arm_{name}" for name in JOINTS]))
+    assert np.abs(log.q() - values[:, :5]).max() < 1e-5
+    assert "has no servo 'x.vel'" in refusal(folder, hints(path))
+
+
 @pytest.mark.parametrize(
     ("servo", "change", "said"),
     [

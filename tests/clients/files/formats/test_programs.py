@@ -114,7 +114,11 @@ def test_what_is_left_is_named_with_its_line(tmp_path: Path, name: str, text: st
         ("a.csv", "q1_deg,q2_deg\n1,nan\n", "line 2: q2 is empty or not a number"),
         ("a.csv", "x,y\n1,2\n", "lacks joints"),
         ("a.src", "PTP {A1 1,A2 2}\nPTP {A1 1,A2 2,A3 3}\n", "line 2: axis target has 3 joints, the first target 2"),
-        ("a.src", "\nLIN {X 1,Y 2,Z 3}\n", "holds no joint targets. Store its targets as joints. Line 2: a pose."),
+        (
+            "a.src",
+            "\nLIN {X 1,Y 2,Z 3}\n",
+            "Store them as joints, or state their frames. Line 2: a move, a pose: without A, B, C.",
+        ),
     ],
 )
 def test_bad_input_is_refused_with_its_place(tmp_path: Path, name: str, text: str, said: str) -> None:
@@ -169,12 +173,15 @@ def test_each_line_of_two_files_is_rewritten_kept_or_named(tmp_path: Path) -> No
         assert sorted(moving[target.line - 2] for target in moves.targets) == sorted(rewritten)
 
 
+MOVED = "Line 2 of w.src: PTP XP1: a pose that is left."
+
+
 @pytest.mark.parametrize(
     ("moving", "declaring", "said"),
     [
         (["PTP XP1"], ["DECL E6AXIS XP1={A1 1,A2 x}"], "w.dat, line 2: XP1 is not A1"),
         (["PTP {A1 1,A2 2}"], ["DECL E6AXIS XP1={A1 1,A2 2,A3 3}"], "w.dat, line 2: XP1 has 3 joints, the first target 2"),
-        (["PTP XP1"], ["DECL E6POS XP1={X 1,Y 2,Z 3}"], "Line 2 of w.src: PTP XP1: a pose. Line 2 of w.dat: a pose."),
+        (["PTP XP1"], ["DECL E6POS XP1={X 1,Y 2,Z 3}"], f"{MOVED} Line 2 of w.dat: XP1, a pose: without A, B, C."),
         (["PTP XP1"], ["ENDDAT", "DEFDAT other"], None),
     ],
 )  # fmt: skip
@@ -195,3 +202,128 @@ def test_two_files_that_may_belong_to_it_are_refused(tmp_path: Path) -> None:
         pytest.skip("this file system does not tell capitals from small letters")
     with pytest.raises(FileError, match=r"W\.DAT and w\.dat stand beside it"):
         read_programs(path)
+
+
+CONF, NO_AXES, PLACE = "[0,0,0,0]", "[9E9,9E9,9E9,9E9,9E9,9E9]", "[600,0,400],[0,0,1,0]"
+WHOLE = f"[{PLACE},{CONF},{NO_AXES}]"
+RAPID_POSES = f"""MODULE a
+CONST robtarget p1 := {WHOLE};
+CONST robtarget p2 := [{PLACE},{CONF},[9E9,5,9E9,9E9,9E9,9E9]];
+VAR robtarget p3 := {WHOLE};
+CONST robtarget p4{{2}} := [{WHOLE},{WHOLE}];
+CONST robtarget p5 := [[1,2,3],[1,1,0,0],{CONF},{NO_AXES}];
+CONST robtarget p6 := {WHOLE};
+PERS tooldata t1 := [TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];
+PERS tooldata t2 := [FALSE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];
+MoveJ\\Conc, p1, v100, z10, t1;
+MoveL p2, v100, z10, tool0;
+MoveL p3, v100, z10, t1;
+p3 := CRobT();
+MoveL p4{{1}}, v100, z10, t1;
+MoveL p4{{i}}, v100, z10, t1;
+MoveL Offs(p1,0,0,50), v100, z10, t1;
+MoveL p6, v100, z10, t2;
+MoveL p1, v100, z10, tX\\WObj:=wobj0;
+TriggL p5, v100, trg, z10, t1;
+MoveL {WHOLE}, v100\\V:=3, fine, t1\\WObj:=wobj0;
+ENDMODULE
+"""
+FANUC_POSE = "CONFIG : 'N U T, 0, 0, 0', Y = 0.0 mm, Z = 400.0 mm, W = 180.0 deg, P = 0.0 deg, R = 0.0 deg"
+FANUC_POSES = f"""/PROG A
+1:J P[1] 100% FINE    ;
+2:L P[2] 100mm/sec FINE Offset,PR[1]    ;
+3:C P[3]
+ :  P[4] 100mm/sec FINE    ;
+4:L PR[2] 100mm/sec FINE;
+P[1:"home"]{{ GP1: UF : 0, UT : 0, {FANUC_POSE}, X = 600.0 mm }};
+P[2]{{ GP1: UF : 0, UT : 0, {FANUC_POSE}, X = 600.0 mm }};
+P[3]{{ GP1: UF : 0, UT : 1, {FANUC_POSE}, X = 600.0 mm }};
+P[4]{{ GP1: UF : 0, UT : 0, {FANUC_POSE}, X = ********* mm }};
+P[5]{{ GP1: UF : 0, UT : 0, {FANUC_POSE}, X = 600.0 mm, E1 = 10.0 mm }};
+/END
+"""
+UR_POSES = """def a():
+  p1 = p[0.5,0,0.4,0,3.14,0]
+  p2 = p[0.5,0.1,0.4,0,3.14,0]
+  p3 = p[0.5,0.1,0.4,0,3.14,0]
+  q0 = [0,-1.5,1.5,-1.5,-1.5,0]
+  movel(p1, a=1)
+  set_tcp(p[0,0,0.1,0,0,0])
+  movej(q0)
+  movec(p[0.5,0.05,0.45,0,3.14,0], p2, a=1.2)
+  movel(pose_trans(p1, p[0,0,0.1,0,0,0]))
+  movel(p3)
+  p3[2] = 5
+end
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "left", "taken"),
+    [
+        ("a.mod", RAPID_POSES, {
+            2: "tool tX is not in this program", 3: "an external axis", 4: "the program changes it", 5: "a computed index",
+            6: "not a unit quaternion", 7: "tool t2 stands still", 10: "left", 11: "left", 12: "left", 14: "left",
+            15: "no target of this file", 16: "no target of this file", 17: "left", 18: "left",
+            19: "left",
+        }, [20]),
+        ("a.ls", FANUC_POSES, {
+            3: "left", 4: "left", 5: "left", 6: "no position of this file", 8: "has an offset",
+            9: "UT : 1 is not in this program", 10: "without X", 11: "an external axis",
+        }, [7]),
+        ("a.script", UR_POSES, {
+            2: "no set_tcp is before it", 4: "the program changes it", 6: "left", 10: "no target of this file", 11: "left",
+        }, [3, 9]),
+    ],
+)  # fmt: skip
+def test_poses_of_which_too_little_is_known_are_named_with_their_reason(
+    tmp_path: Path, name: str, text: str, left: dict[int, str], taken: list[int]
+) -> None:
+    (tmp_path / name).write_text(text)
+    program = read_program(tmp_path / name)
+    told: dict[int, str] = {}
+    for line, what in program.left:
+        told[line] = f"{told.get(line, '')} {what}"
+    assert told.keys() == left.keys()
+    for line, said in left.items():
+        assert said in told[line]
+    assert sorted(pose.line for pose in program.cartesian if not pose.why_left()) == taken
+
+
+SIX = "X {},Y 0,Z 0,A 0,B 0,C 0"
+MOVE = f"LIN {{{SIX.format(500)},S 2,T 2}}"
+ONE, TWO = (f"$TOOL={{{SIX.format(k)}}}" for k in (1, 2))
+
+
+@pytest.mark.parametrize(
+    ("lines", "tools"),
+    [
+        ([ONE, MOVE, TWO, MOVE], [1, 2]),
+        ([MOVE, ONE], [None]),
+        ([ONE, "IF $IN[1] THEN", MOVE, "ENDIF", MOVE], [1, 1]),
+        ([ONE, "IF $IN[1] THEN", TWO, MOVE, "ENDIF", MOVE], [2, "way"]),
+        ([ONE, "IF $IN[1] THEN", ONE, "ENDIF", MOVE], [1]),
+        ([ONE, "LOOP", MOVE, TWO, "ENDLOOP"], ["way"]),
+        ([ONE, "GOTO far", TWO, "far:", MOVE], ["way"]),
+        (["BAS(#TOOL,3)", MOVE, "BAS(#TOOL,0)", MOVE], [3, 0]),
+        (["FDAT_ACT=FP1", "BAS(#PTP_PARAMS,100)", MOVE, "FDAT_ACT=FP2", MOVE], [3, "stands still"]),
+        (["$TOOL=TOOL_DATA[3]", MOVE, "$TOOL=other", MOVE], [3, "is not known"]),
+        ([ONE, "END", "DEF other()", MOVE], [None]),
+    ],
+)  # fmt: skip
+def test_the_tool_of_a_move_is_the_one_that_is_surely_set(
+    tmp_path: Path, lines: list[str], tools: list[int | str | None]
+) -> None:
+    declared = [
+        f"TOOL_DATA[3]={{{SIX.format(3)}}}",
+        "DECL FDAT FP1={TOOL_NO 3,BASE_NO 0,IPO_FRAME #BASE}",
+        "DECL FDAT FP2={TOOL_NO 3,BASE_NO 0,IPO_FRAME #TCP}",
+    ]
+    base = f"$BASE={{{SIX.format(0)}}}"
+    path = pair(tmp_path, [base, *lines, "PTP {A1 1,A2 2}"], declared)
+    found: list[int | str | None] = []
+    for pose in read_programs(path)[0].cartesian:
+        tool = pose.uses[0].tool
+        known = tool.numbers[0] if not isinstance(tool, str) else next((w for w in tools if str(w) in tool), None)
+        found.append(known if isinstance(known, str | None) else int(known))
+    assert found == tools

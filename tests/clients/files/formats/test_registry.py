@@ -65,7 +65,7 @@ def test_a_new_reader_is_a_module_and_a_line(tmp_path: Path, toy: None) -> None:
     (tmp_path / "m.toml").write_text(columns)
     assert prepare(path, column_map=tmp_path / "m.toml").content == b"q1_deg,x_mm\n1.0,2.0\n3.0,4.0\n"
     assert (inspect(path)["kind"], inspect(path)["rows"]) == ("toy", 2)
-    assert ("upload --map", "toy", (".toy",), "a toy") in registry.listed()
+    assert ("upload --map", "toy", (".toy",), "a toy") in registry.list_formats()
     (tmp_path / "m.toml").write_text('[file]\nformat = "toys"\n' + columns)
     with pytest.raises(FileError, match="must be one of csv, mat, parquet, program, tdms, toy, xlsx, not 'toys'"):
         prepare(path, column_map=tmp_path / "m.toml")
@@ -85,11 +85,11 @@ def test_a_reader_is_stated_without_the_packages_that_it_needs() -> None:
     import subprocess
 
     code = (
-        "import sys; from kilter_files.formats.registry import listed; rows = list(listed()); "
+        "import sys; from kilter_files.formats.registry import list_formats; rows = list(list_formats()); "
         "print(len(rows), *sorted({'numpy', 'scipy', 'pyarrow', 'openpyxl', 'nptdms', 'rosbags'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == [str(len(list(registry.listed())))]
+    assert done.stdout.split() == [str(len(list(registry.list_formats())))]
 
 
 def table(path: Path, head: str, delimiter: str = ",") -> Path:

@@ -214,6 +214,92 @@ def test_rows_without_a_partner_can_be_left_out(tmp_path: Path) -> None:
     assert "1 rows of joints.csv have no partner and are left out" in done.warnings
 
 
+def test_several_files_are_joined_one_with_the_orientation(tmp_path: Path) -> None:
+    """Joints, places and rotation matrices in a file each, and the temperature in one more, by time."""
+    write(tmp_path / "joints.csv", "pose,A1\n2,20\n1,10\n")
+    turned = "\n".join(["pose,a,b,c,d,e,f,g,h,i", "1,1,0,0,0,1,0,0,0,1", "2,0,-1,0,1,0,0,0,0,1"])
+    write(tmp_path / "turned.csv", turned + "\n")
+    write(tmp_path / "climate.csv", "when,deg\n0,20.5\n100,22.5\n")
+    text = """[columns]
+x_mm = { from = "x", unit = "mm" }
+y_mm = { from = "y", unit = "mm" }
+z_mm = { from = "z", unit = "mm" }
+t_s = { from = "t", unit = "s" }
+
+[[join]]
+path = "joints.csv"
+by = "id"
+here = "pose"
+[join.columns]
+q1_deg = { from = "A1", unit = "deg" }
+
+[[join]]
+path = "turned.csv"
+by = "id"
+here = "pose"
+[join.orientation]
+from = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]
+matrix = "rows"
+
+[[join]]
+path = "climate.csv"
+by = "time"
+here = "t"
+there = "when"
+unit = "s"
+within_s = 30
+[join.columns]
+temperature_c = { from = "deg", unit = "C" }
+"""
+    points = "pose,t,x,y,z\n1,2,100,0,0\n2,98,0,100,0\n"
+    one, two = mapped(tmp_path, points, text)
+    assert (one["q1_deg"], one["qw"], one["temperature_c"]) == (10, 1, 20.5)
+    assert (two["q1_deg"], two["temperature_c"]) == (20, 22.5)
+    assert (two["qw"], two["qz"]) == pytest.approx((0.5**0.5, 0.5**0.5))
+    with pytest.raises(FileError, match=r"join 3\.path: there is no file .*climate\.txt"):
+        mapped(tmp_path, points, text.replace("climate.csv", "climate.txt"))
+    with pytest.raises(FileError, match=r"join 2: qw comes from turned\.csv and from a file before it") as refused:
+        mapped(tmp_path, points, text.replace("q1_deg = {", 'qw = { from = "A1" }\nq1_deg = {'))
+    assert refused.value.context["key"] == "join 2.columns"
+    with pytest.raises(FileError, match=r"2 rows have no row of .*climate\.csv .* Under \[join 3\] widen 'within_s'"):
+        mapped(tmp_path, points, text.replace("within_s = 30", "within_s = 1"))
+    with pytest.raises(FileError, match=r"join 2\.by"):
+        mapped(tmp_path, points, text.replace('by = "id"', 'by = "name"').replace('by = "name"', 'by = "id"', 1))
+
+
+NESTS = """[columns]
+q1_deg = { from = "A1", unit = "deg" }
+x_mm = { from = "x", unit = "m" }
+y_mm = { from = "y", unit = "m" }
+z_mm = { from = "z", unit = "m" }
+[markers]
+from = "nest"
+"""
+
+
+@pytest.mark.parametrize("names", ["ABC", ["1", "2", "3"], ["2", "9", "10"]])
+def test_one_reflector_in_nests_that_a_column_names(tmp_path: Path, names: str | list[str]) -> None:
+    lines = [f"{pose},{nest},{pose},{k},0" for pose in (1, 2) for k, nest in enumerate(names)]
+    text = "\n".join(["A1,nest,x,y,z", *lines]) + "\n"
+    write(tmp_path / "nests.csv", text)
+    write(tmp_path / "nests.toml", NESTS)
+    content = prepare(tmp_path / "nests.csv", column_map=tmp_path / "nests.toml").content.decode()
+    rows = list(csv.DictReader(io.StringIO(content)))
+    assert [name for name in rows[0] if name.endswith("x_mm")] == ["m1x_mm", "m2x_mm", "m3x_mm"]
+    for row, place in zip(rows, [1, 2, 3, 1, 2, 3], strict=True):
+        assert [k for k in (1, 2, 3) if row[f"m{k}x_mm"]] == [place]
+        assert float(row[f"m{place}x_mm"]) == 1000 * float(row["q1_deg"])
+
+
+def test_nests_without_a_place_or_a_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="map x_mm, y_mm and z_mm under"):
+        mapped(tmp_path, "A1,nest,x,y\n1,A,2,3\n", NESTS.replace('z_mm = { from = "z", unit = "m" }\n', ""))
+    with pytest.raises(FileError, match=r"line 3: nest is missing"):
+        mapped(tmp_path, "A1,nest,x,y,z\n1,A,2,3,4\n2,,2,3,4\n", NESTS)
+    with pytest.raises(FileError, match=r"markers.from: needs 'from'"):
+        mapped(tmp_path, "A1,nest,x,y,z\n1,A,2,3,4\n", NESTS.replace('from = "nest"\n', ""))
+
+
 def test_the_second_file_is_named_or_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"join.path: there is no file .*joints.csv.*--joints"):
         mapped(tmp_path, POINTS, JOIN.format(point=POINT, how='by = "row"'))

@@ -1,4 +1,4 @@
-"""ROS 2 bags (SQLite and MCAP): the joints of a topic of sensor_msgs/JointState, by time."""
+"""Bags of ROS 2 (SQLite and MCAP) and ROS 1: the joints of a topic of sensor_msgs/JointState, by time."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ METADATA = "metadata.yaml"
 COMPRESSED = re.compile(r"^\s*compression_mode:\s*['\"]?([A-Za-z]+)", re.M)
 FILES = re.compile(r"^\s*relative_file_paths:\s*\n((?:\s*-\s*.+\n)+)", re.M)
 MOST_METADATA = 4 << 20
+ROS1 = b"#ROSBAG V2.0"
 AGAIN = "Record it again, or look at it with `ros2 bag info`."
 
 
@@ -35,7 +36,10 @@ class BagTopic:
 
 @dataclass(frozen=True)
 class BagJoints:
-    """Joint positions (n, names) as the messages give them (rad, prismatic m), time from the first, and messages' numbers."""
+    """Joint positions (n, names) as the messages give them (rad, prismatic m), time from the first, and messages' numbers.
+
+    ``begins_ns`` is when the first was sent, by its stamp, or written where it has none.
+    """
 
     topic: str
     names: tuple[str, ...]
@@ -44,6 +48,7 @@ class BagJoints:
     messages: tuple[int, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    begins_ns: int
 
 
 def topics(path: Path) -> list[BagTopic]:
@@ -77,7 +82,9 @@ def read_bag(path: Path, topic: str | None = None, wanted: Sequence[str] = (), l
     warnings = [f"{kept.left} messages left out: they do not hold {', '.join(kept.names)}"] if kept.left else []
     warnings += [f"{twice} messages left out: they repeat the one before"] if twice else []
     notes = (f"joints from {chosen}, {len(kept.numbers)} messages; speeds and efforts are left out",)
-    return BagJoints(chosen, kept.names, kept.t_s, kept.positions, tuple(kept.numbers), notes, tuple(warnings))
+    return BagJoints(
+        chosen, kept.names, kept.t_s, kept.positions, tuple(kept.numbers), notes, tuple(warnings), kept.times[0]
+    )
 
 
 @contextmanager
@@ -90,16 +97,21 @@ def _opened(path: Path) -> Iterator[Any]:
         elif head.startswith(SQLITE):
             check_sqlite(file)
     try:
+        from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader
     except ImportError as error:
-        raise missing_package(path, "ROS 2 bags", "rosbags") from error
+        raise missing_package(path, "ROS bags", "rosbags") from error
     with _guarded(path):
-        reader = Reader(place)
+        reader: Any = Reader1(place) if _is_ros1(place) else Reader(place)
         reader.open()
     try:
         yield reader
     finally:
         reader.close()
+
+
+def _is_ros1(place: Path) -> bool:
+    return not place.is_dir() and head_of(place, len(ROS1)).startswith(ROS1)
 
 
 def _place(path: Path) -> Path:
@@ -137,6 +149,30 @@ def _guarded(path: Path) -> Iterator[None]:
         raise fault(path, f"is damaged: {type(error).__name__} {str(error)[:120]}", AGAIN) from error
 
 
+@contextmanager
+def bag_messages(
+    path: Path, kinds: Sequence[str], topic: str | None = None
+) -> Iterator[tuple[str, int, Iterator[tuple[Any, int]]]]:
+    """The topic of pictures that is asked for or the only one, how many messages it has, and them with their times (ns).
+
+    Raises:
+        FileError: no bag, a damaged one, no such topic, several to choose from.
+
+    """
+    with _opened(path) as reader, _guarded(path):
+        found = {c.topic: c.msgtype for c in reader.connections if c.msgtype in kinds and c.msgcount}
+        if topic is not None and topic not in found:
+            remedy = f"Those with pictures are {', '.join(found)}." if found else "It holds no pictures at all."
+            raise fault(path, f"has no topic {topic!r} of {' or '.join(kinds)}", remedy)
+        if topic is None and len(found) != 1:
+            what = f"pictures come from {', '.join(sorted(found))}" if found else "holds no pictures"
+            raise fault(path, what, "Choose one (--topic)." if found else f"Record {' or '.join(kinds)} too.")
+        chosen = topic or next(iter(found))
+        count = sum(c.msgcount for c in reader.connections if c.topic == chosen)
+        messages = ((message, written) for _, message, written in _messages(reader, chosen, found[chosen]))
+        yield chosen, count, messages
+
+
 def _topic(path: Path, reader: Any, topic: str | None) -> str:
     found = sorted({c.topic for c in reader.connections if c.msgtype == JOINT_STATE and c.msgcount})
     if topic is not None and topic not in found:
@@ -150,12 +186,19 @@ def _topic(path: Path, reader: Any, topic: str | None) -> str:
 
 def _states(reader: Any, topic: str) -> Iterator[tuple[int, Any, int]]:
     """Return number, message and time of writing [ns] of a topic's messages."""
+    return _messages(reader, topic, JOINT_STATE)
+
+
+def _messages(reader: Any, topic: str, kind: str) -> Iterator[tuple[int, Any, int]]:
+    from rosbags.rosbag1 import Reader as Reader1
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    chosen = [c for c in reader.connections if c.topic == topic and c.msgtype == JOINT_STATE]
+    first = isinstance(reader, Reader1)
+    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    read = store.deserialize_ros1 if first else store.deserialize_cdr
+    chosen = [c for c in reader.connections if c.topic == topic and c.msgtype == kind]
     for number, (_, written, raw) in enumerate(reader.messages(chosen), 1):
-        yield number, store.deserialize_cdr(raw, JOINT_STATE), written
+        yield number, read(raw, kind), written
 
 
 class _Kept:

@@ -63,7 +63,7 @@ def log_of_bag(path: Path, hints: LogHints) -> JointLog:
     }
     log = checked_log(path, columns | {"t_s": found.t_s}, list(found.messages), "message")
     note = f"q1 to q{len(names)} are {', '.join(names)}"
-    return replace(log, notes=(*found.notes, note), warnings=found.warnings)
+    return replace(log, notes=(*found.notes, note), warnings=found.warnings, begins_ns=found.begins_ns)
 
 
 def log_of_targets(path: Path) -> JointLog:

@@ -63,6 +63,16 @@ class Calibration:
         servo = self.servos[name]
         return recorded / 100.0 * (-servo.half_range_deg if servo.drive_mode else servo.half_range_deg)
 
+    def recorded(self, name: str, angle_deg: float, mode: str, ticks: float = 0.0) -> float:
+        """What is recorded of a servo at an angle, or so many of its ``ticks`` beyond it."""
+        if mode == DEGREES:
+            return angle_deg + ticks * 360.0 / TURN_TICKS
+        servo = self.servos[name]
+        way = -1.0 if servo.drive_mode else 1.0
+        return way * (100.0 * angle_deg / servo.half_range_deg) + way * ticks * 200.0 / (
+            servo.range_max - servo.range_min
+        )
+
 
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration.

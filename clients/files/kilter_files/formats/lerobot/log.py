@@ -64,7 +64,7 @@ def opened(path: Path, hints: LogHints) -> Recorded:
     if hints.topic not in (None, STATE):
         what = f"{hints.topic!r} is not what the arm's servos read: an action is what the leader commanded"
         raise fault(path, what, f"Leave --topic out: {STATE} is read.")
-    joints = _joints(dataset, hints.order)
+    joints = joints_of(dataset, hints.order)
     places = tuple(dataset.names.index(name) for name in joints)
     if hints.zero == "old":
         return Recorded(dataset, joints, places, None, DEGREES)
@@ -121,10 +121,10 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
     columns = {f"q{k + 1}_deg": q[:, k] for k in range(len(recorded.joints))}
     log = checked_log(path, columns | {"t_s": time + _starts(recorded.dataset)[episode.astype(int)]}, [], "row")
     sha256 = None if recorded.calibration is None else recorded.calibration.sha256
-    return replace(log, notes=tuple(told(recorded)), calibration_sha256=sha256)
+    return replace(log, notes=tuple(log_notes(recorded)), calibration_sha256=sha256)
 
 
-def told(recorded: Recorded) -> Iterator[str]:
+def log_notes(recorded: Recorded) -> Iterator[str]:
     """What is to be known of a log: its joints, its zero, and the hash of its calibration."""
     dataset = recorded.dataset
     yield dataset.told
@@ -141,7 +141,7 @@ def _starts(dataset: Dataset) -> Floats:
     return np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
 
 
-def _joints(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
+def joints_of(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
     """The joints of the arm: all but the gripper, of one arm."""
     for name in order:
         if name not in dataset.names:

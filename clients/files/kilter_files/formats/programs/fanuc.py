@@ -1,20 +1,25 @@
-"""FANUC's LS: positions that are shown as joints; other motion groups stay, poses and registers are named."""
+"""FANUC's LS: positions that are shown as joints or as poses; other motion groups stay, registers are named."""
 
 from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, JointTarget, Program, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Program, line_at, sign
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
+from kilter_files.formats.programs.poses.fanuc import OFFSET, pose_of
 
 POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
 OTHER_GROUP = re.compile(r"\bGP[2-9]\s?:")
-MOVE = re.compile(r"^\s*\d+\s*:\s*([JLCAS]\s+(P|PR)\[\s*(\d+|[^\]]{1,80})[^\]\n]{0,80}\])", re.M)
+MOVE = re.compile(
+    r"^\s*(?:\d+\s*:\s*(?=[JLCAS]\s)|:\s*(?=P))((?:[JLCAS]\s+)?(P|PR)\[\s*(\d+|[^\]]{1,80})[^\]\n]{0,80}\])([^\n]{0,200})",
+    re.M,
+)
 GROUPS = "motion groups beside GP1 are left out: what they move belongs to the base or the tool"
 
 
 def find(program: Program) -> None:
-    """Find the positions given as joints.
+    """Find the positions.
 
     Raises:
         FileError: one whose joints are not numbers in deg.
@@ -23,13 +28,15 @@ def find(program: Program) -> None:
     text = program.text
     program.least_decimals = 3
     known: dict[str, JointTarget] = {}
+    poses: dict[str, PoseTarget] = {}
     for match in POSITION.finditer(text):
         other = OTHER_GROUP.search(match[2])
         program.warnings += [GROUPS] if other and GROUPS not in program.warnings else []
         axes = [*AXIS.finditer(text, match.start(2), match.start(2) + other.start() if other else match.end(2))]
         arm = [axis for axis in axes if axis[3] != "mm"]  # an axis in mm moves the arm's base, or a tool
         if not arm:
-            program.leave_pose(match.start(), f"P[{match[1]}]", f"P[{match[1]}], a pose")
+            end = match.start(2) + other.start() if other else match.end(2)
+            poses[match[1]] = program.add_pose(pose_of(program, match[1], match.start(), (match.start(2), end)))
             continue
         wrong = [part for part in arm if not re.fullmatch(NUMBER, part[2]) or part[3] != "deg"]
         if wrong or match[3][:1] != "}" or [int(part[1]) for part in arm] != [*range(1, len(arm) + 1)]:
@@ -38,8 +45,14 @@ def find(program: Program) -> None:
         numbers = [(part[2], part.span(2)) for part in arm]
         known[match[1]] = program.add(f"P[{match[1]}]", numbers, line=line_at(text, match.start()))
     for match in MOVE.finditer(text):
-        if match[2] != "P" or match[3] not in known:
-            program.leave(match.start(1), f"{match[1]}: no position of this file with joints")
+        pose = poses.get(match[3]) if match[2] == "P" else None
+        if pose is not None:
+            program.moves_to_poses.append((line_at(text, match.start(1)), match[1], pose))
+            pose.problem = pose.problem or ("a move to it has an offset" if OFFSET.search(match[4]) else "")
+        elif match[2] != "P" or match[3] not in known:
+            program.leave(match.start(1), f"{match[1]}: no position of this file")
+        elif OFFSET.search(match[4]):
+            program.leave(match.start(1), f"{match[1]}: moves beside it")
         program.moves += [known.get(match[3])] if match[2] == "P" else []
     program.notes.append("FANUC reads J3 against the horizontal: the robot needs --follows J3=J2")
 

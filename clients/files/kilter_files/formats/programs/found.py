@@ -4,36 +4,34 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span
 from kilter_files.ground.faults import fault
 
 # every repeat is bounded: a damaged file must not make the search slow
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 SAME_DEG = 5e-10  # a joint that moves less keeps its characters
-Span = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class JointTarget:
-    """A target: its joints in deg, and the places of their numbers; ``radians`` says of each how it is written.
+class Stated:
+    """Frames that no program holds, as somebody stated them: numbers by the name or number that the program uses."""
 
-    One without places is read and never rewritten.
-    """
-
-    name: str
-    line: int
-    joints_deg: tuple[float, ...]
-    spans: tuple[Span, ...] = ()
-    radians: tuple[bool, ...] = ()
+    bases: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    tools: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass
 class Program:
     """The text of a program, its joint targets, and the lines of targets that are left as they are.
 
+    ``cartesian`` are targets given as poses, ``visits`` those of both kinds in the order in which the program moves to them.
+    ``moves_to_poses`` are lines that stay as they are where the pose does.
     ``moves`` are the targets in the order in which the program moves to them, None where that is to a target which the
     text does not hold; ``poses`` are targets without joints, by name and line. ``unknown`` are moves that make the list of
     joints incomplete: line, what is wrong, and the remedy. ``beside`` is a second file, which declares targets of this one.
@@ -51,6 +49,10 @@ class Program:
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     beside: Program | None = None
+    stated: Stated = field(default_factory=Stated)
+    cartesian: list[PoseTarget] = field(default_factory=list)
+    visits: list[JointTarget | PoseTarget] = field(default_factory=list)
+    moves_to_poses: list[tuple[int, str, PoseTarget]] = field(default_factory=list)
 
     def add(
         self, name: str, numbers: Sequence[tuple[str, Span]], radians: Sequence[bool] = (), line: int | None = None
@@ -74,18 +76,36 @@ class Program:
         self.poses.append((name, line_at(self.text, at)))
         self.leave(at, what)
 
+    def add_pose(self, pose: PoseTarget, *, counted: bool = True) -> PoseTarget:
+        """Take a target that is a pose; a list of joints is whole without one that is not ``counted``."""
+        self.cartesian.append(pose)
+        self.poses += [(pose.name, pose.line)] if counted else []
+        return pose
+
+    def leave_poses(self, reasons: Mapping[PoseTarget, str]) -> None:
+        """Name the poses that stay as they are, each with its reason, and the moves to them."""
+        own = set(self.cartesian)
+        self.left += [(one.line, f"{one.name}, a pose: {why}") for one, why in reasons.items() if one in own]
+        self.left += [
+            (line, f"{what}: a pose that is left")
+            for line, what, one in self.moves_to_poses
+            if one in reasons and (one not in own or line != one.line)
+        ]
+        self.left = sorted(set(self.left))
+
     def refuse(self, at: int, what: str, remedy: str) -> Exception:
         """Build the error of a place."""
         return fault(self.path, what, remedy, line=line_at(self.text, at))
 
-    def rewritten(self, joints_deg: Sequence[Sequence[float]]) -> str:
-        """Return the text with these joints (n rows, deg) in place of the targets' own; all else stays."""
+    def rewritten(self, joints_deg: Sequence[Sequence[float]], others: Mapping[Span, str] | None = None) -> str:
+        """Return the text with these joints (n rows, deg) in place of the targets' own, and with others; all else stays."""
         new = {
             span: _number(self.text[slice(*span)], value, turn, self.least_decimals)
             for target, row in zip(self.targets, joints_deg, strict=True)
             for span, old, value, turn in zip(target.spans, target.joints_deg, row, target.radians, strict=True)
             if abs(value - old) > SAME_DEG
         }
+        new |= others or {}
         parts, at = [], 0
         for (start, end), number in sorted(new.items()):
             parts += [self.text[at:start], number]
@@ -134,10 +154,14 @@ def sign(pattern: str) -> re.Pattern[str]:
 
 
 def _number(old: str, value_deg: float, radians: bool, least: int) -> str:
+    return written(old, math.radians(value_deg) if radians else value_deg, least + 2 * radians)
+
+
+def written(old: str, value: float, least: int) -> str:
+    """Write a number in place of another: with as many decimals, and at least these."""
     mantissa, _, exponent = old.lower().partition("e")
-    written = len(mantissa.partition(".")[2]) - int(exponent or 0)
-    decimals = min(max(written, least + 2 * radians), 15)
-    return f"{math.radians(value_deg) if radians else value_deg:{'+' if old[0] == '+' else ''}.{decimals}f}"
+    decimals = min(max(len(mantissa.partition(".")[2]) - int(exponent or 0), least), 15)
+    return f"{value:{'+' if old[0] == '+' else ''}.{decimals}f}"
 
 
 def blanked(text: str, comment: str) -> str:
@@ -147,4 +171,9 @@ def blanked(text: str, comment: str) -> str:
 
 def line_at(text: str, at: int) -> int:
     """Return the line of a place in a text."""
-    return text.count("\n", 0, at) + 1
+    return bisect_left(_line_ends(text), at) + 1
+
+
+@lru_cache(maxsize=4)
+def _line_ends(text: str) -> list[int]:
+    return [match.start() for match in re.finditer("\n", text)]

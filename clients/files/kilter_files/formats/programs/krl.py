@@ -1,72 +1,130 @@
-"""KUKA's KRL: axis targets in braces, of ``.src`` and ``.dat``; external axes stay, poses are named."""
+"""KUKA's KRL: axis targets and poses in braces, of ``.src`` and ``.dat``; external axes stay."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, JointTarget, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Program, blanked, line_at, sign
 from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
+from kilter_files.formats.programs.poses.krl import NAME, POSE, note_changes, pose_of
+from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
-NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
 AXES = re.compile(
     rf"(?:\b({NAME})\s{{0,9}}=\s{{0,9}})?\{{\s{{0,9}}(?:(?:E6)?AXIS\s{{0,9}}:)?\s{{0,9}}(A\d\s[^{{}}]{{0,500}})(\}}|\Z|\{{)",
     re.I,
 )
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
-POSE = re.compile(
-    rf"(?:\b(?:E6)?POS\s{{1,9}}({NAME})\s{{0,9}}=\s{{0,9}})?"
-    r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}[XYZ]\s[^{}\n]{0,500}\}",
-    re.I,
-)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
+GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME})[ \t]*(?=[, \t\r\n]|$)")
 LINE_END = re.compile(r"\n")
 
 
+@dataclass
+class _Known:
+    """What a program moves to: by name, by place where it is written into a move, and the target that came last."""
+
+    joints: dict[str, JointTarget]
+    poses: dict[str, PoseTarget]
+    written: dict[int, JointTarget | PoseTarget] = field(default_factory=dict)
+    last: tuple[int, JointTarget | PoseTarget] | None = None
+
+
 def find(program: Program) -> None:
-    """Find the axis targets, and name the lines that may move the arm otherwise.
+    """Find the targets, and name the lines that may move the arm otherwise.
 
     Raises:
-        FileError: one that lacks axes, has other than numbers, or is cut.
+        FileError: axes of a target are missing, are other than numbers, or it is cut.
 
     """
     text = blanked(program.text, ";")
     moves, lists = list(MOVE.finditer(text)), list(AXES.finditer(text))
     relative = [match.span() for match in moves if match[1].upper().endswith("_REL")]
     declared = program.beside
-    known = {} if declared is None else {target.name.upper(): target for target in declared.targets}
-    written: dict[int, JointTarget] = {}
+    known = _Known({}, {})
+    if declared is not None:
+        known.joints |= {target.name.upper(): target for target in declared.targets}
+        known.poses |= {pose.name.upper(): pose for pose in declared.cartesian}
+    away = Spans(relative)
     for match in lists:
-        if not any(start <= match.start() < end for start, end in relative):
-            written[match.start()] = _take(program, match)
-            known[(match[1] or "").upper()] = written[match.start()]
-    moved = [match.span(2) for match in moves]
-    for match in POSE.finditer(text):
-        if match[1] or match[2] or any(start <= match.start() < end for start, end in moved):
-            program.leave_pose(match.start(), match[1] or "a move", "a pose")
-        else:
-            program.leave(match.start(), "a pose")
-    poses = {name.upper() for one in (program, declared) if one is not None for name, _ in one.poses}
+        if match.start() not in away:
+            known.written[match.start()] = known.joints[(match[1] or "").upper()] = _take(program, match)
+    frames = KrlFrames(program, text)
+    _take_poses(program, text, moves, relative, frames, known)
     for match in moves:
-        _follow(program, match, known, written, poses)
+        _follow(program, match, known, frames)
+    note_changes(text, known.poses)
     inside = {found.end() for match in lists for found in LINE_END.finditer(text, *match.span())}
-    program.left += not_kept(text, known, inside)
+    program.left += not_kept(text, known.joints, inside)
 
 
-def _follow(
+def _take_poses(
     program: Program,
-    match: re.Match[str],
-    known: dict[str, JointTarget],
-    written: dict[int, JointTarget],
-    poses: set[str],
+    text: str,
+    moves: list[re.Match[str]],
+    relative: list[Span],
+    frames: KrlFrames,
+    known: _Known,
 ) -> None:
-    goal = match[2].split()[0].rstrip(",").upper()
-    target = written.get(match.start(2)) if goal[0] == "{" else known.get(goal)
-    if match[1].upper().endswith("_REL") or (goal[0] != "{" and target is None):
-        why = "a pose" if goal in poses else "not an axis target of this file"
-        where = " or of its .dat" if program.beside is not None and goal not in poses else ""
-        program.leave(match.start(), f"{match[1]} {match[2].strip()[:40]}: {why}{where}")
-    if target is not None or (goal[0] != "{" and goal not in poses):
+    moved = Spans([match.span(2) for match in moves])
+    away = Spans(relative)
+    seen: Mapping[str, PoseTarget] = dict(known.poses)
+    for match in POSE.finditer(text):
+        at = text.index("{", match.start())
+        if at in frames.literals:
+            continue
+        if at in away or text[max(0, at - 99) : at].rstrip(" \t").endswith(":"):
+            program.poses.append(("a move", line_at(program.text, at)))
+            continue
+        inline = match.start() in moved
+        pose = program.add_pose(pose_of(program, match), counted=bool(match[1] or match[3] or inline))
+        if inline:
+            known.written[at] = pose
+            continue
+        name = pose.name.upper()
+        if name in seen or name in known.poses:
+            pose.problem = known.poses[name].problem = "the program changes it"
+        known.poses[name] = pose
+
+
+def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFrames) -> None:
+    """Take the targets of a motion as moves to them, or name its line."""
+    if match[1].upper().endswith("_REL"):
+        program.leave(match.start(), f"{match[1]} {match[2].strip()[:40]}: a relative move")
+        program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
+        known.last = None
+        return
+    first = GOAL.match(match[2])
+    goals = [first]
+    if first is not None and "CIRC" in match[1].upper() and match[2][first.end() : first.end() + 1] == ",":
+        goals.append(GOAL.match(match[2], first.end() + 1))
+    for goal in goals:
+        _go(program, match, goal, known, frames)
+
+
+def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, known: _Known, frames: KrlFrames) -> None:
+    target: JointTarget | PoseTarget | None = None
+    if goal is not None:
+        name = goal[1].upper()
+        at = match.start(2) + goal.start(1)
+        target = known.written.get(at) if name[0] == "{" else known.joints.get(name) or known.poses.get(name)
+    said = f"{match[1]} {match[2].strip()[:40]}"
+    if target is None:
+        where = " or of its .dat" if program.beside is not None else ""
+        program.leave(match.start(), f"{said}: not a target of this file{where}")
+        program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
+    elif isinstance(target, JointTarget):
         program.moves.append(target)
+    else:
+        straight = "PTP" not in match[1].upper()
+        joined = known.last is not None and frames.base.joined(known.last[0], match.start())
+        near = known.last[1] if known.last is not None and joined else None
+        target.uses.append(Use(*frames.at(match.start()), near, straight))
+        program.moves_to_poses.append((line_at(program.text, match.start()), said, target))
+    known.last = None if target is None else (match.start(), target)
+    program.visits += [] if target is None else [target]
 
 
 def _take(program: Program, match: re.Match[str]) -> JointTarget:

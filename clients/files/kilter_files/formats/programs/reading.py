@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kilter_files.formats.programs.dialects import DIALECTS
-from kilter_files.formats.programs.found import Dialect, JointTarget, Program, line_at
+from kilter_files.formats.programs.found import Dialect, Program, Stated, line_at
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
 from kilter_files.ground.faults import fault, head_of
 
 MOST_BYTES = 16 << 20
@@ -15,20 +16,23 @@ MOVING = re.compile(r"^[ \t]{0,99}(?:GLOBAL[ \t]{1,9})?DEF(?:FCT[ \t]{1,9}\w{1,6
 DECLARING = re.compile(r"^[ \t]{0,99}DEFDAT[ \t]{1,9}(\w{1,64})", re.I | re.M)
 
 
-def read_program(path: Path) -> Program:
-    """Find the joint targets of one file, byte for byte as Latin-1, and name the targets that stay as they are.
+NOTHING_STATED = Stated()
+
+
+def read_program(path: Path, stated: Stated = NOTHING_STATED) -> Program:
+    """Find the targets of one file, byte for byte as Latin-1, and name the lines that stay as they are.
+
+    ``stated`` are frames that the program uses and does not hold.
 
     Raises:
-        FileError: an unknown dialect, no joint targets, damaged ones, or ones of different arms.
+        FileError: an unknown dialect, no targets, damaged ones, or ones of different arms.
 
     """
-    program = _found(path, _dialect(path))
-    _refuse_unusable([program])
-    return program
+    return _checked([_found(path, _dialect(path), stated)])[0]
 
 
-def read_programs(path: Path) -> list[Program]:
-    """Find the joint targets of a program: of this file, and of the one that belongs to it where that stands beside it.
+def read_programs(path: Path, stated: Stated = NOTHING_STATED) -> list[Program]:
+    """Find the targets of a program: of this file, and of the one that belongs to it where that stands beside it.
 
     Raises:
         FileError: as ``read_program``, of either file, or they are not of one program.
@@ -37,25 +41,26 @@ def read_programs(path: Path) -> list[Program]:
     dialect = _dialect(path)
     other = None if dialect.pair is None else _beside(path, dialect.pair)
     if dialect.pair is None or other is None:
-        return [read_program(path)]
+        return [read_program(path, stated)]
     moving, declaring = (path, other) if path.suffix.lower() == dialect.pair[0] else (other, path)
-    declares = _found(declaring, dialect)
-    moves = _found(moving, dialect, declares)
+    declares = _found(declaring, dialect, stated)
+    moves = _found(moving, dialect, stated, declares)
     _refuse_other_names(moves, declares)
-    programs = [moves, declares] if moving == path else [declares, moves]
-    _refuse_unusable(programs)
-    return programs
+    return _checked([moves, declares] if moving == path else [declares, moves])
 
 
-def visited(programs: Sequence[Program]) -> list[tuple[Program, JointTarget]]:
+def visited(programs: Sequence[Program]) -> list[tuple[Program, JointTarget | PoseTarget]]:
     """Return all targets: those of one file as it has them, those of two as the program first moves to them."""
-    owners = [(program, target) for program in programs for target in program.targets]
+    owners: list[tuple[Program, JointTarget | PoseTarget]] = []
+    for program in programs:
+        owners += [(program, target) for target in program.targets]
+        owners += [(program, pose) for pose in program.cartesian]
     if len(programs) == 1:
-        return owners
+        return sorted(owners, key=lambda one: one[1].spans[0] if one[1].spans else (0, 0))
     first: dict[int, int] = {}
     for program in programs:
-        for move in program.moves:
-            first.setdefault(id(move), len(first))
+        for target in program.visits:
+            first.setdefault(id(target), len(first))
     return sorted(owners, key=lambda one: first.get(id(one[1]), len(first)))
 
 
@@ -81,11 +86,11 @@ def _beside(path: Path, pair: tuple[str, str]) -> Path | None:
     return found[0] if found else None
 
 
-def _found(path: Path, dialect: Dialect, beside: Program | None = None) -> Program:
+def _found(path: Path, dialect: Dialect, stated: Stated, beside: Program | None = None) -> Program:
     content = head_of(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES or b"\0" in content:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB or not text of 8 bits", "Export it as plain text.")
-    program = Program(path, content.decode("latin-1"), dialect.name, beside=beside)
+    program = Program(path, content.decode("latin-1"), dialect.name, beside=beside, stated=stated)
     dialect.refuse_cut(program)
     dialect.find(program)
     program.left = sorted(set(program.left))
@@ -100,19 +105,25 @@ def _refuse_other_names(moves: Program, declares: Program) -> None:
         raise fault(declares.path, what, "Keep other programs elsewhere.", line=line_at(declares.text, named.start(1)))
 
 
-def _refuse_unusable(programs: Sequence[Program]) -> None:
-    """Refuse files without targets, or with targets of different numbers of joints."""
+def _checked(programs: list[Program]) -> list[Program]:
+    """Name the poses that the program says too little of; refuse files without targets, or with those of several arms."""
+    poses = {pose: why for one in programs for pose in one.cartesian if (why := pose.why_left())}
+    for program in programs:
+        program.leave_poses(poses)
     targets = [(program, target) for program in programs for target in program.targets]
-    if not targets:
+    if not targets and len(poses) == sum(len(program.cartesian) for program in programs):
         where = "".join(
             f" Line {line}{_of(program, programs)}: {what}." for program in programs for line, what in program.left[:5]
         )
-        raise fault(programs[0].path, "holds no joint targets", f"Store its targets as joints.{where}")
-    count = len(targets[0][1].joints_deg)
+        raise fault(
+            programs[0].path, "holds no targets to rewrite", f"Store them as joints, or state their frames.{where}"
+        )
+    count = len(targets[0][1].joints_deg) if targets else 0
     for program, target in targets:
         if len(target.joints_deg) != count:
             what = f"{target.name} has {len(target.joints_deg)} joints, the first target {count}"
             raise fault(program.path, what, "Give the targets of one arm.", line=target.line)
+    return programs
 
 
 def _of(program: Program, programs: Sequence[Program]) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_files.formats.programs.dialects import DIALECTS
-from kilter_files.formats.programs.found import Dialect, JointTarget, Program
+from kilter_files.formats.programs.found import Dialect, Program
+from kilter_files.formats.programs.one_target import JointTarget
 from kilter_files.ground.faults import fault, head_of
 from kilter_files.ground.text_layout import encoding_of
 

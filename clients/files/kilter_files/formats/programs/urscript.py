@@ -1,4 +1,4 @@
-"""Universal Robots' URScript: the joints that movej goes to, in place or by a variable; poses and other moves are named."""
+"""Universal Robots' URScript: the joints and poses that it moves to, in place or by a variable; other moves are named."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import math
 import re
 from dataclasses import replace
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, JointTarget, Program, Span, blanked, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Program, blanked, line_at, sign
+from kilter_files.formats.programs.one_target import JointTarget, Span
+from kilter_files.formats.programs.poses.urscript import Poses
 
 DECLARED = re.compile(r"^[ \t]*(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*=[ \t]*([^\r\n]*)", re.M)
 MOVE = re.compile(r"\b((?:move|servo|speed)[jlpc])\s?\(\s*(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?")
@@ -20,7 +22,7 @@ Places = dict[str, list[tuple[int, str]]]
 
 
 def find(program: Program) -> None:
-    """Find the joints of movej.
+    """Find the joints and poses of moves.
 
     Raises:
         FileError: joints that are not numbers, or degrees.
@@ -32,16 +34,20 @@ def find(program: Program) -> None:
         declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
     taken: dict[int, JointTarget] = {}
     near = 0
+    poses = Poses(program, text, declared)
     for match in MOVE.finditer(text):
         goal = (match[2] or "").strip()
         places = [(match.start(2), goal)] if goal.startswith("[") else declared.get(goal, [])
         if match[1] == "movej" and places and all(written.startswith("[") for _, written in places):
             for at, written in places:
                 taken.setdefault(at, _take(program, "movej" if goal.startswith("[") else goal, at, written))
-            program.moves.append(replace(taken[_before(match.start(), places)], line=line_at(text, match.start())))
+            poses.last = (match.start(), taken[_before(match.start(), places)])
+            program.moves.append(replace(poses.last[1], line=line_at(text, match.start())))
             continue
-        program.leave(match.start(), f"{match[1]}({goal[:40]}: no joints of this file")
         hint = _hint(program, text, match, declared) if match[1] == "movej" else None
+        if not poses.take(match, hint):
+            program.leave(match.start(), f"{match[1]}({goal[:40]}: no target of this file")
+            poses.last = None
         near += hint is not None
         program.moves += [] if hint is None else [hint]
         if hint is None:

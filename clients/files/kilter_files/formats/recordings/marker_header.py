@@ -75,14 +75,14 @@ def understand(layout: TextLayout) -> MarkerColumns:
 def is_recording(layout: TextLayout, rate_hz: float | None = None) -> bool:
     """Tell whether a text holds frames of markers and not one point per row that somebody chose to measure."""
     columns = understand(layout)
-    paced = rate_hz is not None or columns.counter is not None or told(layout, RATE) is not None
+    paced = rate_hz is not None or columns.counter is not None or number_above_table(layout, RATE) is not None
     several = (
         len(columns.xyz) > 1 and len(columns.ignored) <= 2
     )  # a tracker's pose log has angles, goals, joints beside
     return bool(columns.xyz) and (paced or len(columns.clock) > 1 or (bool(columns.clock) and several))
 
 
-def told(layout: TextLayout, pattern: re.Pattern[str]) -> float | None:
+def number_above_table(layout: TextLayout, pattern: re.Pattern[str]) -> float | None:
     """Return the number that a line above the table gives a name that matches ``pattern``."""
     for cells in layout.above:
         for i, cell in enumerate(cells):

@@ -8,7 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kilter_files.formats.recordings.marker_header import FRAMES, RATE, MarkerColumns, told, understand, unit_above
+from kilter_files.formats.recordings.marker_header import (
+    FRAMES,
+    RATE,
+    MarkerColumns,
+    number_above_table,
+    understand,
+    unit_above,
+)
 from kilter_files.formats.recordings.polaris_long import long_columns, read_long
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
@@ -78,7 +85,7 @@ def _unit(path: Path, layout: TextLayout, columns: MarkerColumns) -> tuple[str, 
 
 
 def _rows(path: Path, layout: TextLayout, allow_cut: bool) -> tuple[int, tuple[str, ...]]:
-    (rows, cut), stated = count_rows(path, layout), told(layout, FRAMES)
+    (rows, cut), stated = count_rows(path, layout), number_above_table(layout, FRAMES)
     lines = rows + (cut is not None)
     if stated is not None and lines < stated and not allow_cut:
         raise fault(path, f"is cut off: it states {stated:.0f} frames, {rows} are there", CUT, frame=rows + 1)
@@ -92,7 +99,7 @@ def _rows(path: Path, layout: TextLayout, allow_cut: bool) -> tuple[int, tuple[s
 
 def _rate(reader: _Reader) -> float:
     """The rate: what a line above the table says, else the usual step of the time column."""
-    stated = told(reader.layout, RATE)
+    stated = number_above_table(reader.layout, RATE)
     if stated is not None and 0 < stated < 1e6:
         return stated
     if reader.columns.clock:

@@ -75,7 +75,7 @@ def _unknown_joints(columns: Columns) -> Entry:
     numeric = [name for name in columns.names if columns.numbers(name)]
     told = (
         'could not determine which columns are joints, write one line each or from = "A*"; numbers are in '
-        f"{listed(numeric)}"
+        f"{joined_names(numeric)}"
     )
     return Entry("q*", UNKNOWN, UNKNOWN, told)
 
@@ -113,6 +113,6 @@ def _pose(columns: Columns, name: str) -> Entry | None:
     return Entry("pose_id", name, None, "", (name,)) if whole else None
 
 
-def listed(names: Sequence[str]) -> str:
+def joined_names(names: Sequence[str]) -> str:
     """Return the first names in one line."""
     return ", ".join(" ".join(name.split()) for name in names[:20]) + (" ..." if len(names) > 20 else "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +42,24 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> Grey:
 
     """
     try:
+        with path.open("rb") as stream:
+            return grey_of(str(path), stream, path.stat().st_size, size)
+    except OSError as error:
+        raise RefusedError(Refusal(str(path), "picture_unreadable", f"cannot be read: {error.strerror}")) from error
+
+
+def grey_of(name: str, stream: BinaryIO, length: int, size: tuple[int, int] | None = None) -> Grey:
+    """Read a picture of so many bytes, as :func:`read_grey` does."""
+    try:
         from PIL import Image
     except ImportError as error:
         raise MissingPackageError(f"Pictures need Pillow. Install it with: {INSTALL}", package="pillow") from error
-    name = str(path)
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise RefusedError(Refusal(name, "picture_too_large", f"has {path.stat().st_size >> 20} MB"))
+        if length > MOST_BYTES:
+            raise RefusedError(Refusal(name, "picture_too_large", f"has {length >> 20} MB"))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of doubtful metadata; sizes are checked here
-            with Image.open(path, formats=FORMATS) as image:
+            with Image.open(stream, formats=FORMATS) as image:
                 check_size(name, image.size, size)
                 return _grey(image)
     except RefusedError:

@@ -29,6 +29,7 @@ class Poses:
     names: dict[str, int]
     starts_s: float = 0.0
     used: set[int] = field(default_factory=set)
+    continuous: bool = False  # a recording, most rows of which have no picture
 
     def row_of(self, frame: Frame, number: int) -> int | None:
         """Row of a picture, the ``number``-th of all from 0; None: it has none."""
@@ -50,7 +51,9 @@ class Poses:
         return number if number < len(self.log) else None
 
     def unused(self) -> list[int]:
-        """Rows without a picture, numbered from 1."""
+        """Rows without a picture, numbered from 1; none of a recording."""
+        if self.continuous:
+            return []
         return [row + 1 for row in range(len(self.log)) if row not in self.used]
 
 

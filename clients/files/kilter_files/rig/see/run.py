@@ -18,7 +18,7 @@ from kilter_files.rig.see.poses import Poses
 from kilter_files.rig.see.refusals import REMEDIES, Refusal
 from kilter_files.rig.see.search import why_not
 from kilter_files.rig.see.second import MOST_BIAS_PX, Second
-from kilter_files.rig.see.sources import Frame, Source
+from kilter_files.rig.see.sources import Frame, Pictures
 from kilter_files.rig.see.table import Rows
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import FEW_CORNERS, View, view_of
@@ -59,7 +59,7 @@ class Looker:
     searches: int = 0
     kept: Kept = field(default_factory=Kept)
 
-    def look(self, source: Source, stream: TextIO, camera_name: str | None, told: Told = lambda _: None) -> Seen:
+    def look(self, source: Pictures, stream: TextIO, camera_name: str | None, told: Told = lambda _: None) -> Seen:
         """Write a row for every view.
 
         Raises:
@@ -170,7 +170,7 @@ class Looker:
         markers = self.finder.markers(grey, target.board.dictionary, thorough=True)
         return why_not(self.finder, grey, markers, target, name)
 
-    def _warnings(self, seen: Seen, source: Source) -> list[str]:
+    def _warnings(self, seen: Seen, source: Pictures) -> list[str]:
         warnings = []
         few = [view for view in seen.views if view["corners"] < FEW_CORNERS]
         if few:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.faults import fault
@@ -27,6 +27,20 @@ class Frame:
     refusal: Refusal | None = None
     t_s: float | None = None
     video: str | None = None
+
+
+class Pictures(Protocol):
+    """Where pictures come from, one at a time."""
+
+    @property
+    def videos(self) -> Sequence[Path]:
+        """Those that are videos."""
+
+    def count(self) -> int:
+        """About how many pictures there are."""
+
+    def frames(self, size: tuple[int, int] | None = None) -> Iterator[Frame]:
+        """Read one picture after the other; ``size`` is the camera's."""
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,6 @@ from kilter_client.client import Kilter
 from kilter_client.errors import ConflictError, KilterError, NotFoundError
 
 FORM = "corrector"
-_DOES = {
-    "factory": "corrects by its maker's calibration",
-    "kilter": "corrects by a calibration that Kilter exported",
-}
 
 
 @dataclass(frozen=True)
@@ -62,19 +58,11 @@ def first(robot: str, version: str | None, force: bool) -> Found:
 
 def objection(arm: dict[str, Any], force: bool) -> tuple[str, str] | None:
     """What speaks against correcting a robot, as code and sentence: its controller does so already, or may do so."""
-    name, compensation = arm["name"], arm.get("controller_compensation") or "unknown"
+    compensation = arm.get("controller_compensation") or "unknown"
     if force or compensation == "none":
         return None
-    say = f"say so with `kilter robot compensation {name} none`, or go on with --force."
-    if compensation in _DOES:
-        return "corrected_twice", (
-            f"The controller of {name} {_DOES[compensation]}: with the bridge on top of it, the arm would be corrected twice. "
-            f"Switch that off in the controller and {say}"
-        )
-    return "compensation_unknown", (
-        f"Whether the controller of {name} corrects by itself is not known. If it does (an absolute-accuracy option that is "
-        f"switched on, a factory calibration), the arm would be corrected twice. Look it up; where it does not, {say}"
-    )
+    code = "compensation_unknown" if compensation == "unknown" else "corrected_twice"
+    return code, f"{arm.get('controller_sentence', '')} With --force the bridge corrects it nonetheless.".lstrip()
 
 
 def look(

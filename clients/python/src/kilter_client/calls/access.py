@@ -17,6 +17,14 @@ def whoami() -> Steps[Document]:
     return get("/v1/whoami")
 
 
+def login_link(minutes: int = 5) -> Steps[Document]:
+    """Make a link that logs a browser in once, in the role of your token; ``path`` follows the server's address.
+
+    ``minutes``: for how long it can be used, at most 60.
+    """
+    return post("/v1/login-links", {"minutes": minutes})
+
+
 def add_token(
     name: str, role: str = "viewer", *, robots: Sequence[str] | None = None, days: int | None = 365
 ) -> Steps[Document]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.calls.kept import place
 from kilter_client.calls.robots import also
-from kilter_client.steps import Document, Request, Sent, Steps, address, answer_of, get, once, post, read
+from kilter_client.steps import Document, Request, Sent, Steps, address, answer_of, get, idempotency_header, post, read
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
@@ -23,10 +23,10 @@ def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
         for key, value in wanted.items()
         if value or key not in ("staged", "numbered", "measured_at", "instrument")
     }
-    return post(address("robots", robot, "campaigns"), body, once())
+    return post(address("robots", robot, "campaigns"), body, idempotency_header())
 
 
-def listed(robot: str, staged: bool = False, retired: bool = False) -> Steps[list[Document]]:
+def list_campaigns(robot: str, staged: bool = False, retired: bool = False) -> Steps[list[Document]]:
     """Return the campaigns of a robot, oldest first."""
     asked = ({"staged": "true"} if staged else {}) | also(retired)
     found = yield from get(address("robots", robot, "campaigns"), **asked)
@@ -69,7 +69,7 @@ def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str |
         "POST",
         path,
         content=file.content,
-        headers={"Content-Type": file.content_type, "Content-Digest": _digest(file)} | once(),
+        headers={"Content-Type": file.content_type, "Content-Digest": _digest(file)} | idempotency_header(),
         timeout_s=UPLOAD_TIMEOUT_S,
         sent=sent,
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.calls.jobs import Progress, Watch, looked_at
-from kilter_client.steps import Document, Request, Steps, address, get, once, post, read
+from kilter_client.steps import Document, Request, Steps, address, get, idempotency_header, post, read
 
 PLACE = "fleet-jobs"
 SUBMIT_TIMEOUT_S = 300.0  # a thousand robots are looked at before the answer
@@ -39,7 +39,7 @@ def identify_fleet(
     body |= {"campaigns": {robot: [*ids] for robot, ids in (campaigns or {}).items()}}
     body |= {} if validation is None else {"validation": validation}
     body |= {} if options is None else {"options": dict(options)}
-    request = Request("POST", f"/v1/{PLACE}", body=body, headers=once(), timeout_s=SUBMIT_TIMEOUT_S)
+    request = Request("POST", f"/v1/{PLACE}", body=body, headers=idempotency_header(), timeout_s=SUBMIT_TIMEOUT_S)
     return read(request)
 
 

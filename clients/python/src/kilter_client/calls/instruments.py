@@ -13,7 +13,7 @@ def add(instrument: Mapping[str, Any]) -> Steps[Document]:
     return post("/v1/instruments", {key: value for key, value in instrument.items() if value is not None})
 
 
-def listed() -> Steps[list[Document]]:
+def list_instruments() -> Steps[list[Document]]:
     """Return the instruments, by name."""
     found = yield from get("/v1/instruments")
     return list(found["instruments"])

@@ -16,7 +16,19 @@ from kilter_client.errors import (
     NotFoundError,
     ServerUnreachableError,
 )
-from kilter_client.steps import Document, Follow, Pause, Relocate, Request, Steps, address, get, once, post, read
+from kilter_client.steps import (
+    Document,
+    Follow,
+    Pause,
+    Relocate,
+    Request,
+    Steps,
+    address,
+    get,
+    idempotency_header,
+    post,
+    read,
+)
 
 Progress = Callable[[float, str], None]
 
@@ -49,7 +61,7 @@ def asked(
 def submit(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
     """Ask for a job and return its document, still queued."""
     request = yield from resolved_request(robot, body)
-    return (yield from post("/v1/jobs", request, once()))
+    return (yield from post("/v1/jobs", request, idempotency_header()))
 
 
 def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
@@ -58,7 +70,7 @@ def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
     return (yield from post("/v1/jobs/check", request, again=True))
 
 
-def listed(robot: str | None = None, limit: int = 100) -> Steps[list[Document]]:
+def list_jobs(robot: str | None = None, limit: int = 100) -> Steps[list[Document]]:
     """Return the newest jobs."""
     wanted: Document = {"limit": limit} | ({"robot": robot} if robot else {})
     found = yield from get("/v1/jobs", **wanted)

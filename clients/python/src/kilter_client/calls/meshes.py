@@ -9,7 +9,7 @@ from kilter_client.steps import Document, Request, Steps, address, answer_of, ge
 Form = Literal["stl", "obj"]
 
 
-def listed(robot: str) -> Steps[list[Document]]:
+def list_meshes(robot: str) -> Steps[list[Document]]:
     """Return the shapes of a robot's links, from base to tool."""
     found = yield from get(address("robots", robot, "meshes"))
     return list(found["meshes"])

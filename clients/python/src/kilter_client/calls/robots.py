@@ -10,6 +10,8 @@ from kilter_client.steps import Document, Request, Steps, address, answer_of, ge
 if TYPE_CHECKING:
     from kilter_files import Prepared
 
+MOST_POSES = 2000  # of one request
+
 
 def add(document: Mapping[str, Any]) -> Steps[Document]:
     """Add a robot."""
@@ -61,12 +63,30 @@ def from_circles(rows: Prepared, name: str, convention: str, base: str, follows:
     )
 
 
+def forward(name: str, joints_deg: Sequence[Sequence[float]]) -> Steps[list[Document]]:
+    """Return the nominal flange at rows of joints."""
+    rows: list[Document] = []
+    for k in range(0, len(joints_deg), MOST_POSES):
+        wanted = {"joints_deg": [[*row] for row in joints_deg[k : k + MOST_POSES]]}
+        rows += (yield from post(address("robots", name, "forward"), wanted, again=True))["flanges"]
+    return rows
+
+
+def inverse(name: str, flanges: Sequence[Mapping[str, float]]) -> Steps[list[list[Document]]]:
+    """Return all joints that bring the nominal flange to each of these poses."""
+    rows: list[list[Document]] = []
+    for k in range(0, len(flanges), MOST_POSES):
+        wanted = {"flanges": [{**pose} for pose in flanges[k : k + MOST_POSES]]}
+        rows += (yield from post(address("robots", name, "inverse"), wanted, again=True))["postures"]
+    return rows
+
+
 def frame(points: Mapping[str, Any]) -> Steps[Document]:
     """Find a frame from digitised points."""
     return post("/v1/frames", points, again=True)
 
 
-def listed(retired: bool = False) -> Steps[list[Document]]:
+def list_robots(retired: bool = False) -> Steps[list[Document]]:
     """Return the robots, by name."""
     found = yield from get("/v1/robots", **also(retired))
     return list(found["robots"])

@@ -17,7 +17,7 @@ LONG_TIMEOUT_S = 600.0
 NOMINAL = "nominal"  # in a comparison: the nominal robot
 
 
-def listed(robot: str, retired: bool = False) -> Steps[list[Document]]:
+def list_versions(robot: str, retired: bool = False) -> Steps[list[Document]]:
     """Return the versions of a robot, newest first."""
     found = yield from get(address("robots", robot, "versions"), **also(retired))
     return list(found["versions"])

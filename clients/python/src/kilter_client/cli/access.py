@@ -39,6 +39,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(token, name="token")
     app.command(epilog="Example: kilter stream-session ur10 --stream line1")(stream_session)
     app.command(epilog="Example: kilter whoami")(whoami)
+    app.command(epilog="Example: kilter login")(login)
     app.command(epilog="Example: kilter audit --limit 20")(audit)
 
 
@@ -94,6 +95,17 @@ def whoami(as_json: Json = False) -> None:
         emit(kilter.whoami(), as_json, lambda one: say(f"{one['actor']}: {one['role']} of {_robots(one)}"))
 
 
+def login(
+    minutes: Annotated[int, typer.Option(min=1, max=60, help="For how long it can be used, minutes.")] = 5,
+    as_json: Json = False,
+) -> None:
+    """Print a link that logs a browser in, once, in the role of your token. Whoever opens it first is logged in."""
+    with Kilter() as kilter:
+        made = dict(kilter.login_link(minutes))
+        made["url"] = kilter.url + made["path"]
+    emit(made, as_json, _show_link)
+
+
 def audit(
     verify: Verify = False,
     head: Head = None,
@@ -114,6 +126,11 @@ def _show_made(made: dict[str, Any]) -> None:
     note(
         f"Token {made['name']} ({made['id']}), {made['role']} of {_robots(made)}, {until}. It is shown this once only."
     )
+
+
+def _show_link(made: dict[str, Any]) -> None:
+    say(made["url"])
+    note(f"It logs in one browser, once, until {made['expires_at'][11:16]} UTC.")
 
 
 def _robots(one: dict[str, Any]) -> str:

@@ -38,6 +38,12 @@ AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kil
 Frame = Literal["free", "fixed"]
 Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
 Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
+Refit = Annotated[
+    Literal["base", "tool", "base,tool", "none"] | None,
+    typer.Option(
+        help="base, tool: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
+    ),
+]
 Figures = Annotated[
     Path | None,
     typer.Option(
@@ -74,15 +80,11 @@ def identify(
         typer.Option(help=IDENTIFY["base"]),
     ] = None,
     tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
-    refit: Annotated[
-        Literal["base", "tool", "base,tool", "none"] | None,
-        typer.Option(
-            help="base, tool: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
-        ),
-    ] = None,
+    refit: Refit = None,
     loss: Loss = None,
     reference: Reference = None,
     intervals: Annotated[Literal["bootstrap", "profile"] | None, typer.Option(help=IDENTIFY["intervals"])] = None,
+    prior: Annotated[Literal["fleet"] | None, typer.Option(help=IDENTIFY["prior"])] = None,
     tilt_first: Annotated[bool, typer.Option("--tilt-first", help=IDENTIFY["tilt_first"])] = False,
     noise_mm: Annotated[float | None, typer.Option(help=IDENTIFY["noise_mm"])] = None,
     seed: Annotated[int | None, typer.Option(help=IDENTIFY["seed"])] = None,
@@ -108,6 +110,7 @@ def identify(
         loss=loss,
         reference=reference,
         intervals=intervals,
+        prior=prior,
         tilt_first=tilt_first,
         noise_mm=noise_mm,
         seed=seed,
@@ -136,6 +139,7 @@ def gap(
     base: Annotated[Frame | None, typer.Option(help=GAP["base"])] = None,
     tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     reference: Reference = None,
+    prior: Annotated[Literal["fleet"] | None, typer.Option(help=GAP["prior"])] = None,
     seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
     budget: Annotated[float | None, typer.Option(metavar="SECONDS", help=GAP["budget_s"])] = None,
     figures: Figures = None,
@@ -161,6 +165,7 @@ def gap(
         base=base,
         tool=tool,
         reference=reference,
+        prior=prior,
         seed=seed,
         budget_s=budget,
     )

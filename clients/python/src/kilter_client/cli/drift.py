@@ -12,7 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.analyse import run_job
 from kilter_client.cli.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
-from kilter_client.cli.files.upload import ColumnMap, Device, MeasuredAt, conditions_of, sent_file
+from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, MeasuredAt, conditions_of, sent_file
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
@@ -54,6 +54,7 @@ def check(
     payload_com_mm: PayloadCentre = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature of the arm, deg C.")] = None,
     measured_at: MeasuredAt = None,
+    instrument: InstrumentName = None,
     option: MoreOptions = None,
     name: Annotated[str, typer.Option(help="Name of the campaign and of the job.")] = "",
     no_wait: NoWait = False,
@@ -69,14 +70,16 @@ def check(
     if new_setup is not None:
         chosen["new_setup"] = arguments.split_names([new_setup])
     conditions = conditions_of(payload_kg, payload_com_mm, temperature_c)
-    if campaign is not None and (conditions or device or column_map or measured_at):
-        raise UsageError("--campaign checks with rows that have their device, conditions and date already.")
+    if campaign is not None and (conditions or device or column_map or measured_at or instrument):
+        raise UsageError("--campaign checks with rows that have their device, instrument, conditions and date already.")
     with Kilter() as kilter:
         chosen = resolved_options(kilter, chosen, robot, as_json)
         if file is None:
             used = resolved(kilter, "campaign", str(campaign), robot, as_json, "--campaign")
         else:
-            done = sent_file(robot, file, device, column_map, "validation", conditions, name, measured_at, as_json)
+            done = sent_file(
+                robot, file, device, column_map, "validation", conditions, name, measured_at, instrument, as_json
+            )
             used = str(done["campaign_id"])
         job = kilter.jobs.submit("drift", robot, [used], None, chosen, [], name)
         if not no_wait:

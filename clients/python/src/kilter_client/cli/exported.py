@@ -13,7 +13,7 @@ ZERO = re.compile(r"^# zero_offset (\S+) (deg|mm)=(\S+)$", re.MULTILINE)
 SIGN = re.compile(r"^# (Zero offsets: .*)$", re.MULTILINE)
 
 
-def told(content: bytes) -> dict[str, Any]:
+def lists_of_export(content: bytes) -> dict[str, Any]:
     """Both lists of a file that has them, else nothing."""
     text = content.decode("utf-8", "replace")
     numbers = [

@@ -63,7 +63,7 @@ def homing(
     found = read_calibration(calibration)
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
-        told = exported.told(kilter.versions.export(version, "mdh-csv"))
+        told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     offsets = {one["joint"]: one["offset_deg"] for one in told["zero_offsets"]}
     text, changes = with_zero_offsets(found, offsets, norm_mode, servos)
     write(output, text.encode())

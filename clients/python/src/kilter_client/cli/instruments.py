@@ -86,7 +86,7 @@ def add(
 def list_(as_json: Json = False) -> None:
     """List the instruments with their errors and certificates."""
     with Kilter() as kilter:
-        emit({"instruments": kilter.run(calls.listed())}, as_json, _show)
+        emit({"instruments": kilter.run(calls.list_instruments())}, as_json, _show)
 
 
 def _show_one(one: dict[str, Any]) -> None:

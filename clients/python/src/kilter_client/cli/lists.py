@@ -78,10 +78,10 @@ def columns(as_json: Json = False) -> None:
 
 
 def _formats() -> Iterator[dict[str, str]]:
-    from kilter_files.formats.registry import listed
+    from kilter_files.formats.registry import list_formats
     from kilter_files.robots.read import KATANA, TABLES, UR, URDF
 
-    for use, name, endings, title in listed():
+    for use, name, endings, title in list_formats():
         yield _format(use, name, endings, title)
     robots = (("json", (".json",), "robot.json"), ("urdf", URDF, "URDF"), ("table", TABLES, "DH or MDH table"))
     others = (("universal", UR, "calibration of Universal Robots"), ("katana", KATANA, "configuration of a Katana"))

@@ -18,6 +18,8 @@ REMEDY_FOR_COLUMNS = (
     "For a lab's own columns use --map columns.toml; `kilter inspect FILE --draft columns.toml` writes a first one."
 )
 
+INVALID = r"Invalid value for ((?:'[^']+'(?: / )?)+): (?:Value error, )?"  # an option with another name has both
+
 
 def emit(document: Document, as_json: bool, show: Callable[[Document], None]) -> None:
     """Print a command's document: as JSON, or by ``show`` for people."""
@@ -52,6 +54,6 @@ def report_usage(error: typer.TyperException, as_json: bool) -> None:
     """Print what was wrong with the command line, and where its help is."""
     context = getattr(error, "ctx", None)
     hint = f" Try `{context.command_path} --help`." if context is not None else ""
-    said = re.sub(r"Invalid value for '(.+?)': (?:Value error, )?", r"\1: ", error.format_message())
+    said = re.sub(INVALID, lambda found: found[1].replace("'", "") + ": ", error.format_message())
     said = said.replace(": Input should", ": it should")
     report_error(UsageError(said + ("" if said.endswith((".", "?", "!")) else ".") + hint), as_json)

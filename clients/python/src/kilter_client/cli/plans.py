@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -66,6 +66,7 @@ def poses(
     seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
     noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
+    prior: Annotated[Literal["fleet"] | None, typer.Option(help=PLAN["prior"])] = None,
     floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
     box: Box = None,
     keep_out: KeepOut = None,
@@ -83,13 +84,14 @@ def poses(
     needs_result(no_wait, output=output)
     chosen = arguments.options(
         option,
-        purpose=purpose or ("identify" if views else None),
+        purpose=purpose or ("identify" if views or prior else None),
         method="views" if views else None,
         count=count,
         effects=arguments.effects(effects),
         seed=seed,
         version=start,
         noise_mm=noise_mm,
+        prior=prior,
         floor_mm=floor_mm,
         box_mm=_corners(box),
         keep_out_mm=_zones(keep_out),

@@ -1,8 +1,9 @@
-"""``kilter twin compare | onto``: how far anybody's model of MuJoCo is from measured poses; a copy of it, calibrated."""
+"""``kilter twin compare | onto | read``: how far anybody's model of MuJoCo is from measured poses; a copy of it, calibrated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 group = typer.Typer(
     help="Score a simulator's model on measured poses, and calibrate it.", rich_markup_mode=None, no_args_is_help=True
 )  # fmt: skip
-MODELS = {"nominal": "registration_only", "identified": "identified"}
+MODELS = {"nominal": "registration_only", "rigid": "geometry_only", "identified": "identified"}
 Model = Annotated[
     Path, typer.Argument(help="An MJCF file.", metavar="MODEL", show_default=False, exists=True, dir_okay=False)
 ]
@@ -61,7 +62,7 @@ def compare(
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
-    """Score a model on measured poses, settled, beside the nominal and the identified arm; base and tool fitted for each."""
+    """Score a model on measured poses, settled, beside the nominal, rigid and identified arm; base and tool fitted for each."""
     from kilter_client.settled import Settings, errors_of, loaded, rows_of
 
     found = loaded(model)
@@ -100,6 +101,76 @@ def onto(
     laid = lay_onto(model, twin, split_names(joints), site)
     write(output, laid.text.encode())
     emit({"version_id": version, "output": str(output), "notes": list(laid.notes)}, as_json, _show_laid)
+
+
+@group.command(epilog="Example: kilter twin read so101.xml --joints 1,2,3,4,5 --robot-file so101.json -o soft.json")
+def read(
+    model: Model,
+    joints: Annotated[
+        list[str], typer.Option("--joints", metavar="A,B,C", help="The model's joints in the robot's order.")
+    ],
+    robot_file: Annotated[
+        Path | None,
+        typer.Option(help="A robot document (JSON) to write with these drives.", exists=True, dir_okay=False),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="The copy of --robot-file to write.")] = None,
+    as_json: Json = False,
+) -> None:  # fmt: skip
+    """Read stiffness, friction and backlash that a model states as starting values of effects, and say what is left."""
+    from kilter_client.settled import loaded
+    from kilter_client.twin_read import read_drives
+
+    if (robot_file is None) != (output is None):
+        raise UsageError(
+            "--robot-file and --output go together: a robot document, and the copy with the model's drives."
+        )
+    found = read_drives(loaded(model), split_names(joints), model)
+    if robot_file is not None and output is not None:
+        write(output, _with_drives(robot_file, found.stiffness).encode())
+    acting: dict[str, list[int]] = {}
+    for one in found.stated:
+        acting.setdefault(one.effect, []).append(found.joints.index(one.joint) + 1)
+    effects = [{"id": effect, "joints": numbers} for effect, numbers in acting.items()]
+    document = {
+        "model": str(model),
+        "stated": [vars(one) for one in found.stated],
+        "effects": effects,
+        "left": list(found.left),
+    }
+    emit(document, as_json, _show_read)
+
+
+def _with_drives(robot_file: Path, stiffness: Sequence[float | None]) -> str:
+    try:
+        robot = json.loads(robot_file.read_text(encoding="utf-8"))
+        joints = robot.get("joints") or [{"name": f"j{k + 1}"} for k in range(len(stiffness))]
+    except (ValueError, AttributeError) as error:
+        raise UsageError(f"--robot-file {robot_file}: is not a robot document ({error}).") from error
+    if len(joints) != len(stiffness):
+        raise UsageError(f"--joints names {len(stiffness)} joints, {robot_file} has {len(joints)}.")
+    told = [
+        joint if k is None else joint | {"drive_stiffness_nm_rad": k}
+        for joint, k in zip(joints, stiffness, strict=True)
+    ]
+    return json.dumps(robot | {"joints": told}, indent=2) + "\n"
+
+
+def _show_read(document: Mapping[str, Any]) -> None:
+    rows = [
+        (
+            one["joint"],
+            f"{one['source']} {one['value']:.4g} {one['unit']}",
+            one["effect"],
+            f"{one['start']:.4g}",
+            one["start_unit"],
+        )
+        for one in document["stated"]
+    ]
+    show_rows(("joint", "in the model", "effect", "start", "unit"), rows)
+    for line in document["left"]:
+        say(f"left out: {line}")
+    if document["effects"]:
+        say("identify with: " + " ".join(f"--effects '{json.dumps(effect)}'" for effect in document["effects"]))
 
 
 def _show_laid(document: Mapping[str, Any]) -> None:

@@ -121,7 +121,7 @@ def export(
         return
     write(output, content)
     document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
-    emit(document | exported.told(content), as_json, _show_written)
+    emit(document | exported.lists_of_export(content), as_json, _show_written)
 
 
 def _show_written(document: dict[str, Any]) -> None:

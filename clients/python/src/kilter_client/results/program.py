@@ -1,4 +1,4 @@
-"""A robot program with its joint targets corrected."""
+"""A robot program with its targets corrected."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 from kilter_client.errors import UsageError
 from kilter_client.results.record import Record
-from kilter_client.results.rows import saved
+from kilter_client.results.rows import saved, saved_together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FilteredProgram(Record):
-    """A program with its joint targets corrected: ``text``, and what to review before an arm runs it.
+    """A program with its targets corrected: ``text``, and what to review before an arm runs it.
 
     A KRL program of two files has both in ``texts``, by name; ``text`` is the one that was given. ``diff`` has the changed
     lines, ``targets`` their number, ``largest_change_deg`` and ``largest_change_line`` the largest change of a joint,
@@ -27,7 +27,7 @@ class FilteredProgram(Record):
     texts: Mapping[str, str]
     """Its files as corrected, by name, the one that was given first."""
     targets: int
-    """Number of joint targets."""
+    """Number of targets, joints and poses."""
     largest_change_deg: float
     """Largest change of a joint, deg."""
     largest_change_line: int
@@ -62,14 +62,17 @@ class FilteredProgram(Record):
         return [first, *(first.with_suffix(other.suffix) for other in others)]
 
     def save(self, path: Path | str) -> Path:
-        """Write the corrected program; the second file of a KRL program is written beside it.
+        """Write the corrected program; the second file of a KRL program is written beside it: both, or neither.
 
         Raises:
-            FileError: the file cannot be written.
+            FileError: a file cannot be written; then those that were there are as they were.
 
         """
-        for place, text in zip(self.paths(path), self.texts.values(), strict=True):
-            saved(text.encode("latin-1"), place)
+        contents = [text.encode("latin-1") for text in self.texts.values()]
+        places = self.paths(path)
+        if len(places) == 1:
+            return saved(contents[0], path)
+        saved_together(dict(zip(places, contents, strict=True)))
         return Path(path)
 
     def _at(self, line: object, file: object) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,6 +73,33 @@ def saved(content: bytes, path: Path | str) -> Path:
     except OSError as error:
         raise FileError(f"{file}: cannot be written: {error.strerror or error}.", file=str(file)) from error
     return file
+
+
+def saved_together(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: all of them or none, and what was there before then stays.
+
+    Raises:
+        FileError: one cannot be written.
+
+    """
+    mark = os.urandom(4).hex()
+    new = {file: file.with_name(f".{file.name}.{mark}") for file in contents}
+    before: dict[Path, bytes | None] = {}
+    file = next(iter(contents))
+    try:
+        for file, content in contents.items():
+            new[file].write_bytes(content)
+        for file in contents:
+            was = file.read_bytes() if file.exists() else None
+            os.replace(new[file], file)
+            before[file] = was
+    except OSError as error:
+        for one, content_before in before.items():
+            one.unlink() if content_before is None else one.write_bytes(content_before)
+        raise FileError(f"{file}: cannot be written: {error.strerror or error}.", file=str(file)) from error
+    finally:
+        for one in new.values():
+            one.unlink(missing_ok=True)
 
 
 def _of_csv(content: bytes) -> dict[str, list[Any]]:

@@ -59,6 +59,8 @@ class Conditions(Record):
 
     boards: Records[Board]
     """Boards that the cameras saw, in the order of their numbers; None: none."""
+    calibration_sha256: str | None
+    """SHA-256 of the file with the zeros of the arm's servos (LeRobot's calibration), 64 hexadecimal digits: all campaigns of a robot have the same; None: not stated."""
     cameras: Records[Camera]
     """Cameras whose pixels the rows have, in the order of their numbers; None: none."""
     payload_com_mm: tuple[float, ...]

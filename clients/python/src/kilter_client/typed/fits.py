@@ -69,6 +69,8 @@ class Parameter(ShownParameter, Record):
 
     change: float | None
     """Value minus nominal; rotations of base and tool by the smaller angle."""
+    from_prior: bool | None
+    """Whether the value rests on other robots of the type, since the rows take off less than half of the variance; None: no prior was used."""
     identifiable: bool | None
     """Whether the data could see it."""
     interval_from: str | None

@@ -9,6 +9,7 @@ from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownFit
 from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.fits import Figure, LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
+from kilter_client.typed.fleet_priors import PriorUsed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -273,6 +274,8 @@ class IdentifyResult(ShownFit, Record):
     """Parameters that were identified."""
     pixels: PixelsFound | None
     """What views alone say; None: a tracker measured too, or no camera."""
+    prior: PriorUsed | None
+    """What other robots of the type said; None: they were not asked."""
     reference: Reference | None
     """Where the frames of a correction come from."""
     scale: Scale | None

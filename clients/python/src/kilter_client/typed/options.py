@@ -59,6 +59,8 @@ class GapOptions(TypedDict, total=False):
     """Standard deviation of a coordinate, mm, above 0, where no pose was measured twice."""
     permutations: int
     """Shuffles of the negative control, 1 to 10000."""
+    prior: Literal["fleet"] | None
+    """`fleet`: add what versions of at least five other robots of this type say before the rows; None: none of them is asked."""
     reference: Literal["auto", "robot", "registration"]
     """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
     resamples: int
@@ -102,6 +104,8 @@ class IdentifyOptions(TypedDict, total=False):
     """The estimator."""
     noise_mm: float | None
     """Standard deviation of a coordinate, mm, above 0; None: estimated from the rows."""
+    prior: Literal["fleet"] | None
+    """`fleet`: add what versions of at least five other robots of this type say before the rows; None: none of them is asked."""
     reference: Literal["auto", "robot", "registration"]
     """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
     refit: Sequence[Literal["base", "tool"]] | None
@@ -164,6 +168,8 @@ class PlanOptions(TypedDict, total=False):
     """Centre of these loads in the tool frame, mm; None: the tool point."""
     payloads_kg: Sequence[float]
     """Loads at hand, kg, 0 to 1000; used where an effect feels them."""
+    prior: Literal["fleet"] | None
+    """Of `identify` by `d_optimal`: `fleet`: add what versions of at least five other robots of this type say before the rows; None: none of them is asked."""
     purpose: Literal["iso9283", "identify", "separate", "check"]
     """`iso9283`: cube and planes of the standard; `identify`: poses that determine the parameters best; `separate`: poses that tell two effects apart; `check`: the few poses that best show whether the arm has moved."""
     seed: int

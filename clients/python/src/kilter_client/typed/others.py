@@ -187,6 +187,16 @@ class Identity(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LoginLink(Record):
+    """A link that logs a browser in once, in the role of whoever asked for it."""
+
+    expires_at: str
+    """Until when it can be used, once."""
+    path: str
+    """To append to the address of the server. What is behind `#` stays in the browser and is in no log."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MadeToken(Record):
     """A token that was just made."""
 

@@ -13,6 +13,8 @@ from kilter_client.results.record import Record, Records
 class JointSummary(Record):
     """A joint as Kilter understood it."""
 
+    drive_stiffness_nm_rad: float | None
+    """Rough stiffness of the drive, N m/rad, where it is known."""
     gear_ratio: float | None
     """Turns of the motor per turn of the joint, where it is known."""
     kind: str
@@ -36,6 +38,8 @@ class RobotReport(Record):
     """How many campaigns it has."""
     controller_compensation: str
     """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
+    controller_sentence: str
+    """The same, and what follows from it, in words."""
     convention: str
     """Convention of the document it was posted as."""
     created_at: str
@@ -74,6 +78,8 @@ class RobotSummary(Record):
     """How many campaigns it has."""
     controller_compensation: str
     """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
+    controller_sentence: str
+    """The same, and what follows from it, in words."""
     convention: str
     """Convention of the document it was posted as."""
     created_at: str

@@ -10,6 +10,7 @@ from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownSearch
 from kilter_client.typed.effect_curves import EffectCurve
 from kilter_client.typed.fits import Figure, LoadNumber, Objection, Reference, Remark
+from kilter_client.typed.fleet_priors import PriorUsed
 from kilter_client.typed.identifications import SetAside
 from kilter_client.typed.search_numbers import (
     Adequacy,
@@ -346,6 +347,8 @@ class GapResult(ShownSearch, Record):
     """What it found against activating the version."""
     predictive: Predictive | None
     """How the held-out rows lie in their 95 % intervals."""
+    prior: PriorUsed | None
+    """What other robots of the type said; None: they were not asked."""
     reference: Reference | None
     """Where the frames of a correction come from."""
     refused: Records[Refused]

@@ -127,6 +127,8 @@ class ErrorsToday(Record):
     """The job that computed them."""
     refit: tuple[str, ...]
     """Frames that were fitted to these rows, `base` and `tool`; empty: none."""
+    rows: str
+    """Which rows that are, in words."""
     source: str
     """`evaluation` and `check`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the rows it was fitted to, which flatters."""
 
@@ -175,6 +177,8 @@ class Today(Record):
 
     changed: bool
     """Whether today's mean error is larger than that by more than chance explains."""
+    compared: str
+    """Both beside each other, in words; empty: there are not two."""
     controller_compensation: str
     """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
     larger_by_mm: float | None

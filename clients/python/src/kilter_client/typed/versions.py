@@ -9,6 +9,7 @@ from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
 from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
+from kilter_client.typed.fleet_priors import PriorUsed
 from kilter_client.typed.identifications import (
     CorrelatedGroup,
     Influence,
@@ -53,6 +54,8 @@ class Covariance(Record):
     """Names of the parameters, in the order of the matrix."""
     noise_m: float | None
     """Standard deviation of a coordinate of the noise, m."""
+    noise_of: str | None
+    """Kind of measurement whose noise that is, as `points`, `pixels` or `contacts`; None: not known. That of pixels and contacts is not taken for rows that an instrument measured."""
     units: str | None
     """`SI`."""
 
@@ -125,6 +128,8 @@ class Details(Record):
     """Observability indices of the poses."""
     pixels: PixelsFound | None
     """What views alone say; None: a tracker measured too, or no camera."""
+    prior: PriorUsed | None
+    """What other robots of the type said; None: they were not asked."""
     reference: Reference | None
     """Where the frames of a correction come from."""
     scale: Scale | None

@@ -112,7 +112,7 @@ def send_rows(
     ``begun`` is told the campaign and whether it is a new one, before the first row is sent.
     """
     if into is None:
-        for known in (yield from calls.listed(robot)):
+        for known in (yield from calls.list_campaigns(robot)):
             if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
                 into = str(known["id"])
     if into is not None:
@@ -170,5 +170,5 @@ def campaigns(robot: Thing, *, retired: bool = False) -> Steps[Records[Campaign]
     """Return the campaigns of a robot, oldest first; with ``retired`` also those that are out of use."""
     from kilter_client.typed.campaigns import Campaign
 
-    found = yield from calls.listed(reference("robot", robot), retired=retired)
+    found = yield from calls.list_campaigns(reference("robot", robot), retired=retired)
     return Records(Campaign, [Campaign.read(one) for one in found])

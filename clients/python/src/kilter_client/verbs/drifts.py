@@ -30,6 +30,7 @@ def drift(
     payload_kg: float | None = None,
     temperature_c: float | None = None,
     measured_at: datetime | date | str | None = None,
+    instrument: str | None = None,
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
@@ -48,6 +49,7 @@ def drift(
         payload_kg: mass at the tool point, kg.
         temperature_c: temperature of the arm, degrees Celsius.
         measured_at: when the last row was measured.
+        instrument: name of the instrument that measured, as `instruments` lists them.
         name: name of the campaign and of the job.
         progress: True for a bar, False for none, or a function of the fraction done and the stage.
         timeout_s: seconds to wait at most; the job continues.
@@ -65,12 +67,13 @@ def drift(
         assert data is not None
         sent = yield from campaigns.upload(
             robot, data, name=name or None, role="validation", device=device, column_map=column_map,
-            payload_kg=payload_kg, temperature_c=temperature_c, measured_at=measured_at, progress=progress,
+            payload_kg=payload_kg, temperature_c=temperature_c, measured_at=measured_at,
+            instrument=instrument, progress=progress,
         )  # fmt: skip
         campaign = sent.campaign_id
     else:
         _refuse_known({"device": device, "column_map": column_map, "payload_kg": payload_kg,
-                       "temperature_c": temperature_c, "measured_at": measured_at})  # fmt: skip
+                       "temperature_c": temperature_c, "measured_at": measured_at, "instrument": instrument})  # fmt: skip
     asked = jobs.asked("drift", robot, reference("campaign", campaign), options, None, name)
     return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
 

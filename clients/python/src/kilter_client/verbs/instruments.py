@@ -72,4 +72,4 @@ def instruments() -> Steps[Records[Instrument]]:
     """Return the instruments by name, with permissible errors in um and um/m, and their certificates."""
     from kilter_client.typed.campaigns import Instrument
 
-    return Records(Instrument, [Instrument.read(one) for one in (yield from calls.listed())])
+    return Records(Instrument, [Instrument.read(one) for one in (yield from calls.list_instruments())])

@@ -243,7 +243,7 @@ def jobs(robot: Thing | None = None, *, limit: int = 100) -> Steps[Records[JobSu
     """Return the newest jobs, of one robot or of all."""
     from kilter_client.typed.server import JobSummary
 
-    found = yield from calls.listed(None if robot is None else reference("robot", robot), limit)
+    found = yield from calls.list_jobs(None if robot is None else reference("robot", robot), limit)
     return Records(JobSummary, [JobSummary.read(one) for one in found])
 
 

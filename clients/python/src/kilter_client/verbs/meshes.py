@@ -28,7 +28,7 @@ def meshes(robot: Thing) -> Steps[Records[Mesh]]:
     """
     from kilter_client.typed.robots import Mesh
 
-    found = yield from calls.listed(reference("robot", robot))
+    found = yield from calls.list_meshes(reference("robot", robot))
     return Records(Mesh, [Mesh.read(one) for one in found])
 
 

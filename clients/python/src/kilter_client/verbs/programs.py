@@ -1,25 +1,29 @@
-"""Robot programs with their joint targets corrected, all else byte for byte."""
+"""Robot programs with their targets corrected, all else byte for byte."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
 from kilter_client.given import signs_of
 from kilter_client.steps import Document, Steps
+from kilter_client.verbs.program_poses import ProgramJoints, Understood, rewritten, understand
 from kilter_client.verbs.things import Thing, reference
 from kilter_client.verbs.versions import correct
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
-    from kilter_files.formats.programs.found import JointTarget, Program
+    from kilter_files.formats.programs.found import Program, Stated
+    from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
 
-    Place = tuple[Program, JointTarget]
+Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 
 ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # targets that have numbers
 FANUC_J3 = ("same", "coupled")
@@ -33,13 +37,16 @@ def filter(  # noqa: A001 - a verb, as the command is called
     version: Thing | None = None,
     signs: Sequence[float] | str | None = None,
     fanuc_j3: str | None = None,
+    bases: Frames | None = None,
+    tools: Frames | None = None,
     strict: bool = False,
 ) -> Steps[FilteredProgram]:
-    """Correct the joint targets of a robot program: KRL, RAPID, URScript, FANUC LS or CSV; nothing is written.
+    """Correct the targets of a robot program: KRL, RAPID, URScript, FANUC LS or CSV; nothing is written.
 
     A KRL program is read with its other file (.src or .dat) where that stands beside it, and both are corrected.
-    Cartesian targets are not rewritten: ``left`` names them with their lines. Comments, speeds, logic, white space, line
-    ends and external axes stay as they are.
+    A pose is rewritten where frame, tool and configuration are known, so that the controller's own nominal kinematics
+    gives the corrected joints there; ``left`` names all others with their lines. Comments, speeds, logic, white space,
+    line ends and external axes stay as they are.
 
     Args:
         robot: name of the robot.
@@ -47,34 +54,52 @@ def filter(  # noqa: A001 - a verb, as the command is called
         version: another version than the active one: id or its beginning, name, or ``"latest"``.
         signs: signs of the program's joints against the robot's: ``(1, -1, 1, 1, -1, 1)`` or ``"+,-,+,+,-,+"``.
         fanuc_j3: ``"same"`` where J3 of a FANUC program is the robot's, ``"coupled"`` where the robot's is J2 + J3.
+        bases: frames that the program uses and does not hold, in its own numbers: ``{"2": (500, 0, 300, 0, 0, 0)}``, or one.
+        tools: tools, in the same way.
         strict: refuse the program unless every target is rewritten and its status is OK.
 
     Raises:
         FileError: it is not such a program, a target cannot be corrected, or ``strict``, and a line is left.
-        UsageError: signs or FANUC's J3 are not stated as they should be.
+        UsageError: signs, FANUC's J3, frames or tools are not stated as they should be.
         ConflictError: the robot has no active version.
 
     """
     from kilter_client.results.program import FilteredProgram
-    from kilter_files.formats.programs.reading import read_programs, visited
 
-    programs = read_programs(Path(fspath(program)))
-    places = visited(programs)
+    programs = _programs(program, bases, tools)
     coupled = _coupled(programs[0], fanuc_j3)
+    name = reference("robot", robot)
+    document = yield from robots.one(name)
+    first = next(((one, target) for one in programs for target in one.targets), None)
+    count = len(first[1].joints_deg) if first is not None else len(document["joints"])
+    joints = ProgramJoints(signs_of(signs, count, "program"), coupled)
+    if first is not None:
+        _refuse_other_robot(*first, document)
+    understood = yield from understand(programs, document, joints)
+    for one in programs:
+        one.leave_poses(understood.left)
     if strict:
         _refuse([(one, line, what) for one in programs for line, what in one.left], programs, "is not rewritten")
-    directions = signs_of(signs, len(places[0][1].joints_deg), "program")
-    name = reference("robot", robot)
-    yield from _refuse_other_robot(places[0], name)
-    joints, status, notes = yield from _corrected(places, name, version, directions, coupled)
+    done = yield from _done(programs, understood, joints, name, version)
     wanted = {"OK"} if strict else ANSWERED
-    wrong = [(one, t.line, f"{t.name}: {s}") for (one, t), s in zip(places, status, strict=True) if s not in wanted]
-    _refuse(wrong, programs, "is not corrected")
-    row = {id(target): q for (_, target), q in zip(places, joints, strict=True)}
-    texts = {one.path.name: one.rewritten([row[id(target)] for target in one.targets]) for one in programs}
-    diffs = [_diff(one, texts[one.path.name]) for one in programs]
-    told = {"texts": texts, "notes": list(notes), "diff": "\n".join(diff for diff in diffs if diff)}
-    return FilteredProgram.read(_report(programs, places, joints, status) | told)
+    wrong = [one for one in done if one.status not in wanted]
+    _refuse(
+        [(one.program, one.target.line, f"{one.target.name}: {one.status}") for one in wrong],
+        programs,
+        "is not corrected",
+    )
+    texts = yield from _texts(programs, done, joints, name)
+    return FilteredProgram.read(_report(programs, done, texts))
+
+
+def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None) -> list[Program]:
+    from kilter_files.formats.programs.found import Stated
+    from kilter_files.formats.programs.reading import read_programs
+
+    stated = Stated(_frames(bases, "base"), _frames(tools, "tool"))
+    programs = read_programs(Path(fspath(path)), stated)
+    _refuse_other_numbers(stated, programs[0].dialect)
+    return programs
 
 
 def _coupled(found: Program, fanuc_j3: str | None) -> bool:
@@ -85,32 +110,117 @@ def _coupled(found: Program, fanuc_j3: str | None) -> bool:
     return fanuc_j3 == "coupled" and found.dialect == "FANUC LS"
 
 
-def _refuse_other_robot(place: Place, robot: str) -> Steps[None]:
-    expected = len((yield from robots.one(robot))["joints"])
-    program, target = place
-    if expected != len(target.joints_deg):
-        what = f"{target.name} has {len(target.joints_deg)} joints, {robot} has {expected}"
+def _frames(given: Frames | None, option: str) -> dict[str, tuple[float, ...]]:
+    """Read frames as they are stated: by name, or one alone, each as numbers or as a text of numbers.
+
+    Raises:
+        UsageError: one has not six or seven numbers.
+
+    """
+    if given is None:
+        return {}
+    named = given if isinstance(given, Mapping) else {"": given}
+    out = {}
+    for name, numbers in named.items():
+        try:
+            out[str(name)] = tuple(
+                float(part) for part in (numbers.split(",") if isinstance(numbers, str) else numbers)
+            )
+        except ValueError:
+            out[str(name)] = ()
+        if len(out[str(name)]) not in (6, 7) or not all(map(math.isfinite, out[str(name)])):
+            what = f"--{option} {name}{'=' if name else ''}{numbers}"
+            raise UsageError(f"{what}: give the numbers that the program would, as --{option} 1=0,0,120.5,0,0,0.")
+    return out
+
+
+def _refuse_other_numbers(stated: Stated, dialect: str) -> None:
+    count = 7 if dialect == "RAPID" else 6
+    for option, frames in (("base", stated.bases), ("tool", stated.tools)):
+        wrong = next((name for name, numbers in frames.items() if len(numbers) != count), None)
+        if wrong is not None:
+            raise UsageError(f"--{option} {wrong}: a frame of {dialect} has {count} numbers, not {len(frames[wrong])}.")
+
+
+def _refuse_other_robot(program: Program, target: JointTarget, robot: Document) -> None:
+    if len(robot["joints"]) != len(target.joints_deg):
+        what = f"{target.name} has {len(target.joints_deg)} joints, {robot['name']} has {len(robot['joints'])}"
         said = f"{program.path}, line {target.line}: {what}. Name the robot of this program."
         raise FileError(said, file=str(program.path), line=target.line)
 
 
-def _corrected(
-    places: Sequence[Place], robot: str, version: Thing | None, signs: Sequence[float], coupled: bool
-) -> Steps[tuple[list[list[float]], list[str], tuple[str, ...]]]:
-    """Correct all targets in one call: joints of the program in deg, a status for each, and what the server says of it."""
-    rows = [[*target.joints_deg] for _, target in places]
-    if coupled:
-        rows = [[*q[:2], q[2] + q[1], *q[3:]] for q in rows]
-    names = [f"q{k}_deg" for k in range(1, len(signs) + 1)]
-    columns = {name: [signs[k] * q[k] for q in rows] for k, name in enumerate(names)}
+@dataclass(frozen=True)
+class Done:
+    """A target as corrected: joints of the robot in deg, as they were taught and as they are to be."""
+
+    program: Program
+    target: JointTarget | PoseTarget
+    taught_deg: Sequence[float]
+    joints_deg: Sequence[float]
+    status: str
+
+
+class AllDone(list[Done]):
+    """All targets as corrected, in the order in which they were, and what the server says of them."""
+
+    notes: tuple[str, ...] = ()
+
+
+def _done(
+    programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: str, version: Thing | None
+) -> Steps[AllDone]:
+    """Correct all targets in one call."""
+    from kilter_files.formats.programs.one_target import PoseTarget
+    from kilter_files.formats.programs.reading import visited
+
+    places = [place for place in visited(programs) if place[1] not in understood.left and _known(place[1], understood)]
+    rows = [
+        [*understood.joints_deg[target]] if isinstance(target, PoseTarget) else joints.of_robot(target.joints_deg)
+        for _, target in places
+    ]
+    if not rows:
+        _refuse(
+            [(one, line, what) for one in programs for line, what in one.left], programs, "has no target that can be"
+        )
+    names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
+    columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
     content = yield from correct(robot, columns, version=version)
     answer = content.rows.to_dict()
-    status = [str(word) for word in answer["status"]]
-    joints = [
-        [signs[k] * float(answer[name][row]) if word in ANSWERED else float("nan") for k, name in enumerate(names)]
-        for row, word in enumerate(status)
-    ]
-    return [[*q[:2], q[2] - q[1], *q[3:]] if coupled else q for q in joints], status, content.notes
+    done = AllDone()
+    done.notes = content.notes
+    for row, ((program, target), taught) in enumerate(zip(places, rows, strict=True)):
+        status = str(answer["status"][row])
+        new = [float(answer[name][row]) if status in ANSWERED else math.nan for name in names]
+        done.append(Done(program, target, taught, new, status))
+    return done
+
+
+def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:
+    from kilter_files.formats.programs.one_target import PoseTarget
+
+    return not isinstance(target, PoseTarget) or target in understood.joints_deg
+
+
+def _texts(programs: Sequence[Program], done: AllDone, joints: ProgramJoints, robot: str) -> Steps[dict[str, str]]:
+    """Write the targets into their programs: the texts by name of file."""
+    from kilter_files.formats.programs.one_target import PoseTarget
+
+    poses = [(one.program, one.target, one.joints_deg) for one in done if isinstance(one.target, PoseTarget)]
+    placed = [(program, target) for program, target, _ in poses]
+    edits = yield from rewritten(robot, placed, [q for _, _, q in poses], joints)
+    row = {id(one.target): joints.of_program(one.joints_deg) for one in done}
+    return {
+        one.path.name: one.rewritten(
+            [row[id(target)] for target in one.targets],
+            {
+                span: text
+                for (owner, _), new in zip(placed, edits, strict=True)
+                if owner is one
+                for span, text in new.items()
+            },
+        )
+        for one in programs
+    }
 
 
 def _refuse(places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str) -> None:
@@ -135,29 +245,30 @@ def _refuse(places: Sequence[tuple[Program, int, str]], programs: Sequence[Progr
         raise FileError(f"{path}: {what}: {named}{more}. {remedy}", file=str(path), **context)
 
 
-def _report(
-    programs: Sequence[Program], places: Sequence[Place], joints: Sequence[Sequence[float]], status: Sequence[str]
-) -> Document:
-    changes = [_change(target, q) for (_, target), q in zip(places, joints, strict=True)]
-    worst, target = places[max(range(len(changes)), key=changes.__getitem__)]
+def _report(programs: Sequence[Program], done: AllDone, texts: Mapping[str, str]) -> Document:
+    worst = max(done, key=_change)
     held: list[dict[str, Any]] = [
-        {"file": program.path.name, "line": target.line, "name": target.name, "status": word}
-        for (program, target), word in zip(places, status, strict=True)
-        if word != "OK"
+        {"file": one.program.path.name, "line": one.target.line, "name": one.target.name, "status": one.status}
+        for one in done
+        if one.status != "OK"
     ]
+    diffs = [_diff(one, texts[one.path.name]) for one in programs]
     return {
+        "texts": dict(texts),
+        "diff": "\n".join(diff for diff in diffs if diff),
+        "notes": list(done.notes),
         "dialect": programs[0].dialect,
-        "targets": len(places),
-        "largest_change_deg": max(changes),
-        "largest_change_file": worst.path.name,
-        "largest_change_line": target.line,
+        "targets": len(done),
+        "largest_change_deg": _change(worst),
+        "largest_change_file": worst.program.path.name,
+        "largest_change_line": worst.target.line,
         "not_ok": held,
         "left": [{"file": one.path.name, "line": line, "what": what} for one in programs for line, what in one.left],
     }
 
 
-def _change(target: JointTarget, joints: Sequence[float]) -> float:
-    return max(abs(new - old) for new, old in zip(joints, target.joints_deg, strict=True))
+def _change(one: Done) -> float:
+    return max(abs(new - old) for new, old in zip(one.joints_deg, one.taught_deg, strict=True))
 
 
 def _diff(program: Program, new: str) -> str:

@@ -286,4 +286,4 @@ def robots(*, retired: bool = False) -> Steps[Records[RobotSummary]]:
     """Return the robots by name; with ``retired`` also those that are out of use."""
     from kilter_client.typed.robots import RobotSummary
 
-    return Records(RobotSummary, [RobotSummary.read(one) for one in (yield from calls.listed(retired))])
+    return Records(RobotSummary, [RobotSummary.read(one) for one in (yield from calls.list_robots(retired))])

@@ -35,7 +35,7 @@ def versions(robot: Thing, *, retired: bool = False) -> Steps[Records[VersionSum
     """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
     from kilter_client.typed.versions import VersionSummary
 
-    found = yield from calls.listed(reference("robot", robot), retired)
+    found = yield from calls.list_versions(reference("robot", robot), retired)
     return Records(VersionSummary, [VersionSummary.read(one) for one in found])
 
 

@@ -8,7 +8,7 @@ const UP = new Vector3(0, 1, 0); // axis of three's cylinders
 export const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
 /** Rows by what they were used for, and those that are chosen, in the picture and in the plot beside it. */
-export const ROWS = { fitted: 0x808080, held: 0x009e73, aside: 0xd55e00, chosen: 0xcc79a7 };
+export const ROWS = { fitted: 0x808080, held: 0x009e73, aside: 0xe69f00, chosen: 0xcc79a7, error: 0xd55e00 };
 
 export const css = (colour) => `#${colour.toString(16).padStart(6, "0")}`;
 

@@ -16,8 +16,9 @@ from kilter_client.errors import FileError, UsageError
 from kilter_client.results.rows import saved
 
 if TYPE_CHECKING:
+    from kilter_files.rig.see.poses import Poses
     from kilter_files.rig.see.run import Looker, Seen
-    from kilter_files.rig.see.sources import Source
+    from kilter_files.rig.see.sources import Pictures
 
 CONVENTION = "the centre of the upper left pixel is (0, 0), u to the right, v down"
 PARQUET = ".parquet"
@@ -43,6 +44,20 @@ Lens = Annotated[
     typer.Option(help="Find the intrinsics from the views, with a lens of this model."),
 ]
 
+Given = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Pictures, folders of them, videos, or a bag of ROS.", metavar="PICTURES...", show_default=False
+    ),
+]
+Topic = Annotated[str | None, typer.Option(help="Of a bag: the topic of the pictures.", show_default=False)]
+JointsTopic = Annotated[
+    str | None, typer.Option("--joints-topic", metavar="TOPIC", help="Of a bag: the topic of the joints.")
+]
+JointOrder = Annotated[
+    str | None, typer.Option("--joint-order", metavar="NAMES", help="Of a bag: its joints from the base to the tool.")
+]
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
@@ -50,9 +65,7 @@ def register(app: typer.Typer) -> None:
 
 
 def see(
-    pictures: Annotated[
-        list[Path], typer.Argument(help="Pictures, folders of them, videos.", metavar="PICTURES...", show_default=False)
-    ],
+    pictures: Given,
     board: Annotated[
         list[Path],
         typer.Option(help="JSON of the board, from kilter board; repeat for more.", exists=True, dir_okay=False),
@@ -77,6 +90,9 @@ def see(
     cross_check: Annotated[
         bool, typer.Option("--cross-check", help="Compare AprilTag corners with those of a second detector.")
     ] = False,
+    topic: Topic = None,
+    joints_topic: JointsTopic = None,
+    joint_order: JointOrder = None,
     as_json: Json = False,
 ) -> None:
     """Find boards in pictures: pixels of their corners with their standard deviations, row by row with the joints."""
@@ -85,24 +101,51 @@ def see(
     if camera is not None and intrinsics is not None:
         raise UsageError("Give --camera, or --intrinsics to find them, not both.")
     from kilter_files.rig.see.optics.intrinsics_file import read_camera
-    from kilter_files.rig.see.poses import read_poses
     from kilter_files.rig.see.run import Looker
     from kilter_files.rig.see.second import second_of
-    from kilter_files.rig.see.sources import source_of
     from kilter_files.rig.see.target import check_apart, read_target
 
     targets = [read_target(path) for path in board]
     check_apart(targets)
     known = None if camera is None else read_camera(camera, camera_name)
-    source = source_of(pictures, every)
-    count = source.count()
-    poses = None if joints is None else read_poses(joints, count, bool(source.videos), starts_s)
+    order = tuple(joint_order.split(",")) if joint_order else ()
+    bag = _bag(pictures, joints, every, topic, joints_topic, order)
+    source, poses = bag or _files(pictures, joints, every, starts_s)
     looker = Looker(targets, poses, known, intrinsics, second_of(targets) if cross_check else None)
     seen = _looked(looker, source, output, camera_name, as_json)
     document = described(seen, looker, mount, camera_name)
     beside = output.with_suffix(".json")
     saved((json.dumps(document, indent=1) + "\n").encode(), beside)
     emit({"file": str(output), "description": str(beside)} | document, as_json, _show)
+
+
+def _files(pictures: list[Path], joints: Path | None, every: int, starts_s: float) -> tuple[Pictures, Poses | None]:
+    from kilter_files.rig.see.poses import read_poses
+    from kilter_files.rig.see.sources import source_of
+
+    source = source_of(pictures, every)
+    return source, None if joints is None else read_poses(joints, source.count(), bool(source.videos), starts_s)
+
+
+def _bag(
+    pictures: list[Path], joints: Path | None, every: int, topic: str | None, joints_topic: str | None,
+    order: tuple[str, ...],
+) -> tuple[Pictures, Poses] | None:  # fmt: skip
+    """The pictures and joints of a bag; None of files."""
+    from kilter_files.formats.joints.joint_log import log_of_bag
+    from kilter_files.formats.reader import LogHints
+    from kilter_files.rig.see.bag_pictures import is_bag, pictures_of_bag
+
+    if not any(map(is_bag, pictures)):
+        if topic or joints_topic or order:
+            raise UsageError("--topic, --joints-topic and --joint-order are of a bag: name its folder or file.")
+        return None
+    if len(pictures) > 1:
+        raise UsageError(f"{pictures[0]}: give one bag at a time, and nothing beside it.")
+    if joints is not None:
+        raise UsageError(f"{pictures[0]}: joints of a bag are its own (--joints-topic); leave --joints out.")
+    found = pictures_of_bag(pictures[0], topic, log_of_bag(pictures[0], LogHints(joints_topic, order)), every)
+    return found, found.poses()
 
 
 def _check_output(output: Path) -> None:
@@ -114,7 +157,7 @@ def _check_output(output: Path) -> None:
         check_pyarrow(output)
 
 
-def _looked(looker: Looker, source: Source, output: Path, camera_name: str | None, as_json: bool) -> Seen:
+def _looked(looker: Looker, source: Pictures, output: Path, camera_name: str | None, as_json: bool) -> Seen:
     """Write beside the file first: what was there stays until all is well."""
     from kilter_files.rig.see.as_parquet import write_parquet
 

@@ -115,7 +115,7 @@ def match(
     if body is not None:
         note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
     own = {"name": name or recording.name, "device": device, "role": role, "numbered": name is None}
-    wanted = own | calibrated(robot, log)
+    wanted = own | calibrated(log)
     if by == "frames":
         document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:

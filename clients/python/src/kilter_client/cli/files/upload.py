@@ -12,6 +12,7 @@ import typer
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.camera.rig_file import rig_conditions
+from kilter_client.cli.files.calibrated_rows import servo_conditions
 from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic, check_numpy
@@ -77,6 +78,23 @@ CamerasFile = Annotated[
 ]  # fmt: skip
 
 
+ServoCalibration = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration", metavar="JSON", help="LeRobot's calibration of the servos that read the joints.",
+        exists=True, dir_okay=False,
+    ),
+]  # fmt: skip
+
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
+    ),
+]
+
+
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
     app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
@@ -101,16 +119,11 @@ def upload(
     tool_force_n: ToolForce = None,
     tool_moment_nm: ToolMoment = None,
     cameras: CamerasFile = None,
+    calibration: ServoCalibration = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     measured_at: MeasuredAt = None,
     instrument: InstrumentName = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
-        ),
-    ] = False,
+    dry_run: DryRun = False,
     unchecked: Unchecked = False,
     as_json: Json = False,
 ) -> None:
@@ -118,22 +131,20 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm, cameras)
-    at = moment_of(measured_at)
+    stated = (payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
+    conditions, at = conditions_of(*stated, cameras, calibration), moment_of(measured_at)
     if campaign and (name or notes or conditions or at or instrument):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     by_preset = _preset(preset, file, device, column_map, joints)
     _refuse_idle(by_preset, column_map, joints, euler, topic, joint_order)
-    names = arguments.split_names([joint_order or ""])
-    hints = LogHints(topic, names, _likely(robot, joints, column_map, joint_order))
-    read = prepare(file, device, column_map, joints, preset=by_preset, euler=euler, hints=hints)
+    order, likely = arguments.split_names([joint_order or ""]), _likely(robot, joints, column_map, joint_order)
+    read = prepare(
+        file, device, column_map, joints, preset=by_preset, euler=euler, hints=LogHints(topic, order, likely)
+    )
     prepared = _checked(file, read, unchecked)
     _tell(file, prepared, as_json)
     if dry_run:
-        found = {"rows": prepared.rows, "sha256": prepared.sha256} | what_it_holds(robot, prepared, conditions)
-        emit(_report(prepared, found), as_json, show_dry_run)
-        if found["refused"]:
-            raise typer.Exit(1)
+        _only_shown(robot, prepared, conditions, as_json)
         return
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
@@ -142,6 +153,13 @@ def upload(
     done = send(robot, campaign, wanted, file, prepared, as_json)
     _warn(done, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
+
+
+def _only_shown(robot: str, prepared: Prepared, conditions: dict[str, Any], as_json: bool) -> None:
+    found = {"rows": prepared.rows, "sha256": prepared.sha256} | what_it_holds(robot, prepared, conditions)
+    emit(_report(prepared, found), as_json, show_dry_run)
+    if found["refused"]:
+        raise typer.Exit(1)
 
 
 def _warn(done: dict[str, Any], as_json: bool) -> None:
@@ -158,6 +176,7 @@ def sent_file(
     conditions: dict[str, Any],
     name: str,
     measured_at: str | None,
+    instrument: str | None,
     as_json: bool,
 ) -> dict[str, Any]:
     """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
@@ -166,7 +185,7 @@ def sent_file(
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
-        "numbered": not name, "measured_at": moment_of(measured_at),
+        "numbered": not name, "measured_at": moment_of(measured_at), "instrument": instrument,
     }  # fmt: skip
     return send(robot, None, wanted, file, prepared, as_json)
 
@@ -178,14 +197,19 @@ def conditions_of(
     force: str | None = None,
     moment: str | None = None,
     cameras: Path | None = None,
+    calibration: Path | None = None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
-    return rig_conditions(cameras) | campaigns.conditions_of(
-        payload_kg=payload_kg,
-        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
-        temperature_c=temperature_c,
-        tool_force_n=arguments.three("--tool-force-n", force),
-        tool_moment_nm=arguments.three("--tool-moment-nm", moment),
+    return (
+        rig_conditions(cameras)
+        | servo_conditions(calibration)
+        | campaigns.conditions_of(
+            payload_kg=payload_kg,
+            payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
+            temperature_c=temperature_c,
+            tool_force_n=arguments.three("--tool-force-n", force),
+            tool_moment_nm=arguments.three("--tool-moment-nm", moment),
+        )
     )
 
 

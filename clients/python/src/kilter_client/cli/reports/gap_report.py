@@ -34,6 +34,8 @@ def show_gap(result: Mapping[str, Any]) -> None:
     _gap(result, unit)
     _kinds(result.get("measurements") or [])
     _control(result)
+    if result.get("prior"):
+        say(result["prior"]["sentence"])
     show_load_model(result.get("load_model") or [])
     _not_testable(result.get("not_testable") or [])
     _next_poses(result.get("next_poses") or [], result.get("told_apart") or {})

@@ -34,6 +34,8 @@ def show_identification(result: Mapping[str, Any]) -> None:
     """Print what an identification adds: method, intervals, learning, observability, groups, influence."""
     for line in _lines(result):
         say(line)
+    if result.get("prior"):
+        say(result["prior"]["sentence"])
     if result.get("masses"):
         say(result["masses"]["sentence"])
     show_load_model(result.get("load_model") or [])
@@ -125,6 +127,8 @@ def _remark(p: Mapping[str, Any]) -> str:
         return str(p["reason"])
     if p.get("stiffness_nm_deg"):
         return f"stiffness {number(p['stiffness_nm_deg'])} N m/deg"
+    if p.get("from_prior"):
+        return "from other robots of the type"
     if not p.get("identifiable", True):
         return "not identifiable from these poses"
     return "" if p.get("plausible", True) else "outside its physical range: look for what is missing in the model"

@@ -8,11 +8,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from kilter_client.cli.output import note
-from kilter_client.cli.robot.picture import picture
-from kilter_client.cli.versions import write
 from kilter_client.errors import FileError
-from kilter_client.plots import can_draw, draw
+from kilter_client.plots import draw
 
 Point = Sequence[float]
 Figure = dict[str, Any]
@@ -27,20 +24,15 @@ LINK, AXIS, END, MARK = "#3c5aa0", "#d2782a", "#2e8b57", "#1e1e1e"
 LONGEST_NAME = 60
 
 
-def save_arm(file: Path, check: Mapping[str, Any], as_json: bool) -> None:
-    """Draw the arm into a .png or .svg file; without matplotlib a .png of few lines, and no .svg.
+def save_arm(file: Path, check: Mapping[str, Any]) -> None:
+    """Draw the arm into a .png or .svg file.
 
     Raises:
-        FileError: the file cannot be written. MissingPackageError: an .svg without matplotlib.
+        FileError: the file cannot be written. MissingPackageError: matplotlib is not installed.
 
     """
-    form = file.suffix[1:].lower()
-    if form == "png" and not can_draw():
-        note("Without matplotlib the picture is a plain one: pip install matplotlib.", as_json)
-        write(file, picture(dict(check)))
-        return
     try:
-        draw(arm_figure(check), file.with_suffix(""), (form,))
+        draw(arm_figure(check), file.with_suffix(""), (file.suffix[1:].lower(),))
     except OSError as error:
         raise FileError(f"{file}: cannot be written: {error.strerror or error}.", file=str(file)) from error
 

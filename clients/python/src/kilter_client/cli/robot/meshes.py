@@ -36,7 +36,7 @@ def register(app: typer.Typer) -> None:
 def list_(robot: Robot, as_json: Json = False) -> None:
     """List the shapes of a robot's links."""
     with Kilter() as kilter:
-        document = {"meshes": kilter.run(calls.listed(robot))}
+        document = {"meshes": kilter.run(calls.list_meshes(robot))}
     emit(document, as_json, _show)
 
 

@@ -22,12 +22,6 @@ from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 
-CONTROLLERS = {
-    "none": "does not correct it by itself",
-    "factory": "corrects it by its maker's calibration",
-    "kilter": "corrects it by a calibration that Kilter exported",
-}
-
 
 class Compensation(StrEnum):
     """How a controller corrects by itself."""
@@ -82,7 +76,7 @@ def check(
     with Kilter() as kilter:
         found = kilter.robots.check(document)
     if plot is not None:
-        save_arm(plot, found, as_json)
+        save_arm(plot, found)
     emit(found, as_json, show_check)
 
 
@@ -124,7 +118,11 @@ def compensation(
     Nothing is then corrected twice. none; factory: by its maker's calibration; kilter: by a calibration that Kilter exported.
     """
     with Kilter() as kilter:
-        emit(kilter.robots.compensation(robot, compensation.value), as_json, lambda found: say(_controller(found)))
+        emit(
+            kilter.robots.compensation(robot, compensation.value),
+            as_json,
+            lambda found: say(found["controller_sentence"]),
+        )
 
 
 @robot.command("list", epilog="Example: kilter robot list")
@@ -160,7 +158,7 @@ def _show(document: dict[str, Any]) -> None:
         for number, joint in enumerate(document.get("joints", ()), 1)
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
-    say(_controller(document))
+    say(document["controller_sentence"])
     say(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
     load = (document.get("document") or {}).get("load")
     if load:
@@ -170,16 +168,6 @@ def _show(document: dict[str, Any]) -> None:
         say(f"remarks: {document['remarks']}")
     for remark in document.get("notes", ()):
         say(f"note: {remark}")
-
-
-def _controller(document: dict[str, Any]) -> str:
-    found = str(document.get("controller_compensation") or "unknown")
-    if found != "unknown":
-        return f"The controller of {document['name']} {CONTROLLERS.get(found, found)}."
-    return (
-        f"Does the controller of {document['name']} correct the arm by itself? Nobody said: look it up, and say "
-        f"`kilter robot compensation {document['name']} none`, factory or kilter."
-    )
 
 
 def _limits(joint: dict[str, Any]) -> str:

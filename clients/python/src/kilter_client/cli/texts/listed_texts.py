@@ -51,7 +51,7 @@ PRESETS: list[dict[str, str]] = [
         "joints": "5",
         "convention": "chain",
         "masses": "with masses",
-        "source": "google-deepmind/mujoco_menagerie (Apache-2.0), low_cost_robot_arm/low_cost_robot_arm.xml, commit 464b5ae8: the follower of Koch v1.1, joints named as LeRobot names them; approximate limits of the source; tool at the frame of the static finger, the moving one held at zero",
+        "source": "google-deepmind/mujoco_menagerie (Apache-2.0), low_cost_robot_arm/low_cost_robot_arm.xml, commit 464b5ae8: the follower of Koch v1.1, joints named as LeRobot names them; approximate limits of the source; tool at the frame of the static finger, the moving one held at zero; stiffness of the drives: rough, as of other servos of its class",
     },
     {
         "id": "kr6-r900",
@@ -72,14 +72,14 @@ PRESETS: list[dict[str, str]] = [
         "joints": "5",
         "convention": "chain",
         "masses": "with masses",
-        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO100/so100.urdf, commit 0c8e2892: the zero of that file, which is not the middle of the ranges; tool at the frame of the fixed jaw, the moving jaw held at zero; right angles, which the source rounds, are exact",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO100/so100.urdf, commit 0c8e2892: the zero of that file, which is not the middle of the ranges; tool at the frame of the fixed jaw, the moving jaw held at zero; right angles, which the source rounds, are exact; stiffness of the drives: a servo of it deflects by 1.8 to 2.6 degrees under 1.47 N m",
     },
     {
         "id": "so101",
         "joints": "5",
         "convention": "chain",
         "masses": "with masses",
-        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_new_calib.urdf of the follower, commit 0aee1d0f: zero in the middle of each range (the new zero); tool at gripperframe, the jaw held at zero; right angles, which the source rounds, are exact",
+        "source": "TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_new_calib.urdf of the follower, commit 0aee1d0f: zero in the middle of each range (the new zero); tool at gripperframe, the jaw held at zero; right angles, which the source rounds, are exact; stiffness of the drives: a servo of it deflects by 1.8 to 2.6 degrees under 1.47 N m",
     },
     {
         "id": "so101-leader",
@@ -127,7 +127,7 @@ COLUMNS: list[dict[str, str]] = [
     {"columns": "phi_deg, theta_deg, psi_deg", "meaning": "or as ZXZ Euler angles; _rad instead of _deg"},
     {
         "columns": "m1x_mm, m1y_mm, m1z_mm, m2x_mm …",
-        "meaning": "or markers on the tool. A marker that was not seen is an empty cell, never zero",
+        "meaning": "or markers on the tool. A marker that was not seen is an empty cell, never zero. One reflector moved between three nests is three markers, one in a row: visit the same poses with each",
     },
     {
         "columns": "tipx_mm, tipy_mm, tipz_mm",

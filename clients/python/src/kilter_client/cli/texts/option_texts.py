@@ -25,6 +25,7 @@ IDENTIFY = {
     "masses": "uncertain: errors of masses and centres are carried beside effects that follow the load, as load_error does; as_stated: masses are exact; auto: uncertain, but beside an effect that follows the sign of a load values are fitted with masses as stated, and sigmas hold what their errors do.",
     "mass_sigma_percent": "Standard deviation of every mass, percent of it, above 0; left out: what the robot says of each.",
     "com_sigma_mm": "Standard deviation of each coordinate of every centre of mass, mm, above 0; left out: what the robot says.",
+    "prior": "fleet: add what versions of at least five other robots of this type say before the rows; left out: none of them is asked.",
     "socket_distances_mm": 'Known distances between ball sockets, mm, above 0: {"1-2": 400.0}.',
 }
 GAP = {
@@ -37,6 +38,7 @@ GAP = {
     "base": "Whether the base is fitted.",
     "tool": "Whether the tool is fitted.",
     "reference": "Frames that corrections work in: the robot's own, those of the registration, or auto: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it.",
+    "prior": "fleet: add what versions of at least five other robots of this type say before the rows; left out: none of them is asked.",
     "max_effects": "Most effects to name, 1 to 50.",
     "bootstraps": "Resamples behind the p-value of an effect, 1 to 20000.",
     "resamples": "Resamples of poses on which a name must return, 1 to 10000.",
@@ -66,6 +68,7 @@ PLAN = {
     "without_joints": "Of check: joints, from 1, whose zeros need not be seen.",
     "floor_mm": "Height in the robot's base frame, mm, that no joint and no tool point goes below.",
     "within": "Where poses may be: where the robot was driven before, or anywhere in its limits.",
+    "prior": "Of identify by d_optimal: fleet: add what versions of at least five other robots of this type say before the rows; left out: none of them is asked.",
     "payloads_kg": "Loads at hand, kg, 0 to 1000; used where an effect feels them.",
     "payload_com_mm": "Centre of these loads in the tool frame, mm; left out: the tool point.",
 }

@@ -1,0 +1,111 @@
+"""Targets of a program: joints, or a pose with the frames and the configuration that it is given in."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from kilter_files.formats.programs.poses.notations import Frame, Notation
+
+Span = tuple[int, int]
+UNUSED = "no move of the program goes to it, so its frames are not known"
+SEVERAL = "moves go to it with different frames or tools"
+
+
+class Spans:
+    """Spans of a text that do not overlap, in their order: ``place in spans``."""
+
+    def __init__(self, spans: Sequence[Span]) -> None:
+        """Take them."""
+        self._starts, self._ends = [start for start, _ in spans], [end for _, end in spans]
+
+    def __contains__(self, place: int) -> bool:
+        k = bisect_right(self._starts, place) - 1
+        return k >= 0 and place < self._ends[k]
+
+
+@dataclass(frozen=True)
+class JointTarget:
+    """A target: its joints in deg, and the places of their numbers; ``radians`` says of each how it is written.
+
+    One without places is read and never rewritten.
+    """
+
+    name: str
+    line: int
+    joints_deg: tuple[float, ...]
+    spans: tuple[Span, ...] = ()
+    radians: tuple[bool, ...] = ()
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Which of the branches of an arm a posture is: where its wrist is, and its elbow; see the route of inverse kinematics."""
+
+    front: bool
+    elbow_up: bool
+    wrist: bool
+
+
+class Configuration(Protocol):
+    """What a target says of the posture that reaches it."""
+
+    def fits(self, branch: Branch) -> bool:
+        """Say whether a branch is the stated one."""
+        ...
+
+    def fits_joint(self, k: int, value_deg: float) -> bool:
+        """Say whether joint ``k`` (from 0) of the program may have this value."""
+        ...
+
+    def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
+        """Return what must be written anew for these joints of the program, by its place."""
+        ...
+
+
+@dataclass(frozen=True)
+class Use:
+    """A move to a target. A frame that is not known is the reason why.
+
+    ``near`` is the target before it, where that is known; ``straight`` says that the move keeps the branch.
+    """
+
+    base: tuple[Frame, ...] | str
+    tool: Frame | str
+    near: JointTarget | PoseTarget | None = None
+    straight: bool = False
+
+
+@dataclass(eq=False)
+class PoseTarget:
+    """A target given as a pose, its numbers at their places, and the moves to it.
+
+    ``problem`` says why it cannot be rewritten.
+    """
+
+    name: str
+    line: int
+    notation: Notation
+    numbers: tuple[float, ...]
+    spans: tuple[Span, ...]
+    configuration: Configuration | None = None
+    uses: list[Use] = field(default_factory=list)
+    problem: str = ""
+
+    def why_left(self) -> str:
+        """Say what of this target is not known; empty: all that the program can say."""
+        if self.problem or not self.uses:
+            return self.problem or UNUSED
+        said = [frame for use in self.uses for frame in (use.base, use.tool) if isinstance(frame, str)]
+        if said:
+            return said[0]
+        return SEVERAL if len({(use.base, use.tool) for use in self.uses}) > 1 else ""
+
+    def frames(self) -> tuple[tuple[Frame, ...], Frame]:
+        """Return the frames from the robot's root to those the pose is given in, and the tool; of one without a reason."""
+        base, tool = self.uses[0].base, self.uses[0].tool
+        assert not isinstance(base, str)
+        assert not isinstance(tool, str)
+        return base, tool

@@ -1,0 +1,55 @@
+"""FANUC's positions in X, Y, Z, W, P, R: their frames by number, and the configuration."""
+
+from __future__ import annotations
+
+import re
+
+from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.one_target import PoseTarget, Span, Use
+from kilter_files.formats.programs.poses.configurations import Config
+from kilter_files.formats.programs.poses.notations import FANUC, Frame
+
+NULL = Frame(FANUC, (0.0,) * 6)
+PART = re.compile(rf"\b([XYZWPR]|E\d)\s{{0,9}}=\s{{0,9}}({NUMBER})\s{{0,9}}(mm|deg)")
+FRAME_NUMBER = re.compile(r"\b(UF|UT)\s?:\s{0,9}(\w{1,3})")
+TURN = r"\s{0,9}(-?\d)\s{0,9}"
+CONFIG = re.compile(rf"\bCONFIG\s?:\s?'\s{{0,9}}([NF])\s{{1,9}}([UD])\s{{1,9}}([TB])\s{{0,9}},{TURN},{TURN},{TURN}'")
+SET = re.compile(r"\b(UFRAME|UTOOL)\s?\[[^\]\n]{1,40}\]\s?=", re.I)
+OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
+
+
+def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
+    """Read position ``number``, which begins at ``at``; ``span`` holds what its first motion group says."""
+    text = program.text
+    parts = {match[1]: match for match in PART.finditer(text, *span)}
+    missing = [name for name in FANUC.names if name not in parts]
+    config = CONFIG.search(text, *span)
+    problem = f"without {', '.join(missing)}" if missing else "" if config else "its CONFIG is not understood"
+    if any(name[0] == "E" and float(match[2]) for name, match in parts.items()):
+        problem = problem or "an external axis may move its base"
+    whole = [parts[name] for name in FANUC.names if name in parts]
+    numbers = tuple(float(match[2]) for match in whole)
+    pose = PoseTarget(
+        f"P[{number}]", line_at(text, at), FANUC, numbers, tuple(match.span(2) for match in whole), problem=problem
+    )
+    if config is not None:
+        turns = (int(config[4]), int(config[5]), int(config[6]))
+        spans = (config.span(4), config.span(5), config.span(6))
+        pose.configuration = Config(config[1] == "F", config[2] == "U", config[3] == "T", turns, spans)
+    named = {match[1]: match[2] for match in FRAME_NUMBER.finditer(text, *span)}
+    changed = {match[1].upper() for match in SET.finditer(text)}
+    base = "the program sets UFRAME" if "UFRAME" in changed else _frame(program, "base", named.get("UF"))
+    tool = "the program sets UTOOL" if "UTOOL" in changed else _frame(program, "tool", named.get("UT"))
+    pose.uses.append(Use(base if isinstance(base, str) else (base,), tool))
+    return pose
+
+
+def _frame(program: Program, which: str, number: str | None) -> Frame | str:
+    stated = program.stated.bases if which == "base" else program.stated.tools
+    found = stated.get(number or "") or stated.get("")
+    if found is not None:
+        return Frame(FANUC, found)
+    if number == "0":
+        return NULL
+    said = f"{'UF' if which == 'base' else 'UT'} : {number or '?'}"
+    return f"{said} is not in this program: state it, --{which} {number or ''}{'=' if number else ''}X,Y,Z,W,P,R"

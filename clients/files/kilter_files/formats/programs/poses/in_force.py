@@ -1,0 +1,70 @@
+"""What a program sets along its text, as a tool: what is in force at a place, where the text can say it."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The settings of one subprogram: their places and values, and whether each holds for all that follows it."""
+
+    places: list[int]
+    values: list[object]
+    same: bool
+    plain: bool
+    jumps: bool
+
+
+@dataclass
+class InForce:
+    """``control`` are lines at which a program branches, by place: 1 opens a block, -1 closes one, 0 divides it, None jumps.
+
+    ``starts`` are the places at which subprograms begin: nothing is in force from one to the next.
+    """
+
+    control: Sequence[tuple[int, int | None]]
+    starts: Sequence[int]
+    settings: list[tuple[int, object]] = field(default_factory=list)
+    _parts: dict[int, _Part] = field(default_factory=dict)
+
+    def set(self, at: int, value: object) -> None:
+        """Note a setting; they are noted in the order of the text, before anything is asked."""
+        self.settings.append((at, value))
+
+    def at(self, place: int) -> tuple[bool, object]:
+        """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
+        number = bisect_right(self.starts, place)
+        part = self._parts.get(number) or self._parts.setdefault(number, self._part(number))
+        k = bisect_left(part.places, place) - 1
+        if k < 0:
+            return not part.places or not part.jumps, None
+        return self.joined(part.places[k], place) or part.same or part.plain, part.values[k]
+
+    def joined(self, first: int, second: int) -> bool:
+        """Say whether the program always comes from one place to the other."""
+        between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
+        return not between and bisect_right(self.starts, first) == bisect_right(self.starts, second)
+
+    def _part(self, number: int) -> _Part:
+        control = [(at, way) for at, way in self.control if bisect_right(self.starts, at) == number]
+        inside = [(at, value) for at, value in self.settings if bisect_right(self.starts, at) == number]
+        jumps = any(way is None for _, way in control)
+        depth, steps = 0, iter([*control, (math.inf, 0)])
+        step = next(steps)
+        plain = not jumps
+        for at, _ in inside:
+            while step[0] < at:
+                depth += step[1] or 0
+                step = next(steps)
+            plain = plain and depth == 0
+        values = [value for _, value in inside]
+        same = all(value == values[0] for value in values)
+        return _Part([at for at, _ in inside], values, same, plain, jumps)
+
+
+def _place(control: tuple[int, int | None]) -> int:
+    return control[0]

@@ -1,0 +1,62 @@
+"""Poses of KRL at their places: six numbers, ``S`` and ``T``; and what changes them elsewhere in the program."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.one_target import PoseTarget
+from kilter_files.formats.programs.poses.configurations import StatusTurn
+from kilter_files.formats.programs.poses.notations import KRL
+
+NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
+POSE = re.compile(
+    rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?"
+    r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}",
+    re.I,
+)
+PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
+EXTERNAL = "an external axis may move its base"
+
+
+def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
+    """Read a pose as ``POSE`` finds it; what it lacks is its problem."""
+    parts: dict[str, tuple[str, tuple[int, int]]] = {}
+    problem, at = "", match.start(4)
+    for cell in match[4].split(","):
+        part = PART.fullmatch(cell)
+        if part is None:
+            problem = f"{cell.strip()[:20]!r} is not a number"
+        else:
+            parts[part[1].upper()] = (part[2], (at + part.start(2), at + part.end(2)))
+        at += len(cell) + 1
+    missing = [name for name in KRL.names if name not in parts]
+    if missing and not problem:
+        problem = f"without {', '.join(missing)}"
+    if any(name[0] == "E" and _value(text) for name, (text, _) in parts.items()):
+        problem = problem or EXTERNAL
+    numbers = tuple(_value(parts[name][0]) if name in parts else 0.0 for name in KRL.names)
+    spans = tuple(parts[name][1] for name in KRL.names if name in parts)
+    stated = None
+    if "S" in parts and "T" in parts:
+        status, (turn, span) = parts["S"][0], parts["T"]
+        stated = StatusTurn(int(_value(status)), int(_value(turn)), turn, span)
+    name = match[2] or "a move"
+    return PoseTarget(name, line_at(program.text, match.start()), KRL, numbers, spans, stated, problem=problem)
+
+
+def _value(text: str) -> float:
+    return float(int(text.strip("'")[1:], 2)) if text.startswith("'") else float(text)
+
+
+def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
+    """Note poses that the program changes by other statements than a list of numbers."""
+    bases: dict[str, list[PoseTarget]] = {}
+    for name, pose in poses.items():
+        bases.setdefault(name.partition("[")[0], []).append(pose)
+    change = re.compile(r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)[ \t]*(?!\{)", re.I | re.M)
+    for match in change.finditer(text):
+        for pose in bases.get(match[1].upper(), ()):
+            if not re.match(r"\s*\.\s*E\d", match[2], re.I):
+                pose.problem = pose.problem or "the program changes it"

@@ -1,0 +1,107 @@
+"""RAPID's robtargets: their numbers and confdata, and the tools and work objects of the moves to them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_at
+from kilter_files.formats.programs.one_target import PoseTarget
+from kilter_files.formats.programs.poses.configurations import ConfData
+from kilter_files.formats.programs.poses.notations import NOT_UNIT, RAPID, Frame
+
+NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+UNUSED_AXIS = 8e9
+
+
+def _list(count: int) -> str:
+    return r"\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * count) + r"\s*\]"
+
+
+POSE = rf"{_list(3)}\s*,\s*{_list(4)}"
+TARGET = re.compile(rf"\[\s*{POSE}\s*,\s*{_list(4)}\s*,\s*{_list(6)}\s*\]")
+DECLARED = re.compile(r"\brobtarget\s+(\w+)\s*(?:\{[\d,\s]*\})?\s*:=([^;]{0,200000})", re.I)
+TOOL = re.compile(rf"\btooldata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*\[\s*{POSE}\s*\]", re.I)
+OBJECT = re.compile(
+    rf"\bwobjdata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*(TRUE|FALSE)\s*,[^,\[\]]{{0,80}},\s*\[\s*{POSE}\s*\]\s*,\s*\[\s*{POSE}\s*\]",
+    re.I,
+)
+CHANGED = re.compile(r"^[ \t]*(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=", re.M)
+DISPLACED = re.compile(r"^[ \t]*(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I | re.M)
+CONFIGURATION_OFF = re.compile(r"\bConf([JL])\s*\\\s*Off\b", re.I)
+
+
+def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
+    """Read a robtarget as ``TARGET`` finds it; what it lacks is its problem."""
+    values = [float(match[k]) for k in range(1, 18)]
+    problem = ""
+    if abs(sum(part * part for part in values[3:7]) - 1.0) > NOT_UNIT:
+        problem = "its orientation is not a unit quaternion"
+    quadrants = [int(value) for value in values[7:11] if value == int(value)]
+    if len(quadrants) < 4 or not 0 <= quadrants[3] <= 7:
+        problem = problem or "its confdata is not understood"
+    if any(value and abs(value) < UNUSED_AXIS for value in values[11:]):
+        problem = problem or "an external axis may move its base"
+    spans = tuple(match.span(k) for k in range(1, 8))
+    pose = PoseTarget(name, line_at(program.text, match.start()), RAPID, tuple(values[:7]), spans, problem=problem)
+    if len(quadrants) == 4:
+        one, four, six, branch = quadrants
+        pose.configuration = ConfData((one, four, six), branch, (match.span(8), match.span(9), match.span(10)))
+    return pose
+
+
+class RapidFrames:
+    """Tools and work objects by name, or why they are not known."""
+
+    def __init__(self, text: str, stated: Stated) -> None:
+        """Read those that a program declares; ``text`` has its comments blanked."""
+        self._stated = stated
+        changed = {match[1].lower() for match in CHANGED.finditer(text)}
+        self._tools: dict[str, Frame | str] = {}
+        for match in TOOL.finditer(text):
+            held = match[2].upper() == "TRUE"
+            self._tools[match[1].lower()] = _frame(match, 3) if held else f"tool {match[1]} stands still"
+        self._objects: dict[str, tuple[Frame, ...] | str] = {}
+        for match in OBJECT.finditer(text):
+            fixed = match[2].upper() == "FALSE" and match[3].upper() == "TRUE"
+            frames = (_frame(match, 4), _frame(match, 11))
+            self._objects[match[1].lower()] = frames if fixed else f"work object {match[1]} moves"
+        for name in changed & self._tools.keys():
+            self._tools[name] = f"the program changes tool {name}"
+        for name in changed & self._objects.keys():
+            self._objects[name] = f"the program changes work object {name}"
+
+    def tool(self, name: str) -> Frame | str:
+        """Return a tool."""
+        found = self._tools.get(name.lower())
+        stated = self._stated.tools.get(name)
+        if found is None and stated is not None:
+            return Frame(RAPID, stated)
+        if found is None and name.lower() == "tool0":
+            return NULL
+        return found or f"tool {name} is not in this program: state it, --tool {name}=x,y,z,q1,q2,q3,q4"
+
+    def base(self, name: str) -> tuple[Frame, ...] | str:
+        """Return a work object: its user frame and, in it, its object frame."""
+        found = self._objects.get(name.lower())
+        stated = self._stated.bases.get(name)
+        if found is None and stated is not None:
+            return (Frame(RAPID, stated),)
+        if found is None and name.lower() == "wobj0":
+            return (NULL,)
+        return found or f"work object {name} is not in this program: state it, --base {name}=x,y,z,q1,q2,q3,q4"
+
+
+def _frame(match: re.Match[str], first: int) -> Frame:
+    return Frame(RAPID, tuple(float(match[k]) for k in range(first, first + 7)))
+
+
+def arguments(said: str) -> Iterator[tuple[int, str]]:
+    """Yield the arguments of an instruction with their places: they part at the commas outside brackets."""
+    depth = start = 0
+    for at, sign in enumerate(said + ","):
+        depth += (sign in "[({") - (sign in "])}")
+        if sign == "," and depth == 0:
+            one = said[start:at]
+            yield start + len(one) - len(one.lstrip()), one.strip()
+            start = at + 1

@@ -1,0 +1,107 @@
+"""URScript's poses, in place or by a variable: the tool that is set, and the target before each, which says the joints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Use
+from kilter_files.formats.programs.poses.in_force import InForce
+from kilter_files.formats.programs.poses.notations import URSCRIPT, Frame
+from kilter_files.formats.programs.poses.rapid import arguments
+
+NULL = Frame(URSCRIPT, (0.0,) * 6)
+SIX = re.compile(r"p\s?\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]")
+INVERSE = re.compile(r"get_inverse_kin\s?\(")
+CALL = re.compile(r"\b(move[jlpc])\s?\(")
+SET_TCP = re.compile(r"\bset_tcp\s?\(\s*([^()\n]{1,300}?)\s*\)")
+CONTROL = re.compile(
+    r"^[ \t]*(?:(if|while)\b|(end)\b|(def|thread|sec|elif|else|halt|return|break|continue|join|run|kill)\b)", re.M
+)
+START = re.compile(r"^[ \t]*(?:def|thread|sec)\b", re.M)
+CHANGED = re.compile(r"^[ \t]*(\w{1,64})[ \t]*\[[^\]\n]{1,40}\][ \t]*=(?!=)", re.M)
+
+Places = Mapping[str, list[tuple[int, str]]]
+
+
+class Poses:
+    """The moves of a program to poses, one after another."""
+
+    def __init__(self, program: Program, text: str, declared: Places) -> None:
+        """Read the tools that a program sets; ``text`` has its comments blanked, ``declared`` are values by name."""
+        self._program, self._text, self._declared = program, text, declared
+        self._taken: dict[int, PoseTarget] = {}
+        self._changed = {match[1] for match in CHANGED.finditer(text)}
+        ways = (1, -1, 0)
+        control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
+        self._tool = InForce(control, [match.start() for match in START.finditer(text)])
+        for match in SET_TCP.finditer(text):
+            self._tool.set(match.start(), self._frame(match[1]))
+        self.last: tuple[int, JointTarget | PoseTarget] | None = None
+
+    def _frame(self, said: str) -> Frame | str:
+        places = self._declared.get(said, [])
+        whole = SIX.fullmatch(places[0][1] if len(places) == 1 else said)
+        return Frame(URSCRIPT, tuple(map(float, whole.groups()))) if whole else f"set_tcp({said[:40]}) is not known"
+
+    def take(self, match: re.Match[str], hint: JointTarget | None) -> bool:
+        """Take the poses of a move; whether all that it goes to are such. ``hint`` are joints that the move states."""
+        call = CALL.match(self._text, match.start())
+        if call is None:
+            return False
+        said = [(call.end() + at, one) for at, one in arguments(_inside(self._text, call.end()))]
+        goals = [self._pose(at, one) for at, one in said[: 2 if call[1] == "movec" else 1]]
+        if None in goals or not goals:
+            return False
+        for pose in goals:
+            assert pose is not None
+            near = hint or self.before(match.start())
+            pose.uses.append(Use((NULL,), self._held(match.start()), near, call[1] != "movej"))
+            what = f"{call[1]}({said[0][1][:40]}"
+            self._program.moves_to_poses.append((line_at(self._text, match.start()), what, pose))
+            self.last = (match.start(), pose)
+        return True
+
+    def before(self, at: int) -> JointTarget | PoseTarget | None:
+        """Return the target from which the program always comes to a place, if there is one."""
+        return self.last[1] if self.last is not None and self._tool.joined(self.last[0], at) else None
+
+    def _held(self, at: int) -> Frame | str:
+        known, value = self._tool.at(at)
+        if not known:
+            return "its tool depends on the way that the program took"
+        if isinstance(value, Frame | str):
+            return value
+        stated = self._program.stated.tools.get("")
+        return Frame(URSCRIPT, stated) if stated else "no set_tcp is before it: state the tool, --tool x,y,z,rx,ry,rz"
+
+    def _pose(self, at: int, said: str) -> PoseTarget | None:
+        inverse = INVERSE.match(said)
+        if inverse is not None:
+            inner = next(arguments(_inside(said, inverse.end())), (0, ""))
+            at, said = at + inverse.end() + inner[0], inner[1]
+        places = self._declared.get(said, []) or ([(at, said)] if said.startswith("p") else [])
+        whole = [SIX.match(self._text, place) for place, _ in places]
+        if not whole or any(one is None for one in whole) or (len(whole) > 1):
+            return None
+        one = whole[0]
+        assert one is not None
+        found = self._taken.get(one.start())
+        if found is None:
+            name = said if len(said) < 40 and said in self._declared else "a pose"
+            spans: tuple[Span, ...] = tuple(one.span(k) for k in range(1, 7))
+            found = PoseTarget(name, line_at(self._text, one.start()), URSCRIPT, tuple(map(float, one.groups())), spans)
+            found.problem = "the program changes it" if said in self._changed else ""
+            self._taken[one.start()] = self._program.add_pose(found, counted=False)
+        return found
+
+
+def _inside(text: str, at: int) -> str:
+    """The text from behind an opening bracket to the one that closes it."""
+    depth = 1
+    for end in range(at, min(len(text), at + 2000)):
+        depth += (text[end] in "([") - (text[end] in ")]")
+        if depth == 0:
+            return text[at:end]
+    return ""

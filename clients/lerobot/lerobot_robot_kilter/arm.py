@@ -1,0 +1,153 @@
+"""Actions corrected by a version, and the true joints of what servos read: numbers as LeRobot has them, radians inside.
+
+The true joints are those at which the nominal arm has its tool where the real one has it: what the correction undoes. So
+an arm that has arrived observes what it was told.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.guard import Guard
+from kilter_client.errors import ConflictError, UsageError
+from kilter_core.correct.kernels import layout
+from kilter_files.formats.lerobot.calibration import BY_RANGE, DEGREES, read_calibration, servo_of
+from kilter_files.formats.lerobot.homing import TICK_DEG
+from kilter_files.ground.arrays import Floats
+from lerobot_robot_kilter.version import Used, refuse_other_calibration
+
+POSITION = ".pos"
+REVERSAL_RAD = math.radians(1.5 * TICK_DEG)  # a servo that holds still reads either of two ticks
+ROUNDS, NEAR_RAD = 12, 1e-7
+SLOWEST = 1000  # cycles that a pause counts as at most
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How often actions come, how fast a correction may change, and over which time it comes in."""
+
+    fps: float = 30.0
+    rate_deg_s: float = 20.0
+    ramp_s: float = 1.0
+
+
+class CorrectedArm:
+    """One arm: its version, the numbers of its servos, and what it has done until now.
+
+    Args:
+        found: the version.
+        calibration: the file with the zeros of its servos.
+        use_degrees: whether numbers are degrees, as ``use_degrees`` of LeRobot's configuration says, or parts of the range.
+        pace: of the loop that sends actions.
+        clock: seconds that never go back.
+
+    Raises:
+        ConflictError: the version is of another robot, or was measured with another calibration.
+        FileError: the calibration is missing, is none, or has no servo for a joint.
+
+    """
+
+    def __init__(
+        self,
+        found: Used,
+        calibration: Path,
+        use_degrees: bool = True,
+        pace: Pace = Pace(),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        refuse_other_calibration(found, calibration)
+        self._servos = read_calibration(calibration)
+        self._mode = DEGREES if use_degrees else BY_RANGE
+        self.names = tuple(servo_of(self._servos, joint) for joint in found.joints)
+        self._program = found.stored.program
+        n = self._program.n_joints
+        rows = slice(self._program.moves + 1, self._program.moves + 1 + n)
+        largest = float(self._program.array[rows, layout.LARGEST].max())
+        self._cycle_s, self._clock = 1.0 / pace.fps, clock
+        guard = Guard(n, largest, math.radians(pace.rate_deg_s), pace.ramp_s, self._cycle_s)
+        self._correction = Correction(found.stored, found.robot, guard, self._cycle_s)
+        if self._correction.off:
+            raise ConflictError(f"{self._correction.off}: activate a version of this robot.", code="foreign_version")
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the past: the correction comes in anew."""
+        self._correction.begin()
+        self._answered_s: float | None = None
+        self._turned = self._side = np.zeros(0)
+        self._known = np.zeros(self._program.n_joints)
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What it does now: version, share that has come in, offsets, refused actions by their reason."""
+        return self._correction.document()
+
+    def command(self, action: Mapping[str, Any]) -> dict[str, Any]:
+        """Return an action corrected, to the nearest tick; the gripper stays as it is.
+
+        Raises:
+            UsageError: a joint has no number: the correction of one depends on all.
+
+        """
+        wanted = self._angles(action, "action")
+        now = self._clock()
+        cycles = 1 if self._answered_s is None else round((now - self._answered_s) / self._cycle_s)
+        self._answered_s = now
+        offset = np.array(self._correction.step(wanted.tolist(), min(max(cycles, 1), SLOWEST)))
+        # LeRobot cuts ticks off; with half a tick more it rounds.
+        return dict(action) | self._numbers(wanted + offset, 0.5)
+
+    def sent(self, action: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what was sent, perhaps clipped, as the action that it corrects."""
+        offset = np.array(self._correction.offset)
+        return dict(action) | self._numbers(self._angles(action, "action") - offset, -0.5)
+
+    def true(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """Return an observation with true joints; pictures and the gripper stay as they are."""
+        reading = self._angles(observation, "observation")
+        side = self._sides(reading)
+        q = reading - self._known
+        for _ in range(ROUNDS):
+            told = self._program.correct_rows(q[None], direction=side[None])
+            if told.status[0] != layout.OK:  # outside the joint limits: the last offset goes on
+                return dict(observation) | self._numbers(reading - self._known, 0.0)
+            left = reading - told.q[0]
+            q = q + left
+            if np.abs(left).max() < NEAR_RAD:
+                break
+        self._known = reading - q
+        return dict(observation) | self._numbers(q, 0.0)
+
+    def _sides(self, reading: Floats) -> Floats:
+        """Direction of the last motion of each joint, -1, 0 or 1, as its readings show it."""
+        if not len(self._turned):
+            self._turned, self._side = reading.copy(), np.zeros(len(reading))
+        moved = reading - self._turned
+        turned = np.abs(moved) > REVERSAL_RAD
+        self._side = np.where(turned, np.sign(moved), self._side)
+        on = turned | (moved * self._side > 0.0)
+        self._turned = np.where(on, reading, self._turned)
+        return self._side
+
+    def _angles(self, numbers: Mapping[str, Any], what: str) -> Floats:
+        missing = [name for name in self.names if name + POSITION not in numbers]
+        if missing:
+            raise UsageError(f"The {what} has no {missing[0]}{POSITION}: give all of {', '.join(self.names)}.")
+        read = [np.array([numbers[name + POSITION]], dtype=np.float64) for name in self.names]
+        angles = [self._servos.degrees(name, one, self._mode) for name, one in zip(self.names, read, strict=True)]
+        return np.radians(np.concatenate(angles))
+
+    def _numbers(self, q: Floats, ticks: float) -> dict[str, float]:
+        """Numbers of the servos at these angles, that many ticks further in their own direction."""
+        return {
+            name + POSITION: self._servos.recorded(name, float(angle), self._mode, ticks)
+            for name, angle in zip(self.names, np.degrees(q), strict=True)
+        }

@@ -1,0 +1,149 @@
+"""``kilter kit``: a low-cost arm from a board and a webcam to one page of what it has, in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli import exported
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.camera.kit_capture import captured
+from kilter_client.cli.camera.kit_words import errors_of, lines_of
+from kilter_client.cli.camera.rig_file import rig_conditions
+from kilter_client.cli.files.calibrated_rows import servo_conditions
+from kilter_client.cli.files.sending import send
+from kilter_client.cli.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.progress import job_bar
+from kilter_client.errors import NotFoundError, UsageError
+from kilter_files import prepare
+
+LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
+HELD_OUT = 0.25
+REACH_M = 0.3  # where no reach is known
+SERVOS = ("so101", "so100", "koch")  # presets of arms whose servos correct nothing by themselves
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter kit so101 views.csv --cameras views.json --calibration my_arm.json")(kit)
+
+
+def kit(
+    robot: Annotated[
+        str, typer.Argument(help="Name of the arm; the name of a preset adds it.", metavar="ROBOT", show_default=False)
+    ],
+    views: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Views of `kilter see`, CSV; left out: what to do.", metavar="VIEWS", exists=True, dir_okay=False),
+    ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option("--cameras", metavar="FILE", help="Cameras and boards: the JSON that `kilter see` writes.", exists=True),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", metavar="JSON", help="LeRobot's calibration of the servos.", exists=True),
+    ] = None,
+    anyway: Annotated[bool, typer.Option("--anyway", help="Identify although views are missing.")] = False,
+    as_json: Json = False,
+) -> None:  # fmt: skip
+    """Take a low-cost arm from views to one page: what it has, how far off the tool is; exit code 4 where views are missing.
+
+    Without VIEWS it says what to print, to drive and to photograph.
+    """
+    with Kilter() as kilter:
+        arm = _arm(kilter, robot, as_json)
+        if not views:
+            emit({"robot": robot, "steps": _steps(robot)}, as_json, _show_steps)
+            return
+        if cameras is None or calibration is None:
+            raise UsageError(
+                "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
+            )
+        seen = captured(views, arm["joints"])
+        document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
+                    "missing": list(seen.missing)}  # fmt: skip
+        if not seen.missing or anyway:
+            conditions = rig_conditions(cameras) | servo_conditions(calibration)
+            sent = [_sent(robot, file, conditions, as_json) for file in views]
+            document |= _page(kilter, arm, sent, as_json)
+    emit(document, as_json, _show)
+    if seen.missing and not anyway:
+        raise typer.Exit(4)
+
+
+def _arm(kilter: Kilter, robot: str, as_json: bool) -> dict[str, Any]:
+    try:
+        return dict(kilter.robots.get(robot))
+    except NotFoundError:
+        if robot not in SERVOS:
+            raise
+    note(f"{robot} is added from its preset", as_json)
+    kilter.robots.add({"name": robot, "convention": "preset", "preset": robot, "controller_compensation": "none"})
+    return dict(kilter.robots.get(robot))
+
+
+def _sent(robot: str, file: Path, conditions: dict[str, Any], as_json: bool) -> str:
+    wanted = {"name": file.name, "device": "camera", "role": "train", "conditions": conditions, "notes": "", "numbered": True,
+              "measured_at": None}  # fmt: skip
+    return str(send(robot, None, wanted, file, prepare(file), as_json)["campaign_id"])
+
+
+def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_json: bool) -> dict[str, Any]:
+    """Identify, and say what came of it."""
+    loaded = list(range(2, len(arm["joints"])))  # the first is vertical, the last carries no moment about itself
+    effects = [
+        {"id": "axial_compliance", "joints": loaded},
+        {"id": "backlash_load", "joints": loaded, "softening_nm": 0.02},
+    ]
+    options = {"effects": effects, "masses": "as_stated", "limits": LIMITS}
+    job = kilter.jobs.submit("identify", arm["name"], list(campaigns), HELD_OUT, options, [], "kit")
+    with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
+        result = kilter.jobs.wait(job["id"], progress)["result"]
+    version = str(result["version_id"])
+    told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
+    offsets = {one["joint"]: one["offset_deg"] for one in told.get("zero_offsets", []) if "offset_deg" in one}
+    lines = lines_of(result, arm["joints"], offsets, REACH_M)
+    warnings = [str(one["message"]) for one in result.get("warnings") or []]
+    return {"version_id": version, "lines": lines, **errors_of(result), "warnings": warnings}
+
+
+def _steps(robot: str) -> list[str]:
+    return [
+        "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf  # print and measure it, fix it to the gripper or table",
+        "drive the arm to 40 poses or more with your own program, from both sides, with an empty gripper and with 200 g: take "
+        "a picture at rest, and write readings, sides (dir1 ...) and payload_kg of each picture into joints.csv",
+        "kilter see pictures --board board.json --joints joints.csv --intrinsics brown -o views.csv",
+        f"kilter kit {robot} views.csv --cameras views.json --calibration my_arm.json",
+        f"kilter activate latest --robot {robot}",
+        f"lerobot-teleoperate --robot.type=kilter_so101 --robot.kilter_robot={robot} ...",
+    ]
+
+
+def _show_steps(document: Mapping[str, Any]) -> None:
+    for number, step in enumerate(document["steps"], 1):
+        say(f"{number}. {step}")
+
+
+def _show(document: Mapping[str, Any]) -> None:
+    payloads = ", ".join(f"{1000 * kg:g} g" for kg in document["payloads_kg"])
+    say(f"{document['views']} views of {document['poses']} poses with {payloads or 'unknown payloads'}")
+    for line in document["missing"]:
+        say(f"still missing: {line}")
+    if "version_id" not in document:
+        return
+    if document["before_mm"] is not None and document["after_mm"] is not None:
+        say(
+            f"the tool is off by {document['before_mm']:.1f} mm, corrected by {document['after_mm']:.1f} mm (views held out)"
+        )
+    for line in document["lines"] or ["no joint has backlash, sag or a zero that shows in these views"]:
+        say(f"  {line}")
+    for line in document["warnings"]:
+        say(f"warning: {line}")
+    say(f"version {document['version_id']}; correct with it: kilter activate {document['version_id']}")

@@ -1,0 +1,106 @@
+"""Whether views are enough to tell what a low-cost arm has: both sides, two payloads, the joints moved, poses repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from csv import DictReader
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kilter_client.errors import FileError
+
+FEWEST_VIEWS, FEWEST_POSES = 40, 20
+LEAST_SHARE = 0.25  # of the views, from either side of a joint, and with either payload
+LEAST_PAYLOAD_KG = 0.1  # between the lightest and the heaviest
+LEAST_TRAVEL = 0.3  # of a joint's limits
+LEAST_DEG = 0.5  # readings that differ by less are one pose
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What was seen: views, distinct poses, payloads kg, and sentences on what is missing."""
+
+    views: int
+    poses: int
+    payloads_kg: tuple[float, ...]
+    missing: tuple[str, ...]
+
+
+def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]]) -> Capture:
+    """Look at views of an arm; ``joints`` as the server tells them.
+
+    Raises:
+        FileError: a file without the joints of the arm, or without corners.
+
+    """
+    rows = [row for file in files for row in _rows(file, len(joints))]
+    q = [[float(row[f"q{j + 1}_deg"]) for j in range(len(joints))] for row in rows]
+    poses = {tuple(round(value / LEAST_DEG) for value in row) for row in q}
+    payloads = [_number(row.get("payload_kg")) for row in rows]
+    known = tuple(sorted({value for value in payloads if value is not None}))
+    missing = [
+        *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints), *_travel(q, joints),
+    ]  # fmt: skip
+    return Capture(len(rows), len(poses), known, tuple(missing))
+
+
+def _rows(file: Path, joints: int) -> Iterator[dict[str, str]]:
+    with file.open(encoding="utf-8", newline="") as lines:
+        reader = DictReader(lines)
+        names = set(reader.fieldnames or ())
+        wanted = [*(f"q{j + 1}_deg" for j in range(joints)), "u1_px", "v1_px"]
+        lacking = [name for name in wanted if name not in names]
+        if lacking:
+            raise FileError(
+                f"{file}: has no column {lacking[0]}. Give the views that `kilter see` writes as CSV, with the joints of "
+                f"this arm ({joints}).",
+                file=str(file),
+            )
+        yield from reader
+
+
+def _number(text: str | None) -> float | None:
+    return None if text in (None, "") else float(str(text))
+
+
+def _counts(views: int, poses: int) -> Iterator[str]:
+    if views < FEWEST_VIEWS:
+        yield f"{FEWEST_VIEWS - views} views more ({views} of {FEWEST_VIEWS})"
+    if poses < FEWEST_POSES:
+        yield f"{FEWEST_POSES - poses} poses more ({poses} of {FEWEST_POSES})"
+
+
+def _loads(payloads: Sequence[float | None], known: Sequence[float]) -> Iterator[str]:
+    if None in payloads or not known:
+        yield "the column payload_kg: what the gripper held in each view, 0 where nothing"
+    elif known[-1] - known[0] < LEAST_PAYLOAD_KG:
+        yield f"a second payload, at least {LEAST_PAYLOAD_KG * 1000:.0f} g heavier: sag is told from geometry by it"
+    else:
+        light = sum(value == known[0] for value in payloads) / len(payloads)
+        if not LEAST_SHARE <= light <= 1.0 - LEAST_SHARE:
+            yield f"views with {'the heavier' if light > 0.5 else 'the lighter'} payload: a quarter of them at least"
+
+
+def _sides(rows: Sequence[Mapping[str, str]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    for j, joint in enumerate(joints):
+        sides = [_number(row.get(f"dir{j + 1}")) for row in rows]
+        if None in sides:
+            yield f"the column dir{j + 1}: from which side joint {j + 1} came, -1 or 1"
+            continue
+        up = sum(side == 1.0 for side in sides) / max(len(sides), 1)
+        down = sum(side == -1.0 for side in sides) / max(len(sides), 1)
+        if min(up, down) < LEAST_SHARE:
+            side = "above" if down < up else "below"
+            yield f"views in which joint {j + 1} ({joint['name']}) came from {side}: a quarter of them at least"
+
+
+def _travel(q: Sequence[Sequence[float]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    for j, joint in enumerate(joints):
+        low, high = joint.get("limits_deg") or (None, None)
+        if low is None or high is None or not q:
+            continue
+        moved = max(row[j] for row in q) - min(row[j] for row in q)
+        if moved < LEAST_TRAVEL * (high - low):
+            wanted = LEAST_TRAVEL * (high - low)
+            yield f"motion of joint {j + 1} ({joint['name']}): it moved by {moved:.0f} deg, {wanted:.0f} would do"

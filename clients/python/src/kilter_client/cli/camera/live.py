@@ -1,0 +1,91 @@
+"""``kilter live``: a page with the camera's picture that takes views when the arm rests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Event
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.files.inspect import check_numpy
+from kilter_client.cli.output import emit, note, say
+from kilter_client.errors import UsageError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter live /dev/video0 --board board.json --joints now.csv -o pictures")(live)
+
+
+def live(
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="A folder that fills, the address of an MJPEG stream, or a camera (/dev/video0).", show_default=False
+        ),
+    ],
+    board: Annotated[
+        list[Path],
+        typer.Option(help="JSON of the board, from kilter board; repeat for more.", exists=True, dir_okay=False),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Where pictures go; a folder's stay where they are."),
+    ] = None,
+    joints: Annotated[
+        Path | None,
+        typer.Option(
+            help="A file that says where the arm is now: its last row is noted with each view.", dir_okay=False
+        ),
+    ] = None,
+    views: Annotated[int | None, typer.Option(min=1, help="End after so many views.")] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Show a camera's picture on a page of this machine, with corners and what is missing, and take views at rest."""
+    check_numpy()
+    from kilter_files.rig.live.feeds import Folder, feed_of
+    from kilter_files.rig.live.newest import newest
+    from kilter_files.rig.live.server import page_of
+    from kilter_files.rig.live.session import Session, follow
+    from kilter_files.rig.live.taken import Taken
+    from kilter_files.rig.see.run import Looker
+    from kilter_files.rig.see.target import check_apart, read_target
+
+    targets = [read_target(path) for path in board]
+    check_apart(targets)
+    feed, stop = feed_of(source), Event()
+    if output is None and not isinstance(feed, Folder):
+        raise UsageError("Say where pictures go: -o DIR.")
+    if joints is not None and output is None:
+        raise UsageError("--joints writes a table beside the pictures: say where they go, -o DIR.")
+    session = Session(Looker(targets), Taken(output, joints), feed.name, wanted=views)
+    with page_of(session, port) as address:
+        note(f"{address}  (end with Ctrl-C)")
+        try:
+            follow(session, newest(feed, stop))
+        except KeyboardInterrupt:
+            pass  # the usual end
+        finally:
+            stop.set()
+    emit(_told(session, output, joints, source, board), as_json, _show)
+
+
+def _told(session: Any, output: Path | None, joints: Path | None, source: str, board: list[Path]) -> dict[str, Any]:
+    where = source if output is None else str(output)
+    boards = " ".join(f"--board {path}" for path in board)
+    table = f" --joints {Path(where) / 'joints.csv'}" if joints is not None else ""
+    return {
+        "views": session.taken.names, "pictures": session.numbers, "gates": session.gates, "folder": where,
+        "next": f"kilter see {where} {boards}{table} -o views.csv",
+    }  # fmt: skip
+
+
+def _show(document: dict[str, Any]) -> None:
+    say(f"{len(document['views'])} views of {document['pictures']} pictures in {document['folder']}")
+    for gate in document["gates"]:
+        if not gate["met"]:
+            say(f"  Missing: {gate['remedy']}")
+    say(f"  Next: {document['next']}")

@@ -1,0 +1,182 @@
+"""Poses of a robot program: the nominal joints that each means, and the pose at which the nominal arm has others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from kilter_client.calls import robots
+from kilter_client.errors import RobotError
+from kilter_client.steps import Document, Steps
+
+if TYPE_CHECKING:
+    from kilter_files.formats.programs.found import Program
+    from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span
+    from kilter_files.formats.programs.poses.postures import Found
+    from kilter_files.formats.programs.poses.rigid import Rigid
+
+ALL_ROUND = (-720.0, 720.0)  # of a joint without limits
+BEFORE = "the target before it is left too"
+SAME_DEG = 1e-6
+
+
+@dataclass(frozen=True)
+class ProgramJoints:
+    """How joints of a program stand to those of the robot: ``signs``, and whether the robot's third is J2 + J3."""
+
+    signs: Sequence[float]
+    coupled: bool = False
+
+    def of_robot(self, program: Sequence[float]) -> list[float]:
+        """Return the joints of the robot."""
+        q = [*program[:2], program[2] + program[1], *program[3:]] if self.coupled else [*program]
+        return [sign * value for sign, value in zip(self.signs, q, strict=True)]
+
+    def of_program(self, robot: Sequence[float]) -> list[float]:
+        """Return the joints of the program."""
+        q = [sign * value for sign, value in zip(self.signs, robot, strict=True)]
+        return [*q[:2], q[2] - q[1], *q[3:]] if self.coupled else q
+
+
+@dataclass(frozen=True)
+class Understood:
+    """Joints of the robot, deg, that poses mean, and why the others are left."""
+
+    joints_deg: Mapping[PoseTarget, tuple[float, ...]]
+    left: Mapping[PoseTarget, str]
+
+
+def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoints) -> Steps[Understood]:
+    """Find the joints that poses mean: one call for the joints that the targets before them have, one for the poses."""
+    from kilter_files.formats.programs.poses.rigid import to_document
+
+    poses = _in_order(programs)
+    if not poses:
+        return Understood({}, {})
+    if len(robot["joints"]) != 6:
+        return Understood(
+            {}, dict.fromkeys(poses, f"the robot has {len(robot['joints'])} joints, its inverse needs six")
+        )
+    before = {id(use.near): use.near for pose in poses for use in pose.uses if _is_joints(use.near)}
+    rows = [joints.of_robot(one.joints_deg) for one in before.values()]  # type: ignore[union-attr]
+    name = str(robot["name"])
+    try:
+        known = (yield from robots.forward(name, rows)) if rows else []
+        found = yield from robots.inverse(name, [*known, *(to_document(_flange(pose)) for pose in poses)])
+    except RobotError as error:
+        return Understood({}, dict.fromkeys(poses, error.detail.rstrip(".")))
+    return _chosen(poses, found, dict(zip(before, rows, strict=True)), _limits(robot), joints.signs)
+
+
+def _in_order(programs: Sequence[Program]) -> list[PoseTarget]:
+    """The poses whose frames are known, in the order of the moves to them where it is known."""
+    from kilter_files.formats.programs.one_target import PoseTarget
+
+    visits = [one for program in programs for one in program.visits if isinstance(one, PoseTarget)]
+    rest = [pose for program in programs for pose in program.cartesian]
+    return [pose for pose in dict.fromkeys([*visits, *rest]) if not pose.why_left()]
+
+
+def _is_joints(near: JointTarget | PoseTarget | None) -> bool:
+    from kilter_files.formats.programs.one_target import JointTarget
+
+    return isinstance(near, JointTarget)
+
+
+def _limits(robot: Document) -> list[tuple[float, float]]:
+    bounds = [joint.get("limits_deg") or (None, None) for joint in robot["joints"]]
+    low, high = ALL_ROUND
+    return [(low if lower is None else lower, high if upper is None else upper) for lower, upper in bounds]
+
+
+def _flange(pose: PoseTarget) -> Rigid:
+    """The flange in the frame of the robot's root."""
+    from kilter_files.formats.programs.poses.rigid import Rigid
+
+    bases, tool = pose.frames()
+    placed = Rigid()
+    for base in bases:
+        placed = placed.then(base.pose())
+    return placed.then(pose.notation.pose(pose.numbers)).then(tool.pose().inverse())
+
+
+def _chosen(
+    poses: Sequence[PoseTarget],
+    found: Sequence[Sequence[Document]],
+    before: Mapping[int, Sequence[float]],
+    limits: Sequence[tuple[float, float]],
+    signs: Sequence[float],
+) -> Understood:
+    from kilter_files.formats.programs.poses.postures import by_configuration, posture_at
+
+    known: dict[int, Found | str] = {}
+    for (near, joints), postures in zip(before.items(), found, strict=False):
+        known[near] = posture_at(joints, postures) or "the target before it is at a singularity"
+    for pose, postures in zip(poses, found[len(before) :], strict=True):
+        stated = pose.configuration
+        known[id(pose)] = (
+            by_configuration(stated, postures, limits, signs)
+            if stated is not None
+            else _following(pose, postures, known, limits)
+        )
+    joints_deg, left = {}, {}
+    for pose in poses:
+        one = known[id(pose)]
+        if isinstance(one, str):
+            left[pose] = one
+        else:
+            joints_deg[pose] = one.joints_deg
+    return Understood(joints_deg, left)
+
+
+def _following(
+    pose: PoseTarget,
+    postures: Sequence[Document],
+    known: Mapping[int, Found | str],
+    limits: Sequence[tuple[float, float]],
+) -> Found | str:
+    """The posture that follows the target before each move to a pose; all moves must come to the same."""
+    from kilter_files.formats.programs.poses.postures import NOT_STATED, after
+
+    chosen: list[Found] = []
+    for use in pose.uses:
+        near = known.get(id(use.near), BEFORE) if use.near is not None else NOT_STATED
+        if isinstance(near, str):
+            return near if near in (NOT_STATED, BEFORE) else BEFORE
+        one = after(near, postures, limits, straight=use.straight)
+        if isinstance(one, str):
+            return one
+        chosen.append(one)
+    apart = max(math.dist(one.joints_deg, chosen[0].joints_deg) for one in chosen)
+    return chosen[0] if apart < SAME_DEG else "moves come to it with different joints"
+
+
+def rewritten(
+    robot: str,
+    places: Sequence[tuple[Program, PoseTarget]],
+    joints_deg: Sequence[Sequence[float]],
+    joints: ProgramJoints,
+) -> Steps[list[dict[Span, str]]]:
+    """Write each pose anew, so that the nominal arm has these joints of the robot there: texts by their places."""
+    from kilter_files.formats.programs.found import written
+    from kilter_files.formats.programs.poses.rigid import of_document
+
+    flanges = (yield from robots.forward(robot, joints_deg)) if places else []
+    out: list[dict[Span, str]] = []
+    for (program, pose), flange, q in zip(places, flanges, joints_deg, strict=True):
+        bases, tool = pose.frames()
+        placed = of_document(flange).then(tool.pose())
+        for base in bases:
+            placed = base.pose().inverse().then(placed)
+        numbers = pose.notation.near(placed, pose.numbers)
+        decimals = pose.notation.decimals
+        new = {
+            span: written(program.text[slice(*span)], numbers[k], decimals[k])
+            for k, span in enumerate(pose.spans)
+            if pose.notation.moved(k, pose.numbers[k], numbers[k])
+        }
+        stated = pose.configuration
+        out.append(new | dict(stated.restated(joints.of_program(q)) if stated is not None else {}))
+    return out

@@ -1,0 +1,156 @@
+"""The prior of a type: which versions carry it, and what each robot looks like to the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import f
+
+from kilter_core.errors import CoreError
+from kilter_core.identify.fleet.reml import COMMON, Population, population
+from kilter_core.identify.fleet.versions import FleetVersion, Gauge, of_the_type
+from kilter_core.model import RobotModel
+from kilter_core.parameters import TypePrior
+from kilter_core.types import Floats, Ints
+
+FEWEST = 5  # robots
+KNOWN = 0.5  # of the width of its ordinary prior, within which a version tells a parameter
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A version that is of another gauge, and in which way."""
+
+    robot: str
+    version: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class LeftOneOut:
+    """A robot as the others predict it: ``chi_square`` of its ``compared`` parameters, and the chance of one as large.
+
+    ``explained`` is the share of its squared deviation from nominal, in widths of ordinary priors, that their mean takes off.
+    """
+
+    robot: str
+    chi_square: float
+    compared: int
+    p_value: float
+    explained: float
+
+
+@dataclass(frozen=True)
+class FleetPrior:
+    """A type's prior, the ``versions`` that it rests on, those ``left_out``, and what each robot is to the others."""
+
+    prior: TypePrior
+    versions: tuple[FleetVersion, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    left_one_out: tuple[LeftOneOut, ...] = ()
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able: whose versions it rests on, and how well they predict each other."""
+        return {
+            "versions": [{"robot": v.robot, "version": v.version} for v in self.versions],
+            "left_out": [{"robot": v.robot, "version": v.version, "reason": v.reason} for v in self.left_out],
+            "left_one_out": [
+                {"robot": one.robot, "chi_square": one.chi_square, "compared": one.compared, "p_value": one.p_value}
+                for one in self.left_one_out
+            ],
+        }
+
+
+def fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[FleetVersion]) -> FleetPrior:
+    """The prior of a fit of the parameters ``free`` of a ``model`` from ``versions`` of other robots, one of each.
+
+    Raises:
+        CoreError: ``fleet_too_few``: fewer than five robots of the type have a version. ``fleet_gauge``: fewer than five
+            have one in the gauge of this fit; names those of another.
+
+    """
+    if len(versions) < FEWEST:
+        raise CoreError(
+            f"Prior fleet needs versions of at least {FEWEST} other robots of this type, and there are {len(versions)}: "
+            "identify more of them without it, or leave the option prior out.",
+            code="fleet_too_few",
+            robots=[v.robot for v in versions],
+        )
+    asked = Gauge.of(model, free)
+    reasons = [asked.differs(version.gauge) for version in versions]
+    out = tuple(LeftOut(v.robot, v.version, r) for v, r in zip(versions, reasons, strict=True) if r is not None)
+    kept = tuple(v for v, r in zip(versions, reasons, strict=True) if r is None)
+    if len(kept) < FEWEST:
+        raise CoreError(
+            f"Prior fleet needs versions of at least {FEWEST} other robots in the gauge of this fit, and there are "
+            f"{len(kept)}. {said_left_out(out)} Identify those robots with the same effects and the same free parameters as "
+            "asked here, or ask here for theirs.",
+            code="fleet_gauge",
+            robots=[one.robot for one in out],
+        )
+    return FleetPrior(*_estimated(model, kept), left_out=out)
+
+
+def said_left_out(out: Sequence[LeftOut]) -> str:
+    """Which versions are of another gauge, in words."""
+    return " ".join(f"Version {one.version} of {one.robot} is in another gauge: {one.reason}." for one in out)
+
+
+def _estimated(model: RobotModel, versions: tuple[FleetVersion, ...]) -> tuple[TypePrior, tuple[FleetVersion, ...]]:
+    names, width, groups = _shared(model, versions)
+    values, within = _scaled(versions, names, width)
+    found = population(values, within, groups)
+    covariance = found.of_another * np.outer(width, width)
+    known = np.median(np.sqrt(np.diagonal(within, axis1=1, axis2=2)), axis=0) < KNOWN
+    untold = tuple(name for name, told in zip(names, known, strict=True) if not told)
+    return TypePrior(tuple(names), found.mean * width, covariance, _freedom(len(versions)), untold), versions
+
+
+def _freedom(robots: int) -> float:
+    """Degrees of freedom of what so many robots say of their spread, with what units have in common."""
+    return robots - 1 + COMMON
+
+
+def left_one_out(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[LeftOneOut, ...]:
+    """Each robot as the others predict it."""
+    names, width, groups = _shared(model, versions)
+    values, within = _scaled(versions, names, width)
+    nominal = np.array([model.parameter(name).value for name in names]) / width
+    out = []
+    for k, version in enumerate(versions):
+        rest = np.arange(len(versions)) != k
+        found = population(values[rest], within[rest], groups)
+        out.append(_compared(version.robot, found, values[k], within[k], nominal, _freedom(int(rest.sum()))))
+    return tuple(out)
+
+
+def _compared(
+    robot: str, found: Population, values: Floats, within: Floats, nominal: Floats, freedom: float
+) -> LeftOneOut:
+    away = values - found.mean
+    square = float(away @ np.linalg.solve(found.of_another + within, away))
+    before = float(np.sum((values - nominal) ** 2))
+    explained = 1.0 - float(away @ away) / before if before > 0.0 else 0.0
+    return LeftOneOut(robot, square, len(values), float(f.sf(square / len(values), len(values), freedom)), explained)
+
+
+def _shared(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[list[str], Floats, Ints]:
+    """Names (K) of the type that every version was fitted for, the widths (K,) of their ordinary priors, their units (K,)."""
+    names = [name for name in of_the_type(model) if all(name in version.names for version in versions)]
+    parameters = [model.parameter(name) for name in names]
+    units = sorted({p.unit for p in parameters})
+    groups = np.array([units.index(p.unit) for p in parameters], dtype=np.int64)
+    return names, np.array([p.prior_sigma for p in parameters]), groups
+
+
+def _scaled(versions: Sequence[FleetVersion], names: Sequence[str], width: Floats) -> tuple[Floats, Floats]:
+    """Values (n, K) and covariances (n, K, K) in widths of ordinary priors."""
+    values, within = [], []
+    for version in versions:
+        own = [version.names.index(name) for name in names]
+        values.append(version.values[own] / width)
+        within.append(version.covariance[np.ix_(own, own)] / np.outer(width, width))
+    return np.array(values), np.array(within)

@@ -1,0 +1,78 @@
+"""What became of a prior, for results and reports: whose versions, how far believed, and which parameters rest on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from kilter_core.identify.fleet.conflict import NOTICED
+from kilter_core.identify.fleet.prior import FleetPrior, said_left_out
+from kilter_core.identify.identifiability import WEAK
+from kilter_core.identify.least_squares import Fit
+from kilter_core.parameters import TypePrior
+from kilter_core.types import Bools, Floats
+
+
+def resting(fit: Fit) -> Bools:
+    """Which parameters (F,) of a fit rest on its type."""
+    return resting_on(fit.problem.model.of_type, fit.names, fit.sigma, fit.problem.prior_sigma)
+
+
+def resting_on(prior: TypePrior | None, names: Sequence[str], sigma: Floats, prior_sigma: Floats) -> Bools:
+    """Which parameters (F,) rest on a type: the rows take off less than half of the variance that it leaves them.
+
+    Of those that no arm of the type could tell it says nothing.
+    """
+    if prior is None:
+        return np.zeros(len(names), dtype=bool)
+    told = np.isin(names, prior.names) & ~np.isin(names, prior.untold)
+    return np.asarray(told & (1.0 - (sigma / prior_sigma) ** 2 < WEAK))
+
+
+def prior_document(fleet: FleetPrior, fit: Fit) -> dict[str, Any]:
+    """The prior of the contract."""
+    names = [name for name, rests in zip(fit.names, resting(fit), strict=True) if rests]
+    use = {} if fit.prior_use is None else fit.prior_use.to_document()
+    return {
+        "source": "fleet",
+        **use,
+        "parameters": names,
+        "sentence": _sentence(fleet, fit, names),
+        **fleet.to_document(),
+    }
+
+
+def prior_warnings(fleet: FleetPrior, fit: Fit) -> Iterator[dict[str, Any]]:
+    """Say when the arm is not as its type, and which versions are in another gauge."""
+    use = fit.prior_use
+    if use is not None and use.state != "used":
+        code = "fleet_prior_dropped" if use.state == "dropped" else "fleet_prior_widened"
+        yield {"code": code, "message": _sentence(fleet, fit, [])}
+    if fleet.left_out:
+        message = (
+            f"{said_left_out(fleet.left_out)} The prior does without. Identify those robots as this one to count them."
+        )
+        yield {"code": "fleet_version_left_out", "message": message}
+
+
+def _sentence(fleet: FleetPrior, fit: Fit, names: list[str]) -> str:
+    use, robots = fit.prior_use, f"{len(fleet.versions)} robots of this type"
+    if use is None:
+        return f"The prior comes from {robots}."
+    compared = f"chi-square {use.chi_square:.3g} in {use.compared} directions, p = {use.p_value:.2g}"
+    if use.state == "dropped":
+        return (
+            f"This arm is not as the {robots} ({compared}): it was identified without them. Ask what was done to it, a "
+            "repair or another batch, before others are identified with it."
+        )
+    said = f"The prior comes from {robots} ({compared})"
+    if use.odd:
+        said += f"; {', '.join(use.odd)} {'is' if len(use.odd) == 1 else 'are'} not as in those, so there these rows alone say"
+    if use.widened_by is not None and use.widened_by >= NOTICED:
+        said += f"; this arm is odder than most, so the type's standard deviations count {use.widened_by:.2g} times"
+    if names:
+        verb = "rests" if len(names) == 1 else "rest"
+        said += f". {', '.join(names)} {verb} on the prior, not on these rows"
+    return said + "."

@@ -1,0 +1,30 @@
+"""How far an arm was believed to be as its type: used, widened or dropped, and the test that said so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class PriorUse:
+    """What became of a prior: ``widened_by`` times its standard deviations it was taken, None where it was dropped.
+
+    ``odd`` parameters are those of which the arm is not as its type: there the rows alone say. ``chi_square`` compares the
+    arm with its type in ``compared`` directions that the rows tell, the odd left to them, with the chance ``p_value`` that
+    an arm of the type is as far off.
+    """
+
+    state: Literal["used", "widened", "dropped"]
+    widened_by: float | None
+    chi_square: float
+    compared: int
+    p_value: float
+    odd: tuple[str, ...] = ()
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {
+            "state": self.state, "widened_by": self.widened_by, "chi_square": self.chi_square,
+            "compared": self.compared, "p_value": self.p_value, "odd": list(self.odd),
+        }  # fmt: skip

@@ -1,0 +1,129 @@
+"""A process of Kilter that another one starts, watches, starts again when it has ended, and stops."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from abc import ABC, abstractmethod
+
+log = logging.getLogger("kilter.processes")
+
+STEADY_S = 30.0  # what ran for so long is started again at once
+
+
+class Child(ABC):
+    """A process from :meth:`start` to :meth:`wait`; :meth:`watch` is called again and again in between.
+
+    How it is started and ended is up to the class: a program, or a fork.
+    """
+
+    first_pause_s, longest_pause_s = 0.2, 10.0
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.pid: int | None = None
+        self.ending = ""  # how it ended the last time, in words
+        self.ends = 0
+        self._started = 0.0
+        self._pause = self.first_pause_s
+        self._again_at: float | None = None
+        self._frozen = False
+
+    @property
+    @abstractmethod
+    def alive(self) -> bool:
+        """Whether the process runs."""
+
+    @abstractmethod
+    def _launch(self) -> None:
+        """Start the process."""
+
+    @abstractmethod
+    def _how_it_ended(self) -> tuple[str, bool]:
+        """Say how it ended, and whether somebody killed it."""
+
+    @abstractmethod
+    def ask_to_stop(self) -> None:
+        """Ask the process to end in order, if it runs."""
+
+    @abstractmethod
+    def _kill(self) -> None:
+        """End the process at once, if it runs."""
+
+    @abstractmethod
+    def _wait_until_ended(self, seconds: float) -> bool:
+        """Wait until it has ended; False when it had not in time."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go of what was open to a process that has ended."""
+
+    def start(self) -> None:
+        """Start the process."""
+        self._started, self._again_at, self._frozen = time.monotonic(), None, False
+        self._launch()
+
+    def watch(self) -> bool:
+        """Start the process again when it has ended: soon, and more slowly when it keeps ending; whether it did."""
+        if self.alive:
+            self._say_if_frozen()
+            return False
+        time_s = time.monotonic()
+        if self._again_at is None:
+            self._again_at = time_s + self._pause_after(time_s - self._started)
+        if time_s < self._again_at:
+            return False
+        self._close()
+        self.start()
+        return True
+
+    def _pause_after(self, ran_s: float) -> float:
+        """Say how it ended, and how long to wait with the next start."""
+        self.ending, killed = self._how_it_ended()
+        self.ends += 1
+        log.error("%s %s: it starts again", self.name, self.ending)
+        if killed or ran_s > STEADY_S:  # not by its own failure: it need not be slowed down
+            self._pause = self.first_pause_s
+        pause, self._pause = self._pause, min(2 * self._pause, self.longest_pause_s)
+        return pause
+
+    def _say_if_frozen(self) -> None:
+        """Say that somebody stopped the process (SIGSTOP, a debugger); whoever did it may want to go on."""
+        frozen = stopped(self.pid)
+        if frozen == self._frozen:
+            return
+        self._frozen = frozen
+        if frozen:
+            remedy = f"`kill -CONT {self.pid}` lets it go on, after `kill -KILL {self.pid}` it starts again"
+            log.error("%s is frozen (SIGSTOP or a debugger): %s", self.name, remedy)
+        else:
+            log.warning("%s goes on", self.name)
+
+    def wait(self, deadline: float) -> None:
+        """Wait for the end; kill the process when the deadline passes."""
+        if not self._wait_until_ended(max(0.0, deadline - time.monotonic())):
+            log.warning("%s did not stop: it is killed", self.name)
+            self._kill()
+        self._close()
+
+
+def running(pid: int | None) -> bool:
+    """Whether a process is not stopped (SIGSTOP, a debugger) or dead, as far as this system tells."""
+    return _state(pid) not in "TtZX"
+
+
+def stopped(pid: int | None) -> bool:
+    """Whether somebody stopped a process. One whose threads end one after another is not: its first is dead, no more."""
+    return _state(pid) in "Tt"
+
+
+def _state(pid: int | None) -> str:
+    """Letter of the state that Linux tells of a process, X where it has none; R where this system tells nothing."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            return file.read().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return "X" if os.path.isdir("/proc/self") else "R"
+    except (OSError, IndexError):
+        return "R"

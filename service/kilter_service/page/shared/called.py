@@ -1,0 +1,48 @@
+"""What people call effects, and how chances are written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from kilter_service.contract.gap_details import AtJoints, NamedEffect
+from kilter_service.page.words import joined_by_and, number, of_joints
+
+JOINT = re.compile(r"_(\d+)$")
+SMALLEST_P = 1e-4
+
+
+def called(effect: AtJoints) -> str:
+    """Name an effect and its joints."""
+    return named(effect.id, effect.joints or [])
+
+
+def claimed(effect: NamedEffect) -> str:
+    """Say what is claimed of an effect: the narrowest set that the data single out."""
+    if effect.claim is None:  # an earlier result, without claims
+        rivals = [called(one) for one in effect.alias_set or []]
+        return called(effect) + (f", or its alias {joined_by_and(rivals)}" if rivals else "")
+    if effect.claim.said == "member":
+        return called(effect)
+    return effect.claim.words.replace("_", " ")
+
+
+def named(name: str, joints: Sequence[int]) -> str:
+    """Name an effect at some joints."""
+    plain = name.replace("_", " ")
+    if not joints:
+        return plain
+    return f"{plain} of {of_joints(joints)}"
+
+
+def joint_of(parameter: str) -> int | None:
+    """Return the joint that a parameter's name ends with."""
+    found = JOINT.search(parameter)
+    return int(found[1]) if found else None
+
+
+def chance(p: float | None) -> str:
+    """Write a p-value; far below what anybody distinguishes, only its bound."""
+    if p is None:
+        return "–"
+    return f"< {SMALLEST_P:g}" if p < SMALLEST_P else number(p, 2)

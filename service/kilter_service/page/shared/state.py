@@ -1,0 +1,48 @@
+"""How a robot stands, in a word and a sentence: good, drifting, changed, not corrected, or not known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_service.contract.drift import DriftSummary
+from kilter_service.contract.today import Today
+from kilter_service.page.shared.accuracy import Accuracy
+from kilter_service.page.shared.correcting import OFF, Correcting
+from kilter_service.page.words import mm
+
+
+@dataclass(frozen=True)
+class State:
+    """``look`` is the colour's: good, warn, bad or faint."""
+
+    word: str
+    look: str
+    sentence: str
+
+
+def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary | None, seen: Correcting) -> State:
+    """Say how a robot stands; what is worst is said."""
+    if today is None or today.version_id is None:
+        return State(OFF, "warn", "No version is active: the arm is as good as its nominal description.")
+    if seen.instead:
+        return State(seen.instead, seen.look, seen.sentence)
+    if drift is not None and drift.state in ("moved", "cannot_tell"):
+        return State("Has moved", "bad", _without_word(drift.sentence))
+    if drift is not None and drift.state == "creeping":
+        return State("Drifting", "warn", _without_word(drift.sentence))
+    if today.changed:
+        said = f"Its error is {mm(today.larger_by_mm)} larger than at the fit, more than chance explains."
+        return State("Has changed", "bad", said)
+    if accuracy is None:
+        return State("Not known", "warn", "The active version was made without measurements of the tool.")
+    if not accuracy.held_out:
+        return State("Not known", "warn", "Nothing was held out of the fit, so its error looks too good.")
+    if drift is None or drift.state == "never":
+        return State("Good", "good", "As good as at its fit, as far as is known: it was not checked since.")
+    return State("Good", "good", "Its checks agree with the active version.")
+
+
+def _without_word(sentence: str) -> str:
+    """The sentence of a check without the word of its verdict, which stands beside it."""
+    said = sentence.partition(": ")[2] or sentence
+    return f"{said[:1].upper()}{said[1:]}"

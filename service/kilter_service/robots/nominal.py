@@ -1,0 +1,59 @@
+"""The nominal arm of a stored robot: its flange at joints, and all joints for a flange."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kilter_core.arm.conversions import pose_document
+from kilter_core.arm.documents.parts import pose_of
+from kilter_core.errors import OptionError
+from kilter_core.model.closed_inverse import axes_of, flange, solutions
+from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
+from kilter_service.contract.units import Pose
+from kilter_service.db import Database
+from kilter_service.robots import service
+from kilter_service.wire import to_deg, to_rad
+
+
+def forward(database: Database, name: str, rows: JointRows) -> Flanges:
+    """Return the flange at each row of joints.
+
+    Raises:
+        OptionError: another number of joints than the robot has, or a prismatic joint.
+
+    """
+    arm = service.arm(database, name)
+    if any(joint.kind != "revolute" for joint in arm.joints):
+        raise OptionError(f"{name!r} has a prismatic joint: joints_deg are of revolute joints.", option="joints_deg")
+    wrong = next((k for k, row in enumerate(rows.joints_deg) if len(row) != arm.n_joints), None)
+    if wrong is not None:
+        said = f"Row {wrong + 1} has {len(rows.joints_deg[wrong])} joints, {name!r} has {arm.n_joints}."
+        raise OptionError(said, option="joints_deg")
+    poses = (flange(arm, q) for q in to_rad(np.array(rows.joints_deg, dtype=np.float64)))
+    return Flanges(flanges=[Pose.model_validate(pose_document(T)) for T in poses])
+
+
+def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
+    """Return all joints of each pose of the flange.
+
+    Raises:
+        RobotError: the joints of this arm have no closed form.
+
+    """
+    axes = axes_of(service.arm(database, name))
+    rows = [solutions(axes, pose_of(pose.model_dump())) for pose in wanted.flanges]
+    return Postures(
+        postures=[
+            [
+                Posture(
+                    joints_deg=to_deg(one.q).tolist(),
+                    front=one.front,
+                    elbow_up=one.elbow_up,
+                    wrist=one.wrist,
+                    singular=one.singular,
+                )
+                for one in row
+            ]
+            for row in rows
+        ]
+    )

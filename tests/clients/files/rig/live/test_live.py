@@ -1,0 +1,186 @@
+"""A live view takes a view of each pose at which the arm rests, from a stream or a folder, and says what is missing."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from threading import Event
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+
+from kilter_client.cli import run
+from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.rig.live.feeds import Device, Shot, Stream, boundary_of, feed_of, parts
+from kilter_files.rig.live.newest import newest
+from kilter_files.rig.live.server import page_of
+from kilter_files.rig.live.session import Session, follow
+from kilter_files.rig.live.taken import Taken, read_row
+from kilter_files.rig.see.run import Looker
+from kilter_files.rig.see.target import read_target
+from tests.clients.files.rig.live.cameras import jpeg, mjpeg, picture
+from tests.clients.files.rig.see.boards import CHARUCO, board
+
+BOARD = str(board(CHARUCO)[0])
+
+
+def session(folder: Path | None, joints: Path | None = None, wanted: int | None = None) -> Session:
+    return Session(Looker([read_target(Path(BOARD))]), Taken(folder, joints), "test", wanted=wanted)
+
+
+def test_a_view_is_taken_once_the_board_rests_at_another_place(tmp_path: Path) -> None:
+    live = session(tmp_path / "out")
+
+    def show(grey: np.ndarray | None, t: float) -> int:
+        live.look(Shot(f"f{t}", t, grey))
+        return len(live.taken)
+
+    first = picture(0)
+    assert [show(first, t) for t in (0.0, 0.2, 0.4, 0.6, 0.8)] == [0, 0, 0, 1, 1]  # half a second at one place
+    assert [show(first, t) for t in (1.0, 2.0, 3.0)] == [1, 1, 1]  # the same pose is not taken again
+    assert [show(picture(0, 4.0 * k), 3.0 + 0.3 * k) for k in range(1, 6)] == [1] * 5  # it moves
+    assert live.state["rests"] is False
+    still = picture(0, 25.0)
+    assert [show(still, 5.0 + t) for t in (0.0, 0.3, 0.6, 0.9)] == [1, 1, 2, 2]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["view0001.png", "view0002.png"]
+    assert (cv2.imread(str(tmp_path / "out" / "view0002.png"), cv2.IMREAD_GRAYSCALE) == still).all()  # nothing is lost
+    assert live.state["taken"] == 2
+    missing = [cell for row in live.state["cells"] for cell in row]
+    assert 0 < sum(missing) < 20
+    show(np.full_like(first, 128), 9.0)
+    assert live.state["refusal"]["code"] in ("board_not_found", "picture_blurred")
+    assert live.state["corners"] == 0
+    live.take_next()
+    assert [show(picture(1), 10.0), show(picture(1), 10.1)] == [3, 3]  # taken at once when asked for
+
+
+def test_a_stream_is_followed_and_its_newest_picture_looked_at(tmp_path: Path) -> None:
+    live = session(tmp_path / "out", wanted=3)
+
+    def frames() -> Iterator[bytes]:
+        for k in range(3):
+            still = jpeg(picture(k))
+            while len(live.taken) <= k:
+                yield still
+
+    with mjpeg(frames) as address:
+        stop = Event()
+        follow(live, newest(feed_of(address), stop))
+        stop.set()
+    assert live.full
+    assert len(list((tmp_path / "out").glob("view*.png"))) == 3
+
+
+def test_a_folder_that_fills_takes_every_picture_and_says_what_lacks(tmp_path: Path) -> None:
+    folder = tmp_path / "filling"
+    folder.mkdir()
+    live = session(None, wanted=8)
+    shots, stop = feed_of(str(folder)).shots(Event()), Event()
+    assert next(shots) is None
+    for k in range(8):
+        cv2.imwrite(str(folder / f"pose{k}.png"), picture(k))
+        shot = next(shots)
+        while shot is None:
+            shot = next(shots)
+        live.look(shot)
+        assert len(live.taken) == k + 1
+    stop.set()
+    gates = {gate["name"]: gate for gate in live.state["gates"]}
+    assert gates["views"]["value"] == 8
+    assert gates["views"]["met"] is False
+    assert "at least 10 pictures" in gates["views"]["remedy"]
+
+
+def test_the_command_ends_by_itself_and_what_it_wrote_is_read_by_see(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now, out = tmp_path / "now.csv", tmp_path / "out"
+    now.write_text("q1_deg,q2_deg\n10,20\n11,21.5\n")
+
+    def frames() -> Iterator[bytes]:
+        k, sent = 0, 0
+        while True:
+            there = len(list(out.glob("view*.png"))) if out.exists() else 0
+            k, sent = (there, 0) if there > k else (k, sent + 1)
+            yield jpeg(picture(k))
+
+    with mjpeg(frames) as address:
+        given = [address, "--board", BOARD, "--joints", str(now), "-o", str(out), "--views", "2", "--json"]
+        assert run(["live", *given]) == 0
+    told = capsys.readouterr()
+    assert "http://127.0.0.1:" in told.err
+    document = json.loads(told.out)
+    assert document["views"] == ["view0001.png", "view0002.png"]
+    rows = list(csv.DictReader((out / "joints.csv").read_text().splitlines()))
+    assert [(row["picture"], row["q2_deg"]) for row in rows] == [("view0001.png", "21.5"), ("view0002.png", "21.5")]
+    views = tmp_path / "views.csv"
+    assert run(["see", str(out), "--board", BOARD, "--joints", str(out / "joints.csv"), "-o", str(views)]) == 0
+    assert len(views.read_text().splitlines()) == 3
+
+
+def test_joints_that_cannot_be_read_take_no_view(tmp_path: Path) -> None:
+    now = tmp_path / "now.csv"
+    live = session(tmp_path / "out", now)
+    for k in range(4):
+        live.look(Shot("a", 0.4 * k, picture(0)))
+    assert "cannot be read: the view was not taken" in live.state["message"]
+    now.write_text("q1_deg\n12\n")
+    live.look(Shot("a", 2.0, picture(0)))
+    assert (live.state["taken"], live.state["message"]) == (1, "took view0001.png with its joints")
+    for text, said in (
+        ("q1_deg\n", "no whole row"),
+        ("q1\n3\n", "not a contract column"),
+        ("q1_deg\nx\n", "not a number"),
+    ):
+        now.write_text(text)
+        with pytest.raises(FileError, match=said):
+            read_row(now)
+
+
+def test_what_is_no_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UsageError, match="give a folder, the address"):
+        feed_of(str(tmp_path / "nowhere"))
+    with pytest.raises(FileError, match="is not there"):
+        next(Device(Path("/dev/video987")).shots(Event()))
+    with pytest.raises(FileError, match="sends no pictures"):
+        next(Stream("http://127.0.0.1:9/").shots(Event()))
+    with (
+        mjpeg(lambda: iter([b"x"]), "text/html") as address,
+        pytest.raises(FileError, match="is text/html, not an MJPEG"),
+    ):
+        next(Stream(address).shots(Event()))
+    assert boundary_of("a", 'multipart/x-mixed-replace; boundary="--x"') == b"--x"
+    assert run(["live", "http://127.0.0.1:9/", "--board", BOARD]) == 2
+    assert "-o DIR" in capsys.readouterr().err
+    assert run(["live", "http://127.0.0.1:9/", "--board", BOARD, "-o", str(tmp_path)]) == 1
+    assert "sends no pictures" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "head", [b"Content-Length: 99999999999\r\n", b"Content-Type: image/jpeg\r\n", b"Content-Length: 50\r\n"]
+)
+def test_lying_parts_end_the_stream_with_bounded_memory(head: bytes) -> None:
+    with pytest.raises(OSError, match=r"length|ended within"):
+        next(parts(BytesIO(b"--frame\r\n" + head + b"\r\nshort"), b"--frame"))
+
+
+def test_the_page_answers_itself_only(tmp_path: Path) -> None:
+    live = session(tmp_path)
+    with page_of(live) as address, httpx.Client() as client:
+        assert "default-src 'none'" in client.get(address).headers["content-security-policy"]
+        assert client.get(address + "state").json() == {}
+        assert client.get(address + "picture.jpg").status_code == 404
+        live.look(Shot("a", 0.0, picture(0)))
+        assert client.get(address + "state").json()["corners"] == 24
+        assert client.get(address + "picture.jpg").headers["content-type"] == "image/jpeg"
+        assert client.get(address, headers={"Host": "evil.example"}).status_code == 403
+        assert client.post(address + "take").status_code == 403
+        assert live.asked is False
+        assert client.post(address + "take", headers={"X-Kilter": "take"}).status_code == 202
+        assert live.asked is True
+        assert client.get(address + "../etc/passwd").status_code == 404

@@ -1,0 +1,91 @@
+"""`kilter kit so101`: from views of a simulated arm to what it has, and to a corrected grasp. MuJoCo is the arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kilter_client import Kilter
+from tests.clients.files.formats.test_lerobot import calibration
+from tests.clients.lerobot.so101_arm import tool_mm
+from tests.clients.lerobot.so101_twin import Twin, ticks
+from tests.clients.lerobot.webcam import View, views, written
+from tests.clients.test_cli import Command
+
+STIFFNESS, PLAY_DEG = [300.0, 33.0, 28.0, 40.0, 300.0], [0.0, 0.0, 1.1, 0.0, 0.0]
+ARM = Twin([0.0, 1.5, -1.0, 0.8, 0.0], STIFFNESS, PLAY_DEG, {"elbow_flex_x": 1.5, "wrist_flex_y": -1.2})
+PAYLOADS = (0.0, 0.2)
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Command:
+    return Command(capsys)
+
+
+@pytest.fixture(scope="module")
+def seen() -> list[View]:
+    return views(ARM, 40, np.random.default_rng(1), PAYLOADS, 0.5)
+
+
+def test_views_that_tell_too_little_are_named_before_anything_is_sent(
+    kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]
+) -> None:
+    servos = calibration(tmp_path)
+    one_sided = [view for view in seen if view.side[2] > 0 and view.payload_kg == 0.0][:30]
+    rows, rig = written(tmp_path, "few", one_sided)
+    asked = ("kit", "so100", rows, "--cameras", rig, "--calibration", servos)
+    document = command.json(*asked, code=4)
+    missing = "\n".join(document["missing"])
+    assert f"views more ({len(one_sided)} of 40)" in missing
+    assert "a second payload, at least 100 g heavier" in missing
+    assert "views in which joint 3 (elbow_flex) came from above" in missing
+    assert kilter.campaigns.list("so100") == []
+    assert "still missing: a second payload" in command(*asked, code=4)
+    alone = command.json("kit", "so100", rows, code=2)
+    assert "Give --cameras, the JSON beside the views, and --calibration" in alone["detail"]
+    other = tmp_path / "points.csv"
+    other.write_text("q1_deg,x_mm\n1,2\n")
+    refused = command.json("kit", "so100", other, "--cameras", rig, "--calibration", servos, code=1)
+    assert "has no column q2_deg. Give the views that `kilter see` writes" in refused["detail"]
+    steps = command("kit", "so100")
+    assert "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
+    assert "nobody" in command.json("kit", "nobody", code=1)["detail"]
+
+
+def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]) -> None:
+    rows, rig = written(tmp_path, "views", seen)
+    document = command.json("kit", "so101", rows, "--cameras", rig, "--calibration", calibration(tmp_path))
+    assert document["missing"] == []
+    assert document["before_mm"] > 12.0
+    assert document["after_mm"] < 2.0
+    assert any("joint 3 (elbow_flex) has " in line and "deg of backlash" in line for line in document["lines"])
+    assert not any("backlash" in line and "joint 3" not in line for line in document["lines"])
+    found = {one["name"]: one["value"] for one in kilter.versions.get(document["version_id"])["parameters"]}
+    assert 2.0 * found["backlash_load_3"] == pytest.approx(PLAY_DEG[2], rel=0.2)
+    for j in (2, 3, 4):
+        assert np.degrees(1.0) / found[f"compliance_{j}"] == pytest.approx(STIFFNESS[j - 1], rel=0.15)
+    assert kilter.campaigns.list("so101")[0]["conditions"]["calibration_sha256"]
+    command("activate", document["version_id"], "--robot", "so101", "--force")
+    assert_grasps(kilter)
+
+
+def assert_grasps(kilter: Kilter) -> None:
+    """Ten grasps with 200 g, from either side, at poses that nobody measured: where the nominal arm would have its tool."""
+    rng = np.random.default_rng(7)
+    wanted = rng.uniform(-1.0, 1.0, (10, 5)) * [60.0, 50.0, 50.0, 60.0, 120.0]
+    table: dict[str, Any] = {f"q{j + 1}_deg": wanted[:, j].tolist() for j in range(5)}
+    corrected = kilter.correct("so101", table, payload_kg=0.2).to_dict()
+    goals = ticks(np.column_stack([corrected[f"q{j + 1}_deg"] for j in range(5)]))
+    sides = np.where(rng.random((10, 5)) < 0.5, -1.0, 1.0)
+    off = {name: [_off(q, side, row) for q, side, row in zip(told, sides, wanted, strict=True)]
+           for name, told in (("told", ticks(wanted)), ("corrected", goals))}  # fmt: skip
+    assert np.mean(off["told"]) > 12.0
+    assert np.mean(off["corrected"]) < 2.0
+    assert np.max(off["corrected"]) < 5.0
+
+
+def _off(q: Any, side: Any, wanted: Any) -> float:
+    return float(np.linalg.norm(ARM.settled(q, side, 0.2)[:3, 3] - tool_mm(wanted)))

@@ -1,0 +1,127 @@
+"""A calibrated arm under LinuxCNC: its planner moves along lines, and its joints are those that Python corrects."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kilter_core.correct.kernels import layout
+from tests.clients.six_joint_arms import Arm, Floats, about, shift
+from tests.core.correct.c_corrector import blob_of
+from tests.core.correct.test_c_corrector import program_of
+
+REPOSITORY = Path(__file__).parents[3]
+MODULES = Path("/usr/lib/linuxcnc/modules")
+PRESET, HOME = "kr6-r900", np.array([10.0, -80, 75, 20, 40, 30])
+NOBODY = 65534
+PYTHON = Path("/usr/bin/python3")  # that of the distribution has LinuxCNC's module
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not (shutil.which("linuxcnc") and shutil.which("halcompile")) or not os.access(MODULES, os.W_OK),
+        reason="LinuxCNC is not installed, or its modules cannot be added to (Debian: linuxcnc-uspace-dev)",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def module() -> Path:
+    """The kinematics, compiled and put where LinuxCNC looks for them."""
+    command = ["halcompile", "--install", "../linuxcnc/kilter_kins.c"]
+    built = subprocess.run(command, cwd=REPOSITORY / "clients" / "c", capture_output=True, text=True)
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert "warning" not in built.stdout + built.stderr
+    return MODULES / "kilter_kins.so"
+
+
+def as_user(command: list[str]) -> list[str]:
+    """LinuxCNC refuses to run as root."""
+    drop = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+    return [*drop, *command] if os.geteuid() == 0 else command
+
+
+def machine(folder: Path, blob: bytes) -> Path:
+    """The simulation of clients/linuxcnc/sim in a folder that anybody may read."""
+    sim = REPOSITORY / "clients" / "linuxcnc" / "sim"
+    for source in (sim / "arm.hal", sim / "make_ini.py", Path(__file__).with_name("drive.py")):
+        shutil.copy(source, folder)
+    (folder / "arm.klt").write_bytes(blob)
+    (folder / "arm.tbl").touch()
+    home = ",".join(map(str, HOME))
+    text = subprocess.run(
+        [sys.executable, "make_ini.py", "arm.klt", home], cwd=folder, check=True, capture_output=True, text=True
+    ).stdout
+    drive = folder / "drive.sh"
+    drive.write_text(f"#!/bin/sh\nexec {PYTHON} drive.py\n")
+    drive.chmod(0o755)
+    (folder / "arm.ini").write_text(text.replace("DISPLAY = axis", f"DISPLAY = {drive}"))
+    if os.geteuid() == 0:
+        for path in (folder, *folder.iterdir()):
+            os.chown(path, NOBODY, NOBODY)
+    return folder / "arm.ini"
+
+
+def pose_of(T: Floats) -> list[float]:
+    z, y, x = Rotation.from_matrix(T[:3, :3]).as_euler("ZYX", degrees=True)
+    return [*T[:3, 3].tolist(), float(x), float(y), float(z)]
+
+
+def test_the_planner_moves_a_calibrated_arm(module: Path) -> None:
+    assert module.exists()
+    program, arm = program_of(PRESET, "gear_error", "link_bending"), Arm(PRESET)
+    folder = Path(subprocess.run(["mktemp", "-d"], check=True, capture_output=True, text=True).stdout.strip())
+    try:
+        ini = machine(folder, blob_of(program))
+        start = arm.flange(HOME)
+        steps = [(40, 0, 0), (40, -30, 20), (0, 25, -40), (-30, 10, 15), (0, 0, 0)]
+        poses = [pose_of(shift(*step) @ start @ about("y", 0.02 * k)) for k, step in enumerate(steps)]
+        (folder / "poses.json").write_text(json.dumps(poses))
+        run = subprocess.run(
+            as_user(["linuxcnc", "-r", str(ini)]), cwd=folder, capture_output=True, text=True, timeout=240,
+            env=os.environ | {"HOME": str(folder)},
+        )  # fmt: skip
+        assert (folder / "seen.json").exists(), run.stdout + run.stderr
+        seen = json.loads((folder / "seen.json").read_text())
+    finally:
+        shutil.rmtree(folder)
+    assert len(seen) == len(poses) + 1
+    assert [one["done"] for one in seen] == [1] * len(seen)  # RCS_DONE
+    commanded = np.array([one["joints_deg"] for one in seen])
+    assert np.abs(commanded[0] - HOME).max() < 1e-5  # it begins where the arm is, not where the nominal arm would be
+    wanted, q = [], HOME
+    for pose in poses:
+        T = shift(*pose[:3]) @ about("ZYX", np.radians(pose[:2:-1]))
+        q = arm.joints(T, q)
+        wanted.append(q)
+    done = program.correct_rows(np.radians(wanted))
+    assert (done.status == layout.OK).all()
+    assert np.abs(commanded[1:] - np.degrees(done.q)).max() < 1e-6
+    assert np.abs(commanded[1:] - wanted).max() > 1e-3
+
+
+def test_a_damaged_program_stops_the_start_and_says_why(module: Path) -> None:
+    assert module.exists()
+    folder = Path(subprocess.run(["mktemp", "-d"], check=True, capture_output=True, text=True).stdout.strip())
+    try:
+        content = bytearray(blob_of(program_of(PRESET, "gear_error")))
+        content[400] ^= 1
+        ini = machine(folder, bytes(content))
+        (folder / "poses.json").write_text("[]")
+        run = subprocess.run(
+            as_user(["linuxcnc", "-r", str(ini)]), cwd=folder, capture_output=True, text=True, timeout=120,
+            env=os.environ | {"HOME": str(folder)},
+        )  # fmt: skip
+        told = run.stdout + run.stderr + "".join(path.read_text() for path in folder.glob("linuxcnc_*.txt"))
+        assert not (folder / "seen.json").exists()
+        assert "its checksum is wrong: export it again" in told
+    finally:
+        shutil.rmtree(folder)

@@ -1,0 +1,86 @@
+"""A server that is lost, and a job that ends while nobody looks: every view says so, in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Browser, Route, expect
+
+from kilter_service.db.row import now
+from kilter_service.db.tables import JobRow
+
+from .conftest import log_in, opened
+from .made import Made, made
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
+    with made(tmp_path_factory.mktemp("lost"), migrated, rows=5) as found:
+        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
+        yield found
+
+
+@pytest.fixture(scope="module")
+def server(there: Made) -> httpx.Client:
+    return there.client
+
+
+@pytest.mark.short_path
+def test_a_lost_server_says_so_and_comes_back(there: Made, chromium: Browser) -> None:
+    with opened(chromium, there.client) as page:
+        page.goto(f"/robots/{there.robot}/settings")
+        page.context.set_offline(True)
+        banner = page.locator("#lost")
+        expect(banner).to_contain_text("The server does not answer since")
+        page.context.set_offline(False)
+        expect(banner).to_contain_text("The server answers again", timeout=15_000)
+        banner.get_by_role("button", name="Load it anew").click()
+        expect(banner).to_be_hidden()
+
+
+def test_a_part_that_does_not_come_is_a_sentence_with_a_way_out(there: Made, chromium: Browser) -> None:
+    context = chromium.new_context(base_url=str(there.client.base_url))  # htmx complains of what is tested here
+    with closing(context):
+        page = context.new_page()
+        log_in(page, there.client.headers["authorization"].removeprefix("Bearer "))
+        page.route("**/worst?*", lambda route: route.abort())
+        page.goto(f"/robots/{there.robot}")
+        tile = page.locator(".tile").nth(1)
+        expect(tile).to_contain_text("This part could not be loaded")
+        page.unroute("**/worst?*")
+        tile.get_by_role("button", name="Ask again").click()
+        expect(tile).to_contain_text("mm from the base")
+
+        def refused(route: Route) -> None:
+            body = '{"title": "Busy", "status": 503, "code": "busy", "detail": "The server is busy: try again."}'
+            route.fulfill(status=503, content_type="application/problem+json", body=body)
+
+        page.route("**/worst?*", refused)
+        page.reload()
+        expect(tile.get_by_role("alert")).to_have_text("The server is busy: try again.")
+
+
+def test_the_tab_of_a_job_says_that_it_is_over(there: Made, chromium: Browser) -> None:
+    job = there.client.post(
+        "/v1/jobs", json={"kind": "identify", "robot": there.robot, "campaigns": [there.campaign]}
+    ).raise_for_status().json()["id"]  # fmt: skip
+    with opened(chromium, there.client) as page:
+        page.context.grant_permissions(["notifications"])
+        page.add_init_script("window.told = []; window.Notification = class { static permission = 'granted'; "
+                             "static requestPermission = async () => 'granted'; "
+                             "constructor(title) { localStorage.setItem('told', title); } };")  # fmt: skip
+        page.goto(f"/jobs/{job}")
+        page.get_by_label("Notify me when it is over").check()
+        with there.database.transaction() as session:
+            row = session.get_one(JobRow, job)
+            row.state, row.finished_at = "failed", now()
+            row.error = {"code": "internal_error", "message": "It broke."}
+        page.get_by_text("The job has failed.").wait_for()
+        expect(page).to_have_title(re.compile("^✗ "))
+        assert page.locator('link[rel="icon"]').get_attribute("href").startswith("data:image/svg")  # type: ignore[union-attr]
+        assert "failed" in page.evaluate("localStorage.getItem('told')")

@@ -1,0 +1,131 @@
+"""The parts of the page: one set of colours everywhere, the overview on one screen, and a state of a robot in a word."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser
+
+from kilter_service.contract.fits import Errors, Parameter, StageErrors
+from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.db.row import now
+from kilter_service.page.figures.meanings import MEANINGS
+from kilter_service.page.shared.accuracy import accuracy_today
+from kilter_service.page.shared.correcting import Correcting
+from kilter_service.page.shared.state import state_of
+from kilter_service.page.words import beside, sigma_of
+
+from .conftest import opened
+from .made import Made, made
+from .test_robot import arm_of
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SOURCES = REPOSITORY / "service" / "kilter_service" / "page" / "sources"
+READY = Correcting("ready", "faint", "The corrector runs.")
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
+    with made(tmp_path_factory.mktemp("parts"), migrated) as found:
+        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
+        yield found
+
+
+@pytest.fixture(scope="module")
+def server(there: Made) -> httpx.Client:
+    return there.client
+
+
+def test_style_sheet_picture_and_docs_have_the_colours_of_the_figures() -> None:
+    style = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6});", (SOURCES / "page.css").read_text(encoding="utf-8")))
+    assert {name: style[name] for name in MEANINGS} == MEANINGS
+    rows = re.search(r"ROWS = \{(.*?)\}", (SOURCES / "arm" / "parts.js").read_text(encoding="utf-8"))
+    assert rows is not None
+    drawn = {name: f"#{value}" for name, value in re.findall(r"(\w+): 0x([0-9a-f]{6})", rows[1])}
+    asked = {"fitted": "fitted", "held": "held-out", "aside": "set-aside", "chosen": "chosen", "error": "error"}
+    assert drawn == {short: MEANINGS[name] for short, name in asked.items()}
+    page = (REPOSITORY / "docs" / "reference" / "page-parts.md").read_text(encoding="utf-8")
+    assert dict(re.findall(r"\| `([a-z-]+)` \| (#[0-9a-f]{6}) \|", page)) == MEANINGS
+
+
+def of_today(source: str = "held_out", changed: bool = False, version: str | None = "ver_1") -> Today:
+    errors = StageErrors(n=40, identified=Errors(mean_mm=0.02, rms_mm=0.022))
+    newest = ErrorsToday(source=source, job_id="job_1", at=now(), campaigns=[], refit=[], rows="", errors=errors)  # type: ignore[arg-type]
+    return Today(
+        robot="arm", version_id=version, newest=newest, own=newest, changed=changed, larger_by_mm=0.5 if changed else None,
+        compared="", not_evaluated=[], missing=None, sentences=[],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("today", "seen", "word"),
+    [
+        (of_today(), READY, "Good"),
+        (of_today(changed=True), READY, "Has changed"),
+        (of_today(version=None), READY, "Not corrected"),
+        (of_today(source="fitted"), READY, "Not known"),
+        (of_today(), Correcting("corrector stopped", "bad", "It does not run.", "Not corrected"), "Not corrected"),
+    ],
+)
+def test_the_state_says_what_is_worst(today: Today, seen: Correcting, word: str) -> None:
+    assert state_of(today, accuracy_today(today), None, seen).word == word
+
+
+def test_lengths_beside_each_other_have_the_unit_of_the_largest() -> None:
+    assert [beside(one, 1.25) for one in (0.0171, 0.834, 1.25)] == ["0.0171 mm", "0.834 mm", "1.25 mm"]
+    assert [beside(one, 0.05) for one in (0.0171, 0.05)] == ["17.1 µm", "50.0 µm"]
+
+
+def test_standard_deviation_and_interval_of_a_line_are_of_one_estimate() -> None:
+    told = {"name": "a_2", "unit": "mm", "value": 190.0, "sigma": 0.01, "lower": 189.902, "upper": 190.098}
+    assert sigma_of(Parameter(**told, interval_from="profile")) == pytest.approx(0.05)
+    assert sigma_of(Parameter(**told, interval_from="sigma")) == 0.01
+    assert sigma_of(Parameter(name="a_2", unit="mm", value=190.0, sigma=0.01)) == 0.01
+
+
+def test_the_settings_hold_what_is_rarely_changed(server: httpx.Client, there: Made) -> None:
+    text = server.get(f"/robots/{there.robot}/settings").raise_for_status().text
+    for part in ('id="controller"', 'id="remarks"', 'id="description"', 'id="shapes"'):
+        assert part in text
+    assert "Whether the controller of katana corrects by itself is not known" in text
+
+
+def test_a_part_that_is_opened_alone_is_a_page(server: httpx.Client, there: Made) -> None:
+    asked = {"version": there.good, "campaign": there.campaign}
+    alone = (f"/robots/{there.robot}/worst", f"/versions/{there.good}/exports", f"/versions/{there.good}/contributions")
+    for place in alone:
+        assert "<html" in server.get(place, params=asked).raise_for_status().text, place
+        assert "<html" not in server.get(place, params=asked, headers={"HX-Request": "true"}).text, place
+
+
+@pytest.mark.short_path
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_overview_is_one_screen(there: Made, chromium: Browser, theme: str) -> None:
+    with opened(chromium, there.client) as page:
+        page.set_viewport_size({"width": 1440, "height": 900})
+        page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+        page.goto(f"/robots/{there.robot}")
+        page.locator("[data-arm][data-ready]").wait_for()
+        page.locator(".tile .large, .tile .figure-number").nth(1).wait_for()
+        assert page.evaluate("document.documentElement.scrollHeight") <= 900
+        heights = page.locator(".tile").evaluate_all("tiles => tiles.map(one => one.getBoundingClientRect().height)")
+        assert len(heights) == 6
+        assert max(heights) - min(heights) < 1.0
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+
+
+def test_nothing_scrolls_sideways_on_a_telephone(there: Made, chromium: Browser) -> None:
+    with opened(chromium, there.client) as page:
+        page.set_viewport_size({"width": 390, "height": 800})
+        for view in ("", "/settings"):
+            page.goto(f"/robots/{there.robot}{view}")
+            page.wait_for_load_state()
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        arm_of(page, there.robot)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
