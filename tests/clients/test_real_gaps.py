@@ -83,7 +83,9 @@ def test_two_encoders_per_joint(person: Session, shared_data: Path, whole: bool)
         assert effect["halves"]["lasts"]
         assert effect["halves"]["named"] == [True, True]
         assert (effect["verdict"], effect["claim"]["said"]) == ("class_confirmed", "class")
-    assert {"time_offset", "axial_compliance"} <= {e["id"] for e in found["effects"] if e["verdict"] in SURE}
+    # Beside the whole library a shape without a cause explains as much as the load's part does.
+    sure = {"time_offset"} if whole else {"time_offset", "axial_compliance"}
+    assert sure <= {e["id"] for e in found["effects"] if e["verdict"] in SURE}
     assert "dead_encoder" in {w["code"] for w in found["warnings"]}
     # Contrasts compare the same pose under two conditions, and axes 4 to 6 have no encoder to be wrong.
     assert not [p for p in found["where"] if p["factor"].startswith("contrast") or p["factor"][-1] in "456"]
@@ -118,5 +120,7 @@ def test_ur10_has_no_term_of_the_order_of_poses(person: Session, shared_data: Pa
     effects = named(found)
     assert not {"backlash", "friction_windup", "drift"} & set(effects)
     gravity = {"axial_compliance", "radial_compliance", "link_bending", "base_compliance", "gravity_spring"}
-    assert [e for e in found["effects"] if e["id"] in gravity and 0.0 < e["gain_mm"] < 0.1]
+    # Among the whole library it is hidden by smooth errors of the joints ten times as large, of which none lasts.
+    assert whole or [e for e in found["effects"] if e["id"] in gravity and 0.0 < e["gain_mm"] < 0.1]
+    assert not whole or not [e for e in found["effects"] if e["verdict"] in SURE]
     assert found["gap"]["validation_after_mm"] <= found["gap"]["validation_before_mm"]
