@@ -30,7 +30,7 @@ from .conftest import new_database, ready, served
 OWN, OTHER = "mine", "theirs"
 # Written out again, so that a change of the policy is seen: the role that each route needs.
 NEEDED = {
-    "viewer": """GET /v1/whoami GET /v1/robots GET /v1/robots/{robot} GET /v1/robots/{robot}/campaigns
+    "viewer": """GET /v1/whoami POST /v1/login-links GET /v1/robots GET /v1/robots/{robot} GET /v1/robots/{robot}/campaigns
         GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/robots/{robot}/meshes
         GET /v1/robots/{robot}/today GET /v1/robots/{robot}/drift GET /v1/drift GET /v1/robots/{robot}/acceptance
         GET /v1/instruments

@@ -26,7 +26,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "episodes": Entry("files.episodes", "Name joints that moved within a LeRobot data set."),
         "board": Entry("camera.board", "Write a board to print for a camera."),
         "see": Entry("camera.see", "Find boards in pictures and write their corners as rows."),
-        "live": Entry("camera.live", "Show a camera's picture, and take views when the arm rests."),
+        "live": Entry("camera.live", "Show a camera's picture and take views at rest."),
         "sheet": Entry("files.sheet", "Write the sheet to print for measuring with a pencil."),
         "sheet-read": Entry("files.sheet", "Read a scan or photo of a drawn sheet."),
         "sheet-join": Entry("files.sheet", "Join a drawn sheet and the height with the joint log."),
