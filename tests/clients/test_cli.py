@@ -72,14 +72,15 @@ def test_every_command_of_the_contract_is_there() -> None:
         *(f"{kind} {verb}" for kind in ("campaigns", "versions")
           for verb in ("list", "name", "note", "retire", "restore", "purge")),
         "instrument add", "instrument list", "upload", "inspect", "match",
-        "sheet", "filter", "board", "see", "live", "kit", "episodes", "login", "twin read", "bridge rsi", "bridge egm", "bridge fci",
+        "sheet", "filter", "board", "see", "live", "kit", "episodes", "login", "bridge rsi", "bridge egm",
+        "bridge fci",
         "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan poses", "plan check", "hand-eye", "check", "drift", "rezero", "joint-parameters",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status", "suspicious", "today", "accept", "stream-session",
-        "twin compare", "twin onto", "homing",
+        "twin compare", "twin onto", "twin read", "homing",
         "effects", "methods", "presets", "formats", "columns",
         "whoami", "audit", "token add", "token list", "token revoke",
     )} == set(COMMANDS)  # fmt: skip
