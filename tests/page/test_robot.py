@@ -247,8 +247,7 @@ def test_the_shape_of_a_link_is_drawn_in_its_place(there: Made, chromium: Browse
 
 
 def test_the_form_about_the_controller_is_of_ordinary_width(page: Page, there: Made) -> None:
-    page.goto(f"/robots/{there.robot}")
-    page.get_by_text("Say whether the controller corrects by itself").click()
+    page.goto(f"/robots/{there.robot}/settings")
     chosen, button = page.locator("select[name=compensation]"), page.get_by_role("button", name="Say so")
     longest = max(chosen.locator("option").all_inner_texts(), key=len)
     box, card = chosen.bounding_box(), page.locator("section.card", has=chosen).bounding_box()
