@@ -10,13 +10,17 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from kilter_service.auth.token import admin_token
+from kilter_service.db import Database
+from kilter_service.db.revision import migrate
 from kilter_service.errors import ServiceError
 from kilter_service.failure_log import Failing, log_failure
+from kilter_service.health.pulse import Pulse
 from kilter_service.settings import Settings
 from tests.service.postgresql import PostgreSql, own_postgresql, programs
 
@@ -84,6 +88,24 @@ def _outage(client: httpx.Client, database: PostgreSql, log: Path, until: Until)
         database.start()
         until(lambda: client.get("/v1/health/ready").status_code == 200)
         assert "kilter_database_up 1.0" in client.get("/metrics").text
+
+
+def test_a_process_waits_for_the_tables_of_a_new_database(
+    tmp_path: Path, until: Until, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings, told = Settings(data=tmp_path), []
+
+    def details() -> dict[str, Any]:
+        told.append("alive")
+        return {}
+
+    with Pulse(settings, "corrector", "local", details=details):
+        until(lambda: any(tmp_path.iterdir()))  # it has asked the database once
+        database = Database(settings.database)
+        migrate(database)
+        database.close()
+        until(lambda: bool(told))
+    assert [record for record in caplog.records if record.exc_info] == []  # SQLite may be busy, in one line
 
 
 def test_what_fails_again_and_again_is_said_once_until_it_worked(

@@ -38,7 +38,7 @@ class Pulse:
     ) -> None:
         self._settings, self._process, self._name, self._well, self._details = settings, process, name, well, details
         self._ended, self._round_at = threading.Event(), time.monotonic()
-        self._said = False
+        self._said, self._migrated = False, False
         self._telling = Failing(log, "%s cannot say in the database that it is alive", process)
         self._thread = threading.Thread(target=self._run, name=f"pulse of {process}", daemon=True)
 
@@ -68,9 +68,14 @@ class Pulse:
         database.close()
 
     def _tell(self, database: Database, *, stopped: bool) -> None:
+        from kilter_service.db import revision
         from kilter_service.health import store
 
         try:
+            # Before the tables are there, as while a new server makes them, the check of the database says what is missing.
+            self._migrated = self._migrated or revision.current(database) == revision.HEAD
+            if not self._migrated:
+                return
             with database.transaction() as session:
                 if stopped:
                     store.silence(session, self._process, self._name)
