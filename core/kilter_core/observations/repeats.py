@@ -61,6 +61,21 @@ def numbered_poses(q: Floats) -> Ints:
     return np.unique(key, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
+def group_means(values: Floats, group: Ints) -> Floats:
+    """Mean (G, ...) of the rows (N, ...) of each group; what is NaN in all rows of a group is NaN in its mean.
+
+    ``group (N,)`` numbers the groups from 0, and each has a row.
+    """
+    flat = values.reshape(len(values), -1)
+    seen = ~np.isnan(flat)
+    sums = np.zeros((int(group.max(initial=-1)) + 1, flat.shape[1]))
+    hits = np.zeros_like(sums)
+    np.add.at(sums, group, np.where(seen, flat, 0.0))
+    np.add.at(hits, group, seen)
+    mean = np.where(hits > 0, sums / np.where(hits > 0, hits, 1.0), np.nan)
+    return np.asarray(mean.reshape(len(sums), *values.shape[1:]))
+
+
 def last_motion(q: Floats) -> Floats:
     """Direction {-1, 0, 1} in which each joint moved last, (N, n), for rows that follow one another; 0 before it moves."""
     step = np.diff(q, axis=0, prepend=q[:1])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
 from kilter_core.observations.clock import came_back, clock_of
-from kilter_core.observations.repeats import numbered_poses, numbered_rows
+from kilter_core.observations.repeats import group_means, numbered_poses, numbered_rows
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
 
@@ -222,11 +222,8 @@ class Observations(Conditions):
         assert self.markers is not None
         session = np.zeros(len(self)) if self.session is None else self.session
         _, found = np.unique(np.stack([self.pose_groups(), session]), axis=1, return_inverse=True)
-        group, seen = found.reshape(-1), ~np.isnan(self.markers)
-        total, count = (np.zeros((int(group.max(initial=-1)) + 1, *self.markers.shape[1:])) for _ in range(2))
-        np.add.at(total, group, np.where(seen, self.markers, 0.0))
-        np.add.at(count, group, seen)
-        return group, np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        group = found.reshape(-1)
+        return group, group_means(self.markers, group)
 
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""

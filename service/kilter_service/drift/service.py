@@ -21,6 +21,7 @@ from kilter_service.drift import store
 from kilter_service.drift import wire_history as wire
 from kilter_service.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
 from kilter_service.drift.records import Activated, StoredCheck
+from kilter_service.robots import store as robots
 
 KEPT = KeptCharts()
 MOST_OF_MANY = 100  # checks of each robot in the list of all
@@ -33,7 +34,7 @@ UNCORRECTED = "It has no active version that could be checked."
 def of_robot(database: Database, robot: str) -> DriftHistory:
     """Return the checks of a robot, its charts, and how it stands."""
     with database.reading() as session:
-        ((key, name),) = store.robots_seen(session, robot).items()
+        ((key, name),) = robots.names_by_key(session, robot).items()
         made = store.checks(session, [key]).get(key, [])
         log = store.activations(session, [key]).get(key, [])
     own, charts = _own(made, log)
@@ -50,7 +51,7 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
 def of_robots(database: Database) -> DriftList:
     """Return how all robots stand, the worst first."""
     with database.reading() as session:
-        names = store.robots_seen(session, None)
+        names = robots.names_by_key(session, None)
         made, log = store.checks(session, names, MOST_OF_MANY), store.activations(session, names)
     found = []
     for key, name in names.items():
@@ -61,7 +62,7 @@ def of_robots(database: Database) -> DriftList:
 
 def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     """Return the last check of the active version of each robot, by name; reads few rows, for the metrics."""
-    names = store.robots_seen(session, None)
+    names = robots.names_by_key(session, None)
     made, log = store.checks(session, names, MOST_OF_LAST), store.activations(session, names)
     own = {key: _of_active(found, log.get(key, [])) for key, found in made.items()}
     return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}

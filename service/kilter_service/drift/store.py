@@ -8,22 +8,12 @@ from datetime import datetime
 from sqlalchemy import func, select
 
 from kilter_service.db import Session
-from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
+from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
 from kilter_service.drift.records import Activated, StoredCheck
-from kilter_service.robots import store as robots
 from kilter_service.versions.guard import REZEROED
 
 MOST = 1000  # checks of a robot, the newest
 MOST_LOOKED = 30  # looked through for one that agreed
-
-
-def robots_seen(session: Session, robot: str | None) -> dict[int, str]:
-    """Return the robots that are asked for, by their keys: the one of a name, or all in use that may be seen."""
-    if robot is not None:
-        found = robots.get(session, robot)
-        return {found.id: found.name}
-    query = robots.visible(select(RobotRow.id, RobotRow.name).where(RobotRow.retired_at.is_(None)))
-    return dict(session.execute(query).all())
 
 
 def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int, list[StoredCheck]]:

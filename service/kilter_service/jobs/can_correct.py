@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from kilter_core.errors import CoreError
-from kilter_service.jobs.default_load import with_remark
 from kilter_service.jobs.kind import JobInput, JobOutput
 
 MOST_POSES = 500  # looked at, evenly chosen
@@ -30,11 +27,4 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
         objection = ability.of_poses(calibration, found, version.limits)
     except (CoreError, ArithmeticError, ValueError):  # activation says so
         return output
-    if objection is None:
-        return output
-    remark = objection.model_dump()
-    return replace(
-        output,
-        result=with_remark(output.result, remark),
-        version=replace(version, report=with_remark(version.report, remark)),
-    )
+    return output if objection is None else output.warned(objection.model_dump())

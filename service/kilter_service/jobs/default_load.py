@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
@@ -15,14 +14,7 @@ THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 w
 def with_load_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that a default load, or none, was taken, and for which campaigns."""
     remark = _default(job) or unstated(kind, job)
-    if remark is None:
-        return output
-    version = output.version
-    return replace(
-        output,
-        result=with_remark(output.result, remark),
-        version=None if version is None else replace(version, report=with_remark(version.report, remark)),
-    )
+    return output if remark is None else output.warned(remark)
 
 
 def unstated(kind: str, job: JobInput) -> dict[str, Any] | None:
@@ -69,13 +61,3 @@ def _default(job: JobInput) -> dict[str, Any] | None:
         f"load counts, {load.mass:.6g} kg at ({at}) mm in the tool frame. If it carried another, state payload_kg.",
         "campaigns": list(job.default_load),
     }
-
-
-def with_remark(document: dict[str, Any], remark: dict[str, Any]) -> dict[str, Any]:
-    """A document with one more warning, unless one of its code is there."""
-    said = document.get("warnings") or []
-    return (
-        document
-        if any(one.get("code") == remark["code"] for one in said)
-        else {**document, "warnings": [*said, remark]}
-    )

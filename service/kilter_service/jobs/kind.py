@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -106,6 +106,23 @@ class JobOutput:
 
     result: dict[str, Any]
     version: VersionContent | None = None
+
+    def warned(self, *remarks: dict[str, Any]) -> JobOutput:
+        """The same with more warnings in result and version; what has warnings of a code already gets none of that code."""
+        if not remarks:
+            return self
+        version = self.version
+        return JobOutput(
+            _warned(self.result, remarks),
+            None if version is None else replace(version, report=_warned(version.report, remarks)),
+        )
+
+
+def _warned(document: dict[str, Any], remarks: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    said = document.get("warnings") or []
+    known = {one.get("code") for one in said}
+    new = [one for one in remarks if one["code"] not in known]
+    return {**document, "warnings": [*said, *new]} if new else document
 
 
 def refuse_nothing(_: Any) -> None:

@@ -131,6 +131,15 @@ def visible(query: Query) -> Query:
     return query if robots is None else query.where(RobotRow.name.in_(robots))
 
 
+def names_by_key(session: Session, name: str | None) -> dict[int, str]:
+    """Return the robots that are asked for, by their keys: the one of a name, or all in use that may be seen."""
+    if name is not None:
+        found = get(session, name)
+        return {found.id: found.name}
+    query = visible(select(RobotRow.id, RobotRow.name).where(RobotRow.retired_at.is_(None)))
+    return dict(session.execute(query).all())
+
+
 def is_visible(session: Session, robot_id: int) -> bool:
     """Whether the caller may see the robot of a key, and what belongs to it."""
     return allowed_robots() is None or may_see(session.get_one(RobotRow, robot_id).name)

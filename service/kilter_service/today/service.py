@@ -23,7 +23,7 @@ Campaigns = Mapping[str, Measured]
 def of_robot(database: Database, robot: str) -> Today:
     """Say how good a robot is today, and what is missing in its active version."""
     with database.reading() as session:
-        robots = store.ids(session, robot)
+        robots = arms.names_by_key(session, robot)
         (key,) = robots
         active = store.active(session, robots).get(key)
         found = store.newest_search(session, key)
@@ -43,7 +43,7 @@ def _with_controller(today: Today, compensation: ControllerCompensation) -> Toda
 def of_robots(database: Database) -> dict[str, Today]:
     """Say the same of all robots in use, by name, without their searches; however many, it takes a few queries."""
     with database.reading() as session:
-        return _all(session, store.ids(session, None), None)
+        return _all(session, arms.names_by_key(session, None), None)
 
 
 def _all(session: Session, robots: Mapping[int, str], searched: SearchToday | None) -> dict[str, Today]:

@@ -11,8 +11,7 @@ from sqlalchemy import func, select
 
 from kilter_service.campaigns import rest
 from kilter_service.db import Session
-from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
-from kilter_service.robots import store as robots
+from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
 
 
 @dataclass(frozen=True)
@@ -61,15 +60,6 @@ class Searched:
     at: datetime
     campaigns: list[str]
     result: Mapping[str, Any]
-
-
-def ids(session: Session, robot: str | None) -> dict[int, str]:
-    """Return the robots that are asked for, by their keys: the one of a name, or all that may be seen."""
-    if robot is not None:
-        found = robots.get(session, robot)
-        return {found.id: found.name}
-    query = robots.visible(select(RobotRow.id, RobotRow.name).where(RobotRow.retired_at.is_(None)))
-    return dict(session.execute(query).all())
 
 
 def active(session: Session, of: Collection[int]) -> dict[int, Active]:

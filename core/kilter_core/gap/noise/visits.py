@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from kilter_core.observations import Observations
+from kilter_core.observations.repeats import group_means
 from kilter_core.transforms import nearest_rotation
-from kilter_core.types import Bools, Floats, Ints
+from kilter_core.types import Bools, Ints
 
 
 @dataclass(frozen=True)
@@ -54,24 +55,11 @@ def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Obse
     plain = ("q", "position", "markers", "link_q", "tilt", "qd", "qdd", "tau", "t", "temperature_c", "bar_length",
              "base_tilt_x", "base_tilt_y", "link_mass", "link_wrench", "command")  # fmt: skip
     made: dict[str, Any] = {
-        name: _mean(value, visit, count) for name in plain if (value := getattr(rows, name)) is not None
+        name: group_means(value, visit) for name in plain if (value := getattr(rows, name)) is not None
     }
     if rows.rotation is not None:
-        mean = _mean(rows.rotation, visit, count)
+        mean = group_means(rows.rotation, visit)
         made["rotation"] = np.stack([nearest_rotation(R) if k > 1 else R for R, k in zip(mean, count, strict=True)])
     if rows.sigma is not None:
-        made["sigma"] = np.sqrt(_mean(rows.sigma**2, visit, count) / count[:, None])
+        made["sigma"] = np.sqrt(group_means(rows.sigma**2, visit) / count[:, None])
     return replace(out, **made)
-
-
-def _mean(values: Floats, visit: Ints, count: Ints) -> Floats:
-    """Mean of each visit; an unseen marker stays unseen only when every row of the visit misses it."""
-    flat = values.reshape(len(values), -1)
-    seen = ~np.isnan(flat)
-    sums = np.zeros((len(count), flat.shape[1]))
-    hits = np.zeros_like(sums)
-    np.add.at(sums, visit, np.where(seen, flat, 0.0))
-    np.add.at(hits, visit, seen)
-    with np.errstate(invalid="ignore"):
-        mean = np.where(hits > 0, sums / np.where(hits > 0, hits, 1.0), np.nan)
-    return np.asarray(mean.reshape(len(count), *values.shape[1:]))
