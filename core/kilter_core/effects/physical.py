@@ -27,8 +27,12 @@ class PhysicalClass:
 
     def at(self, joints: Sequence[int] | None) -> str:
         """Label at joints (from 0)."""
-        shown = ", ".join(str(j + 1) for j in joints or ())
-        return self.label.format(joint=f"joint{'s' if len(joints or ()) > 1 else ''} {shown}" if shown else "the arm")
+        return self.label.format(joint=joint_numbers(joints) if joints else "the arm")
+
+
+def joint_numbers(joints: Sequence[int]) -> str:
+    """Joints (from 0) as people count them: "joint 2", "joints 2, 3"."""
+    return f"joint{'s' if len(joints) > 1 else ''} {', '.join(str(j + 1) for j in joints)}"
 
 
 class Separator(Enum):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL
+from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL, joint_numbers
 from kilter_core.gap.evidence.amounts import amounts
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -143,5 +143,4 @@ def _by_tool(search: SearchResult, place: int) -> tuple[Floats, Floats]:
 def _name(candidate: Candidate) -> str:
     if candidate.joints is None:
         return "the inclinometer on the base"
-    joints = ", ".join(str(j + 1) for j in candidate.joints)
-    return f"the link encoder of joint{'s' if len(candidate.joints) > 1 else ''} {joints}"
+    return f"the link encoder of {joint_numbers(candidate.joints)}"

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.stats import chi2
 
+from kilter_core.effects.physical import joint_numbers
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.gap.evidence.likeness import Alias, correlation
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
@@ -65,8 +66,7 @@ def smooth_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
 
 
 def _named(joints: Sequence[int]) -> str:
-    shown = ", ".join(str(j + 1) for j in joints)
-    return f"smooth error of joint{'s' if len(joints) > 1 else ''} {shown}"
+    return f"smooth error of {joint_numbers(joints)}"
 
 
 def _others(search: SearchResult, place: int, joint: int) -> list[int]:

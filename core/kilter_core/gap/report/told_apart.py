@@ -20,6 +20,7 @@ from kilter_core.effects.physical import (
     SMOOTH_CURVE,
     STATION,
     Separator,
+    joint_numbers,
 )
 from kilter_core.gap.report.next_poses import Proposal
 from kilter_core.gap.search.candidates import Candidate
@@ -112,21 +113,20 @@ def _by_turn(target: Candidate, rival: Candidate, rows: Observations, robot: Rob
     able = [
         j for j in sorted(turning) if robot.joints[j].kind != "prismatic" and np.ptp(robot.limits[j]) >= 2.0 * np.pi
     ]
-    short = [str(j + 1) for j in able if np.ptp(rows.q[:, j]) < 2.0 * np.pi]
+    short = [j for j in able if np.ptp(rows.q[:, j]) < 2.0 * np.pi]
     if short:
-        what = f"joint{'s' if len(short) > 1 else ''} {', '.join(short)}"
-        yield f"move {what} through a full turn, after which a true error of the joint repeats"
+        yield f"move {joint_numbers(short)} through a full turn, after which a true error of the joint repeats"
 
 
 def _by_sensor(target: Candidate, rival: Candidate) -> Iterator[str]:
     """A sensor at the place, which one of them moves and the other does not."""
     for own, other in ((target, rival), (rival, target)):
         if _at_encoder(own) and not (_at_encoder(other) and set(own.joints or ()) & set(other.joints or ())):
-            yield f"read a link-side encoder of {_joints(own)}, which sees only {own.label}"
+            yield f"read a link-side encoder of {joint_numbers(own.joints or ())}, which sees only {own.label}"
             break
     for own, other in ((target, rival), (rival, target)):
         if own.effects[0].physical in TILTING and _place(own) < _place(other):
-            where = f"behind {_joints(own)}" if own.joints else "on the base"
+            where = f"behind {joint_numbers(own.joints or ())}" if own.joints else "on the base"
             yield f"read an inclinometer {where}, which tilts with {own.label} alone"
             break
 
@@ -140,8 +140,3 @@ def _place(candidate: Candidate) -> float:
     if candidate.joints:
         return float(min(candidate.joints) + 1)
     return 0.0 if candidate.effects[0].physical in TILTING else np.inf
-
-
-def _joints(candidate: Candidate) -> str:
-    numbers = [j + 1 for j in candidate.joints or ()]
-    return f"joint{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"

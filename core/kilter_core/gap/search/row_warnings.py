@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.effects.physical import joint_numbers
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.rounding import Rounding, coordinate
@@ -68,7 +69,7 @@ def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Itera
         own = [j for j, s in enumerate(one.steps) if s == step]
         slides = joints[own[0]].kind == "prismatic"
         size = f"{mm(step):.4g} mm" if slides else f"{degrees(step):.4g} deg"
-        said.append(f"{size} (joint{'s' if len(own) > 1 else ''} {', '.join(str(j + 1) for j in own)})")
+        said.append(f"{size} ({joint_numbers(own)})")
     counted = "which the noise holds already" if held else "which counts as noise beside that of the repeats"
     yield {
         "code": "rounded_readings",
