@@ -25,7 +25,7 @@ FAR = 8.0  # robust standard deviations from where the arm would be
 LEAST_M = 1e-3
 MOST_PLACED = 50_000  # rows whose places are compared with the arm's
 ROUNDS = 12
-FEWEST = 12
+FEWEST_SUSPECT_ROWS = 12
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
     """Rows far from the nominal arm, base and tool point fitted to the others: m, and robust standard deviations."""
     there = np.flatnonzero(~np.isnan(points).any(axis=1))
     there = there[:: max(1, len(there) // MOST_PLACED)]
-    if len(there) < FEWEST or (seen.session is not None and len(np.unique(seen.session)) > 1):
+    if len(there) < FEWEST_SUSPECT_ROWS or (seen.session is not None and len(np.unique(seen.session)) > 1):
         return []
     left = _left(robot, seen.q[there], points[there])
     middle = float(np.median(left))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 MOST_POINTS, WORST = 1200, 100  # points that are drawn of a figure, and how many of them are the largest errors
-BINS, FEWEST = 10, 5  # bins of about as many rows each, and rows from which a mean is shown
+BINS, ROWS_OF_MEAN = 10, 5  # bins of about as many rows each, and rows from which a mean is shown
 SURE = 1.96  # standard errors on each side of a mean: 95 %
 
 
@@ -173,7 +173,7 @@ def _mean(sizes: Floats, values: Floats) -> tuple[float, float, float, float, in
     """Middle of the cause, mean error, its 95 % interval, and rows; None: too few rows."""
     import numpy as np
 
-    if len(sizes) < FEWEST:
+    if len(sizes) < ROWS_OF_MEAN:
         return None
     mean, error = float(sizes.mean()), float(sizes.std(ddof=1)) / math.sqrt(len(sizes))
     return float(np.median(values)), mean, max(mean - SURE * error, 0.0), mean + SURE * error, len(sizes)

@@ -80,7 +80,7 @@ class Compared:
         return len(self.diff.parameters) - len(self.changed)
 
 
-def of(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
+def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
     """Compare two versions; without a choice on the campaigns held out, else on those that were fitted."""
     diff = differences.diff(database, a, b)
     sides = [None if name == NOMINAL else service.get(database, name) for name in (a, b)]
@@ -119,8 +119,8 @@ def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple
                 f"Version {one.id} is of robot {one.robot}: choose those of {robot}.", code="option_invalid"
             )
     first, second, *others = found
-    usual = of(database, first.id, second.id, None)
-    rest = [(one, of(database, first.id, one.id, usual.chosen)) for one in others]
+    usual = compared_versions(database, first.id, second.id, None)
+    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen)) for one in others]
     return [(first, None), (second, usual), *rest]
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
-FEWEST = 3  # poses that an interval of a mean needs
+POSES_OF_INTERVAL = 3  # poses that an interval of a mean needs
 MOST_DRAWN, LARGEST = 1200, 200  # rows that are drawn, and how many of them are those that differ most
 EQUAL_MM = 1e-9  # smaller differences are rounding
 
@@ -87,7 +87,7 @@ def _interval(means: Floats) -> tuple[float, float | None, float | None]:
     from scipy.stats import t
 
     mean, count = float(means.mean()), len(means)
-    if count < FEWEST:
+    if count < POSES_OF_INTERVAL:
         return mean, None, None
     half = float(t.ppf(0.975, count - 1) * means.std(ddof=1) / np.sqrt(count))
     return mean, mean - half, mean + half

@@ -34,7 +34,7 @@ class Shown:
     map: Plot
 
 
-def of(database: Database, version_id: str, temperature_c: float | None) -> Shown:
+def reach_shown(database: Database, version_id: str, temperature_c: float | None) -> Shown:
     """Look at what a version does all over the joint limits.
 
     Raises:
