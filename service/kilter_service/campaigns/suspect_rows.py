@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations as Seen
+from kilter_core.transforms import nearest_rotation
 from kilter_service.campaigns.repeats import MAD, Repeats
 from kilter_service.wire import to_deg, to_mm
 
@@ -105,10 +108,6 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
 
 def _left(robot: Robot, q: Floats, points: Floats) -> Floats:
     """How far (m) each point is from the nominal arm; base and tool point are fitted to the nearer half in turn."""
-    from kilter_core.model import Calibration  # compiled kernels: not at the start of the API process
-    from kilter_core.observations import Observations as Seen
-    from kilter_core.transforms import nearest_rotation
-
     model = Calibration.nominal(robot).model
     pose = model.in_frames(np.eye(4), np.eye(4)).predict(Seen(q), model.values0())
     f, F = pose.position, pose.rotation
