@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import CoreError
+from kilter_files.ground.later import pa
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import key_of
@@ -170,8 +171,6 @@ def _known(column: Floats | None, row: int) -> float | None:
 
 def as_csv(database: Database, campaign_id: str, text: str, version: str) -> bytes:
     """Return rows with all their columns as they were measured, and what the version leaves of them."""
-    import pyarrow as pa
-
     campaign, rows = named_rows(database, campaign_id, text)
     left = _left(database, campaign, _judge(database, campaign, version))
     places = np.array(rows) - 1

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.mat import read_mat
+from kilter_files.ground.later import np
 from kilter_files.tables.source import Source
 
 
@@ -25,8 +26,6 @@ class Mat(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Variables and their shapes."""
-        import numpy as np
-
         variables = read_mat(head.path).variables
         shapes = [{"name": name, "shape": list(np.shape(value))} for name, value in sorted(variables.items())]
         return {

@@ -22,9 +22,9 @@ from kilter_client.errors import UsageError
 from kilter_client.settled import Settings, errors_of, loaded, rows_of
 from kilter_client.twin_onto import lay_onto
 from kilter_client.twin_read import read_drives
+from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 group = typer.Typer(
@@ -184,8 +184,6 @@ def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, a
 
 
 def _document(model: Path, campaign: str, job: Mapping[str, Any], apart: NDArray[np.float64]) -> dict[str, Any]:
-    import numpy as np
-
     result = job["result"]
     errors = result["metrics"][campaign]
     mm = apart * 1e3

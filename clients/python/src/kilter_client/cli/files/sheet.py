@@ -16,6 +16,7 @@ from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.plots import draw
 from kilter_files import read_joints
 from kilter_files.ground.faults import head_of
+from kilter_files.ground.later import np
 from kilter_files.rig.sheet.drawing import save_sheet
 from kilter_files.rig.sheet.layout import sheet_for
 
@@ -158,8 +159,6 @@ def sheet_join(
 
 def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Circle:
     """Errors of the circle in a scan, or in a ball bar's log."""
-    import numpy as np
-
     from kilter_files.rig.drawn_circle import Circle
 
     if head_of(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and head_of(file, 2) != b"\xff\xd8":
