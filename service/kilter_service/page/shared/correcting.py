@@ -52,7 +52,7 @@ class Corrector:
         if not self.runs:
             return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.", OFF)
         if active is None:
-            return Correcting("bypassed", "warn", "No version is active: setpoints are not corrected.")
+            return Correcting("bypassed", "warn", "The corrector passes setpoints on as they are.")
         mine = [one for one in self.streams if one["robot"] == robot]
         if not mine:
             return Correcting(
