@@ -7,8 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
+from kilter_core.evaluate import rows_of
+from kilter_core.identify.setups import with_own
+from kilter_core.identify.tukey import sizes_of
+from kilter_core.measurement import Measurement
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
@@ -52,8 +57,6 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
         ObservationError: a campaign without a measured position.
 
     """
-    import pyarrow as pa
-
     with database.reading() as session:
         row = store.get(session, version)
         calibration, known = store.calibration(session, version), store.known(session, version)
@@ -101,10 +104,6 @@ def _columns(part: Part, calibration: Calibration, known: Predictive | None, rep
 
 def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
     """Errors of the rows, and half the interval that expects them."""
-    from kilter_core.evaluate import rows_of
-    from kilter_core.identify.tukey import sizes_of
-    from kilter_core.measurement import Measurement
-
     calibration = part.seen_by(calibration)
     count, shape = len(part.rows), calibration.marker_points
     error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
@@ -144,6 +143,4 @@ def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple
 
 def refitted(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
     """Return a calibration with the frames in which it predicts these rows best."""
-    from kilter_core.identify.setups import with_own
-
     return with_own(calibration, measurement, "huber", frames)

@@ -10,6 +10,7 @@ from kilter_client.calls import campaigns, robots, versions
 from kilter_client.connection import Connection
 from kilter_client.references import Kept
 from kilter_client.steps import Document, Sent
+from kilter_files import prepare
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
@@ -187,8 +188,6 @@ class Campaigns(Kept):
 
         ``sent`` is told the bytes sent and their total.
         """
-        from kilter_files import prepare
-
         file = prepare(data) if isinstance(data, str | Path) else data
         return self._run(campaigns.upload(campaign, file, sent, robot))
 

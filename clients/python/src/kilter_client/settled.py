@@ -27,7 +27,7 @@ MOVES_S, RESTS_S = 1.0, 1.0
 STEP_EVERY_S = 0.01  # how often what no element is is taken anew
 AT_REST = 1e-3  # rad/s (m/s)
 HINGE, SLIDE, JOINT = 3, 2, 0  # mjJNT_HINGE, mjJNT_SLIDE, mjTRN_JOINT
-FEWEST, ROUNDS = 6, 40
+FEWEST_POINTS, ROUNDS = 6, 40
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: in
     )
     seen = np.array(points, dtype=np.float64).T
     whole = np.flatnonzero(np.isfinite(seen).all(axis=1))
-    if len(whole) < FEWEST:
-        raise UsageError(f"The campaign has {len(whole)} measured points: base and tool need {FEWEST} or more.")
+    if len(whole) < FEWEST_POINTS:
+        raise UsageError(f"The campaign has {len(whole)} measured points: base and tool need {FEWEST_POINTS} or more.")
     chosen = whole[np.unique(np.linspace(0, len(whole) - 1, min(most, len(whole))).round().astype(int))]
     return MeasuredRows(
         np.array(readings, dtype=np.float64).T[chosen], np.nan_to_num(np.array(sides, dtype=np.float64).T[chosen]),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
+from kilter_service.drift import wire
 from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
@@ -97,7 +98,6 @@ def known_of(job: JobInput) -> Predictive:
 
 def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
     from kilter_core.watch.check import FALSE_ALARM
-    from kilter_service.drift import wire
 
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {

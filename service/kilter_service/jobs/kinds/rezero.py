@@ -8,6 +8,7 @@ import numpy as np
 
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.drift import wire
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
@@ -28,8 +29,6 @@ def check(options: RezeroOptions) -> None:
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Change in the version named, else the active one, what the rows of the campaign say."""
-    from kilter_service.drift import wire
-
     progress(0.0, "comparing")
     found = _found(job)
     progress(0.5, "predicting")

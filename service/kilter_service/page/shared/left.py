@@ -6,12 +6,13 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_service.db import Database
 from kilter_service.tables.reading import PARQUET
 from kilter_service.versions import service
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -27,6 +28,4 @@ def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[s
 
 def size_of(table: Mapping[str, Any]) -> Floats:
     """Length of the errors, mm; NaN where nothing was seen."""
-    import numpy as np
-
     return np.asarray(np.sqrt(sum(np.asarray(table[f"d{axis}_mm"], dtype=np.float64) ** 2 for axis in "xyz")))

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
@@ -40,8 +42,6 @@ class Left:
     @property
     def numbers(self) -> Mapping[str, float]:
         """Mean, 95th percentile and largest, mm."""
-        import numpy as np
-
         sizes = np.asarray(self.sizes)
         found = (float(sizes.mean()), float(np.percentile(sizes, 95)), float(sizes.max()))
         return dict(zip(BARS, found, strict=True))
@@ -80,7 +80,7 @@ class Compared:
         return len(self.diff.parameters) - len(self.changed)
 
 
-def of(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
+def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
     """Compare two versions; without a choice on the campaigns held out, else on those that were fitted."""
     diff = differences.diff(database, a, b)
     sides = [None if name == NOMINAL else service.get(database, name) for name in (a, b)]
@@ -119,8 +119,8 @@ def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple
                 f"Version {one.id} is of robot {one.robot}: choose those of {robot}.", code="option_invalid"
             )
     first, second, *others = found
-    usual = of(database, first.id, second.id, None)
-    rest = [(one, of(database, first.id, one.id, usual.chosen)) for one in others]
+    usual = compared_versions(database, first.id, second.id, None)
+    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen)) for one in others]
     return [(first, None), (second, usual), *rest]
 
 
@@ -180,8 +180,6 @@ def _bars(left: Sequence[Left]) -> Plot:
 
 
 def _curve(left: Sequence[Left]) -> Plot:
-    import numpy as np
-
     shares = np.linspace(0.0, 100.0, STEPS + 1)
     curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
     told = (10, 25, 50, 75, 90, 95, 99, 100)

@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from kilter_core.observations.repeats import numbered_poses
 from kilter_service.campaigns import looking
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
@@ -13,17 +16,18 @@ from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.shared.left import size_of
 from kilter_service.page.words import mm
+from kilter_service.tables.assemble import observations
 from kilter_service.versions import service
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
-FEWEST = 3  # poses that an interval of a mean needs
+
+POSES_OF_INTERVAL = 3  # poses that an interval of a mean needs
 MOST_DRAWN, LARGEST = 1200, 200  # rows that are drawn, and how many of them are those that differ most
 EQUAL_MM = 1e-9  # smaller differences are rounding
 
@@ -56,8 +60,6 @@ def paired(
     database: Database, tables: Sequence[Mapping[str, Any]], names: Sequence[str], version: str
 ) -> Paired | None:
     """Pair what two versions leave of the same rows; None where no row was seen. ``version`` says where the tools are."""
-    import numpy as np
-
     first, second = (size_of(table) for table in tables)
     seen = ~np.isnan(first) & ~np.isnan(second)
     if not seen.any():
@@ -83,11 +85,10 @@ def chance(better: int, worse: int) -> float:
 
 
 def _interval(means: Floats) -> tuple[float, float | None, float | None]:
-    import numpy as np
     from scipy.stats import t
 
     mean, count = float(means.mean()), len(means)
-    if count < FEWEST:
+    if count < POSES_OF_INTERVAL:
         return mean, None, None
     half = float(t.ppf(0.975, count - 1) * means.std(ddof=1) / np.sqrt(count))
     return mean, mean - half, mean + half
@@ -95,11 +96,6 @@ def _interval(means: Floats) -> tuple[float, float | None, float | None]:
 
 def _poses(database: Database, table: Mapping[str, Any]) -> Ints:
     """Number the poses of all rows, those of each campaign apart."""
-    import numpy as np
-
-    from kilter_core.observations.repeats import numbered_poses
-    from kilter_service.tables.assemble import observations
-
     found, last = [], 0
     for campaign in dict.fromkeys(table["campaign"]):
         rows = looking.stored(database, campaign)
@@ -114,8 +110,6 @@ def _maps(
     database: Database, version: str, campaign: Any, row: Ints, difference: Floats, names: Sequence[str]
 ) -> list[Plot]:
     """Where each version is the better one, from above and from the side; nothing where tools have no place."""
-    import numpy as np
-
     places, gains, rows = [], [], []
     for one in dict.fromkeys(campaign.tolist()):
         try:
@@ -134,8 +128,6 @@ def _maps(
 
 
 def _drawn(gain: Floats) -> Ints:
-    import numpy as np
-
     if len(gain) <= MOST_DRAWN:
         return np.arange(len(gain))
     even = np.linspace(0, len(gain) - 1, MOST_DRAWN - LARGEST).astype(np.int64)
@@ -145,8 +137,6 @@ def _drawn(gain: Floats) -> Ints:
 def _map(
     title: str, at: Floats, gain: Floats, rows: Sequence[str], axes: tuple[int, int], names: Sequence[str]
 ) -> Plot:
-    import numpy as np
-
     across, up = axes
     plot = Plot(
         title, around(f"{'xyz'[across]}, mm", at[:, across].tolist()), around(f"{'xyz'[up]}, mm", at[:, up].tolist()),
