@@ -38,6 +38,7 @@ def printed(capsys: Capture, *arguments: object, code: int = 0) -> str:
         (1234.5, 130.0, "1230"),
         (0.00019, 0.0996, "0.00"),
         (0.0023456, 0.00000023, "2.34560e-03"),
+        (90.0000049, 0.0000091, "90.0000049"),  # a power of ten serves numbers that begin with zeros
         (-0.001, 0.5, "0.00"),
         (3.14159, None, "3.142"),
         (3.14159, 0.0, "3.142"),

@@ -70,7 +70,7 @@ def test_the_state_of_the_corrector_is_that_of_this_robot(there: Made) -> None:
     assert "corrector stopped" in cards(there.client)[1]
     beat(there, there.good)
     fresh, katana = cards(there.client)
-    assert "bypassed No version is active: setpoints are not corrected" in fresh
+    assert "bypassed The corrector passes setpoints on as they are." in fresh
     assert "Stream line-1 is corrected with the active version" in katana
     beat(there, there.poor)
     assert f"Stream line-1 last corrected with {there.poor}, not the active one" in cards(there.client)[1]

@@ -58,7 +58,7 @@ def of_today(source: str = "held_out", changed: bool = False, version: str | Non
     newest = ErrorsToday(source=source, job_id="job_1", at=now(), campaigns=[], refit=[], rows="", errors=errors)  # type: ignore[arg-type]
     return Today(
         robot="arm", version_id=version, newest=newest, own=newest, changed=changed, larger_by_mm=0.5 if changed else None,
-        compared="", not_evaluated=[], missing=None, sentences=[],
+        compared="", not_evaluated=[], missing=None, sentences=["No version is active."],
     )  # fmt: skip
 
 

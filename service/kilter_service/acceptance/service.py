@@ -111,7 +111,7 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iter
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_service.acceptance.rows import judged
 
-    calibration = versions.calibration(session, version_id)
+    calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
     known = Predictive.from_document(versions.covariance(session, version_id), versions.get(session, version_id).report)
     if known is None:
         raise ServiceError(
@@ -126,7 +126,8 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iter
             continue
         used = campaigns.instruments(session, [key]).get(key) or stated
         tolerance = to_metres(wish.tolerance_mm)
-        found = judged(calibration, known, rows, unseen.places[key], used, wish.refit or (), tolerance)
+        here = calibration if key in own else calibration.for_another_campaign(rows)
+        found = judged(here, known, rows, unseen.places[key], used, wish.refit or (), tolerance)
         if found is not None:
             yield _part(session, key, found, used, wish.refit or ())
 

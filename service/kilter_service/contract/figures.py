@@ -90,7 +90,9 @@ class Scatter(_Trace):
     x: Places = Field(description=X)
     y: Numbers = Field(description=Y)
     line: Line | None = Field(None, description="How its line is drawn.")
-    fill: str | None = Field(None, description="`tozeroy`: filled down to zero; null: not filled.")
+    fill: str | None = Field(
+        None, description="`tozeroy`: filled down to zero; `toself`: the area it encloses; null: not filled."
+    )
 
 
 class Scatter3d(_Trace):
@@ -233,7 +235,11 @@ class IdentifyFigures(Stored):
 
 
 class GapFigures(Stored):
-    """Figures of a gap search; further fields are `residual_joint_1` and so on: the residual along what each joint moves."""
+    """Figures of a gap search.
+
+    Further fields are `residual_joint_1` and so on, the residual along what each joint moves, and
+    `effect_curve_backlash_joint_2` and so on, each named effect over the quantity that it follows.
+    """
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Figure]

@@ -102,6 +102,7 @@ def places(database: Database, version: str, campaign: str) -> Places:
 
 
 def _found(part: Part, calibration: Calibration, report: dict[str, Any]) -> Places:
+    calibration = part.seen_by(calibration)
     frames = [frame for where, refit in frames_of(part, report) if (frame := _frame(part, calibration, where, refit))]
     if not frames:
         raise ServiceError(

@@ -33,12 +33,20 @@ Columns = dict[str, Any]
 
 @dataclass(frozen=True)
 class Part:
-    """A campaign's rows, which of them were fitted, and the rows (from 1) that were set aside."""
+    """A campaign's rows, which of them were fitted, and the rows (from 1) that were set aside.
+
+    ``own``: the version was made from it.
+    """
 
     campaign: str
     rows: Observations
     fitted: Bools
     set_aside: frozenset[int]
+    own: bool
+
+    def seen_by(self, calibration: Calibration) -> Calibration:
+        """The version as it predicts these rows."""
+        return calibration if self.own else calibration.for_another_campaign(self.rows)
 
 
 def residuals(database: Database, version: str, wanted: Sequence[str], media: str) -> bytes:
@@ -71,7 +79,7 @@ def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) ->
         ServiceError: a campaign of another robot.
 
     """
-    archive = Archive(session, version.robot_id)
+    archive, own = Archive(session, version.robot_id), store.made_from(session, version.id)
     for campaign in wanted or dict.fromkeys(used["id"] for used in version.campaigns):
         if campaigns.whole(session, campaign).robot_id != version.robot_id:
             raise ServiceError(
@@ -82,7 +90,7 @@ def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) ->
         rows = campaigns.observations(session, campaign, archive.robot)
         named = version.report.get("set_aside") or []
         aside = [one["row"] for one in named if one["campaign"] == campaign]
-        yield Part(campaign, rows, archive.fitted(version.id, campaign), frozenset(aside))
+        yield Part(campaign, rows, archive.fitted(version.id, campaign), frozenset(aside), campaign in own)
 
 
 def _columns(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
@@ -96,6 +104,7 @@ def _columns(part: Part, calibration: Calibration, known: Predictive | None, rep
 
 def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
     """Errors of the rows, and half the interval that expects them."""
+    calibration = part.seen_by(calibration)
     count, shape = len(part.rows), calibration.marker_points
     error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     turn, size = np.full(count, np.nan), np.full(count, np.nan)

@@ -54,6 +54,9 @@ def _line(axes: Any, points: list[list[float]], trace: Trace) -> None:
     line = trace.get("line", {})
     look = {"color": line.get("color"), "linewidth": 0.6 * line.get("width", 2.0)}
     own = {} if "markers" in trace["mode"] else {"label": trace.get("name")}
+    if trace.get("fill") == "toself":
+        axes.fill(*points, color=line.get("color"), alpha=0.2, linewidth=0)
+        return
     step = STEPS.get(line.get("shape", ""))
     if step is None:
         axes.plot(*points, **look, **own)

@@ -63,6 +63,14 @@ class Robots:
         """Return how good a robot is today, and what is missing in its active version."""
         return self._run(robots.today(name))
 
+    def bridges(self, name: str) -> Document:
+        """Return the bridges of a robot: those that run first."""
+        return self._run(robots.bridges(name))
+
+    def announce_bridge(self, name: str, run: str, news: Mapping[str, Any]) -> Document:
+        """Say to the server what the bridge of this ``run`` does; it is shown, and controls nothing."""
+        return self._run(robots.announce_bridge(name, run, news))
+
     def drift(self, name: str) -> Document:
         """Return the checks of a robot and how it stands by them."""
         return self._run(robots.drift(name))

@@ -15,6 +15,7 @@ from kilter_service.wire import to_metres_if_known, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.watch import Check
 
@@ -39,10 +40,10 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     from kilter_core.watch import check as check_arm
 
     options: DriftOptions = job.options
-    assert job.calibration is not None
+    calibration = calibration_of(job)
     noise = to_metres_if_known(options.noise_mm)
     return check_arm(
-        job.calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
+        calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
     )
 
 
@@ -61,6 +62,14 @@ def rows_of(job: JobInput) -> Observations:
             code="rows_shared", campaign=campaign,
         )  # fmt: skip
     return rows
+
+
+def calibration_of(job: JobInput) -> Calibration:
+    """The version as it predicts the rows of the one campaign."""
+    ((campaign, _),) = job.campaigns.items()
+    found = job.applied_to(campaign)
+    assert found is not None
+    return found
 
 
 def known_of(job: JobInput) -> Predictive:
@@ -116,11 +125,11 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
     from kilter_core.measurement import Measurement
     from kilter_core.measurement.metrics import Errors
 
-    assert job.calibration is not None
-    measurement = Measurement.of(rows, job.calibration.marker_points, held=True)
-    errors = Errors.of(refitted(job.calibration, measurement, found.new_setup), measurement)
+    calibration = calibration_of(job)
+    measurement = Measurement.of(rows, calibration.marker_points, held=True)
+    errors = Errors.of(refitted(calibration, measurement, found.new_setup), measurement)
     ((campaign, _),) = job.campaigns.items()
-    budget = budget_of(job.calibration, known, rows, job.instruments.get(campaign), found.new_setup)
+    budget = budget_of(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
     return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
 
 

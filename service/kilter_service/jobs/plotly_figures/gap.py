@@ -18,10 +18,11 @@ from kilter_service.jobs.plotly_figures.layout import (
     distinct_labels,
     layout,
 )
+from kilter_service.jobs.plotly_figures.own_curves import own_curves
 
 
 def gap_figures(report: Mapping[str, Any]) -> dict[str, Document]:
-    """Draw a gap report: the gap bar, residuals by angle, direction and load, contributions, the alias matrix."""
+    """Draw a gap report: the gap bar, residuals, effects over what they follow, contributions, aliases."""
     numbers = report["figures"]
     unit = "deg" if "before_deg" in report["gap"] else "mm"
     drawn = {"gap_bar": _gap_bar(numbers["gap_bar"], unit)}
@@ -32,6 +33,7 @@ def gap_figures(report: Mapping[str, Any]) -> dict[str, Document]:
         )
     if numbers["residual_by_load"]:
         drawn["residual_by_load"] = _by_label(numbers["residual_by_load"], "Payload, kg", unit)
+    drawn |= own_curves(report.get("effect_curves") or [])
     if numbers["contribution"]:
         drawn["contribution"] = _contribution(numbers["contribution"], unit)
     if report["alias_matrix"]["labels"]:

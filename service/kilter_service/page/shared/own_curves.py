@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from kilter_service.contract.effect_curves import CurveSide, CurveVisits, EffectCurve
 from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.jobs.curve_words import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, THIN, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.shared.called import called, named
 from kilter_service.page.words import number
 
 WIDTH, HEIGHT = 440.0, 340.0  # what is written can be read where the window is narrow, too
-SIDES = {1.0: "after motion +", -1.0: "after motion −", 0.0: "not moved"}
 COLOUR_OF = {1.0: BLUE, -1.0: ORANGE}
 PLACE_OF = {1.0: 0, -1.0: 1, 0.0: 2}  # marks and dashes
 RIVAL = 3  # its dashes
@@ -45,10 +45,9 @@ def _called(curve: EffectCurve) -> str:
 
 
 def _plot(curve: EffectCurve) -> Plot:
-    title = f"{_called(curve)} over {_quantity(curve)}"
     drawn = Plot(
-        title[0].upper() + title[1:], around(f"{_quantity(curve)}, {_shown(curve.x_unit)}", _places(curve)),
-        around(f"what joint {curve.joint} {_does(curve)} by, {curve.unit}", _values(curve)), width=WIDTH, height=HEIGHT,
+        title(curve), around(across(curve), _places(curve)), around(upwards(curve), _values(curve)), width=WIDTH,
+        height=HEIGHT,
         table=_table(curve), description=" ".join(_describe_curve(curve)),
     )  # fmt: skip
     for side in curve.sides:
@@ -68,9 +67,8 @@ def _plot(curve: EffectCurve) -> Plot:
 
 
 def _model(drawn: Plot, side: CurveSide) -> None:
-    tail = "" if side.direction is None else f", {SIDES[side.direction]}"
     place = PLACE_OF[side.direction or 1.0]
-    drawn.line(side.x, side.y, f"model{tail}, 95 % band", place, COLOUR_OF[side.direction or 1.0])
+    drawn.line(side.x, side.y, model(side.direction), place, COLOUR_OF[side.direction or 1.0])
 
 
 def _dots(drawn: Plot, curve: EffectCurve, direction: float | None) -> None:
@@ -79,10 +77,9 @@ def _dots(drawn: Plot, curve: EffectCurve, direction: float | None) -> None:
     colour = GREY if direction is None else COLOUR_OF.get(direction, GREY)
     for k in own:
         drawn.line([visits.x[k]] * 2, [visits.y[k] - visits.half[k], visits.y[k] + visits.half[k]], "", 0, colour, THIN)
-    tail = "" if direction is None else f", {SIDES[direction]}"
     says = [f"{number(visits.y[k])} ± {number(visits.half[k], 2)}, model {number(visits.curve[k])}" for k in own]
     drawn.points(
-        [visits.x[k] for k in own], [visits.y[k] for k in own], f"visit{tail}, 95 % interval",
+        [visits.x[k] for k in own], [visits.y[k] for k in own], visit(direction),
         PLACE_OF[direction or 0.0] if direction is not None else 0, colour, says,
     )  # fmt: skip
 
@@ -111,24 +108,6 @@ def _directions(visits: CurveVisits) -> list[float | None]:
 
 def _direction(visits: CurveVisits, place: int) -> float | None:
     return None if visits.direction is None else visits.direction[place]
-
-
-def _quantity(curve: EffectCurve) -> str:
-    rotary = curve.unit == "deg"
-    return {
-        "q": f"{'angle' if rotary else 'position'} of joint {curve.joint}",
-        "axial": f"load {'moment about' if rotary else 'force along'} joint {curve.joint}",
-        "t": "time since the first visit",
-        "temperature_c": "temperature",
-    }.get(curve.follows, curve.follows)
-
-
-def _shown(unit: str) -> str:
-    return "°C" if unit == "degC" else unit
-
-
-def _does(curve: EffectCurve) -> str:
-    return "rotates" if curve.unit == "deg" else "moves"
 
 
 def _places(curve: EffectCurve) -> list[float]:
@@ -165,7 +144,7 @@ def _describe_curve(curve: EffectCurve) -> Iterator[str]:
 def _table(curve: EffectCurve) -> tuple[list[str], list[list[str]]]:
     visits, unit = curve.visits, curve.unit
     head = [
-        f"{_quantity(curve)}, {_shown(curve.x_unit)}",
+        f"{quantity(curve)}, {unit_of_x(curve)}",
         f"A visit, {unit}",
         f"95 % interval, ± {unit}",
         f"Model, {unit}",

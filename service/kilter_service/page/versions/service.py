@@ -40,7 +40,8 @@ class Listed:
 class History:
     """The versions of a robot, newest first, who activated what, and the state that a roll-back starts from.
 
-    ``active`` is the version that the robot is corrected with, ``last`` the newest activation, ``names`` those of versions.
+    ``active`` is the version that the robot is corrected with, ``last`` the newest activation, ``names`` those of versions,
+    ``standing`` how good the robot is today in words.
     """
 
     robot: RobotReport
@@ -51,6 +52,7 @@ class History:
     active: VersionSummary | None
     last: Activation | None
     names: Mapping[str, str]
+    standing: str
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def history(database: Database, robot: str, asked: Asked, log: Asked) -> History
         robots.get(database, robot), _part(found, asked), part(entries, log, lambda _: "", {}, named=LOG),
         tag_of_robot(database, robot), errors_by_version(found),
         next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
-        {one.version.id: one.version.name or one.version.id for one in found},
+        {one.version.id: one.version.name or one.version.id for one in found}, today.of_robot(database, robot).sentences[0],
     )  # fmt: skip
 
 

@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 Z95 = 1.959964  # half width of a 95 % interval of a normal distribution, in standard deviations
-MOST_DECIMALS = 6  # beyond that many zeros a power of ten is easier to read
+MOST_DECIMALS = 6  # beyond that many zeros a power of ten is easier to read ...
+PLAIN_FROM = 0.01  # ... of a number that begins with them: 90.0000049 stays plain
 UNKNOWN_DIGITS = 4  # of a value whose uncertainty nobody knows
 
 
@@ -25,7 +26,7 @@ def estimate(value: Any, places: int | None) -> str:
     if places is None:
         return f"{value:.{UNKNOWN_DIGITS}g}"
     rounded = round(float(value), places) + 0.0  # no -0
-    if places <= MOST_DECIMALS:
+    if places <= MOST_DECIMALS or abs(rounded) >= PLAIN_FROM:
         return f"{rounded:.{max(places, 0)}f}"
     if rounded == 0.0:
         return "0"
