@@ -86,7 +86,9 @@ class House(NamedTuple):
         end = {OWN: "0123456789abcdef", OTHER: "f" * 16}.get(of, "0" * 16)
         names = {"robot": of, "campaign": f"cmp_{end}", "version": f"ver_{end}", "a": f"ver_{end}", "b": "nominal"}
         headers = {} if token is None else {"Authorization": f"Bearer {self.tokens.get(token, token)}"}
-        path = path.format(**names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base", bridge="0" * 16)
+        path = path.format(
+            **names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base", bridge="0" * 16
+        )
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 
 
