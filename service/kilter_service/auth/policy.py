@@ -185,6 +185,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /jobs/{job}/report": READ_COMPUTED.timed(LATER),
     "GET /jobs/{job}/report.pdf": READ_COMPUTED.timed(LATER),
     "GET /jobs": READ,
+    "GET /jobs/compare": READ,
     "GET /audit": SERVER,
     "POST /jobs/{job}/gap/plan": OPERATE,
     "POST /jobs/{job}/gap/again": OPERATE,
