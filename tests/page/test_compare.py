@@ -15,11 +15,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.contract.versions import ParameterChange
-from kilter_service.page.versions.comparison import beyond
-from kilter_service.page.versions.paired import chance
 from kilter_service.page.words import chance as written
 from kilter_service.page.words import like
+from kilter_service.versions.differences import _beyond as beyond
+from kilter_service.versions.paired import chance
 from tests.service.conftest import Katana
 
 from .conftest import opened
@@ -98,13 +97,36 @@ def test_rows_of_one_pose_count_once(there: Made) -> None:
 
 @pytest.mark.parametrize(
     ("change", "sigmas", "moved"),
-    [(0.1, (0.03, 0.04), True), (0.09, (0.03, 0.04), False), (0.001, (None, None), True), (None, (0.1, None), True)],
+    [(0.1, (0.03, 0.04), True), (0.09, (0.03, 0.04), False), (0.001, (None, None), True), (0.0, (None, None), False)],
 )
 def test_parameters_moved_by_more_than_both_uncertainties(
-    change: float | None, sigmas: tuple[float | None, float | None], moved: bool
+    change: float, sigmas: tuple[float | None, float | None], moved: bool
 ) -> None:
-    one = ParameterChange(name="a_2", unit="mm", a=1.0, b=2.0, change=change, sigma_a=sigmas[0], sigma_b=sigmas[1])
-    assert beyond(one) is moved
+    assert beyond(change, *sigmas) is moved
+
+
+def test_the_page_says_what_the_interface_answers(there: Made) -> None:
+    address = f"/v1/versions/{there.poor}/diff/{there.good}"
+    answer = there.client.get(address, params={"campaign": there.campaign}).raise_for_status().json()
+    paired = answer["paired"]
+    assert (paired["rows"], paired["poses"], paired["held_out"], answer["not_paired"]) == (60, 60, True, "")
+    assert paired["sentence"] in words(compared(there, there.campaign))
+    difference = sizes(there, there.poor, there.campaign) - sizes(there, there.good, there.campaign)
+    assert paired["better"] == int((difference > 0).sum())
+    assert paired["less_mm"] == pytest.approx(float(difference.mean()), abs=1e-6)
+    by_job = there.client.get(f"/v1/versions/job_{there.poor[4:]}/diff/job_{there.good[4:]}").raise_for_status().json()
+    assert (by_job["a"], by_job["b"]) == (there.poor, there.good)
+    newest = there.client.get(f"/v1/robots/{there.robot}/campaigns").json()["campaigns"][-1]["id"]
+    assert by_job["paired"]["campaigns"] == [newest]  # neither was made from a campaign
+
+
+def test_searches_that_are_ticked_are_compared_by_their_versions(there: Made) -> None:
+    jobs = [f"job_{one[4:]}" for one in (there.poor, there.good)]
+    sent = there.client.get("/jobs/compare", params={"job": jobs}, follow_redirects=True)
+    assert str(sent.url).endswith(f"/versions/{there.poor}/compare/{there.good}")
+    assert "is better on" in words(sent.text)
+    one = there.client.get("/jobs/compare", params={"job": jobs[:1]})
+    assert (one.status_code, "at least two searches" in words(one.text)) == (400, True)
 
 
 def test_versions_that_are_ticked_are_compared(there: Made) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
 from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.previews import VersionPreview
@@ -209,6 +210,9 @@ class ParameterChange(Strict):
     change: float | None = Field(description="b minus a.")
     sigma_a: float | None = Field(None, description="Standard deviation in version a; null: not known, or nominal.")
     sigma_b: float | None = Field(None, description="Standard deviation in version b; null: not known, or nominal.")
+    moved: bool = Field(
+        False, description="Whether they differ by more than 1.96 standard deviations of both, or only one has it."
+    )
 
 
 class VersionDiff(Strict):
@@ -221,3 +225,8 @@ class VersionDiff(Strict):
     parameters: list[ParameterChange] = Field(description="All parameters of both, and how they differ.")
     metrics_a: Metrics = Field(description="Errors of a.")
     metrics_b: Metrics = Field(description="Errors of b.")
+    paired: PairedErrors | None = Field(
+        None,
+        description="What both leave of the same rows, held out of both where there are such; null: see `not_paired`.",
+    )
+    not_paired: str = Field("", description="Why rows are not compared, in words; empty: they are.")

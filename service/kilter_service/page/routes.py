@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
+from kilter_service.page.access.routes import router as access
 from kilter_service.page.assets import router as assets
 from kilter_service.page.audit.routes import router as audit
 from kilter_service.page.campaign.routes import router as campaign
@@ -22,4 +23,5 @@ from kilter_service.page.versions.routes import router as versions
 
 ROUTERS: tuple[APIRouter, ...] = (
     assets, login, fleet, robot, versions, drop, campaign, stream, report, audit, job_list, gap, jobs, new_robot, correct,
+    access,
 )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from kilter_service.contract.comparison_words import said_of_chance
 from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.db.row import now
 from kilter_service.texts import plural
@@ -106,7 +107,7 @@ def sigma_of(found: Parameter) -> float | None:
 
 def chance(value: float) -> str:
     """Write a probability: as a number where people read it so, as a power of ten where it is tiny."""
-    return f"{value:.0e}".replace("e-0", "e-") if value < 1e-3 else number(value, 2)
+    return said_of_chance(value)
 
 
 def within(value: float, low: float | None, high: float | None) -> str:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from kilter_core.errors import CoreError
+from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import ParameterChange, VersionDiff
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.versions import store
+from kilter_service.versions.paired import NOTHING, Pairs, Side, judged, pairs
 from kilter_service.versions.values import Value, wire_values
 from kilter_service.versions.wire import summary
 
@@ -17,6 +22,11 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
 NOMINAL = "nominal"
+MOST_CAMPAIGNS = 20  # whose rows are compared without asking
+ROUNDING = 1e-9  # smaller changes are none
+SURE = 1.96  # standard deviations: 95 %
+NO_BASE = "The nominal robot has no base to be compared in: rows are compared between two versions."
+UNMEASURED = "This robot has no measurements to compare on."
 
 
 class _Side(NamedTuple):
@@ -28,15 +38,34 @@ class _Side(NamedTuple):
     values: dict[str, Value]
     sigma: dict[str, float]
     metrics: Metrics
+    called: str = ""
 
 
-def diff(database: Database, a: str, b: str) -> VersionDiff:
+@dataclass(frozen=True)
+class Compared:
+    """How two versions differ, the campaigns on whose rows, and these rows paired; none where it cannot be said."""
+
+    diff: VersionDiff
+    campaigns: Sequence[str]
+    pairs: Pairs | None
+
+
+def diff(database: Database, a: str, b: str, wanted: Sequence[str] = ()) -> VersionDiff:
     """Compare two versions of one robot; either may be ``nominal``: the nominal robot with the other's effects at zero.
+
+    A job stands for the version that it made. Rows are those of the campaigns ``wanted``, by default of all that either
+    version was made from, else of the newest campaign.
 
     Raises:
         ServiceError: they are of different robots, or both are nominal.
 
     """
+    return compared(database, a, b, wanted).diff
+
+
+def compared(database: Database, a: str, b: str, wanted: Sequence[str] = ()) -> Compared:
+    """Compare two versions as ``diff`` does, and keep the rows."""
+    a, b = version_of(a), version_of(b)
     if a == b == NOMINAL:
         raise ServiceError(f"Both are {NOMINAL!r}: name a version to compare with it.", code="option_invalid")
     with database.reading() as session:
@@ -45,7 +74,34 @@ def diff(database: Database, a: str, b: str) -> VersionDiff:
         known = first or second
         assert known is not None
         drawn = _Side(NOMINAL, known.robot, [], _drawn(session, b if a == NOMINAL else a), {}, Metrics())
-    return _compared(first or drawn, second or drawn)
+        found = _compared(first or drawn, second or drawn)
+        chosen = list(wanted) or _usual(session, [one for one in (a, b) if one != NOMINAL])
+    if first is None or second is None:
+        return Compared(found.model_copy(update={"not_paired": NO_BASE}), chosen, None)
+    if not chosen:
+        return Compared(found.model_copy(update={"not_paired": UNMEASURED}), chosen, None)
+    try:
+        rows = pairs(database, a, b, chosen)
+        said = judged(database, rows, *(Side(one.name, one.called or one.name) for one in (first, second)))
+    except CoreError as error:
+        return Compared(found.model_copy(update={"not_paired": error.message}), chosen, None)
+    if said is None:
+        return Compared(found.model_copy(update={"not_paired": NOTHING}), chosen, None)
+    return Compared(found.model_copy(update={"paired": said}), chosen, rows)
+
+
+def version_of(name: str) -> str:
+    """Return the version that a job made, for its id; any other name as it is."""
+    return f"ver_{name.removeprefix('job_')}" if name.startswith("job_") else name
+
+
+def _usual(session: Session, versions: Sequence[str]) -> list[str]:
+    """Campaigns that either version was made from, else the newest of the robot."""
+    rows = [store.get(session, one) for one in versions]
+    used = list(dict.fromkeys(part["id"] for row in rows for part in row.campaigns))
+    there = [one for one in campaigns.ids_of_robot(session, rows[0].robot_id) if campaigns.uploads_of(session, one)]
+    known = [one for one in used if one in there][:MOST_CAMPAIGNS]
+    return known or there[-1:]
 
 
 def _of_version(session: Session, version: str) -> _Side:
@@ -54,7 +110,13 @@ def _of_version(session: Session, version: str) -> _Side:
     rows = record.report.get("parameters") or []
     sigma = {row["name"]: float(row["sigma"]) for row in rows if row.get("sigma") is not None}
     return _Side(
-        version, about.robot, about.effects, wire_values(store.calibration(session, version)), sigma, about.metrics
+        version,
+        about.robot,
+        about.effects,
+        wire_values(store.calibration(session, version)),
+        sigma,
+        about.metrics,
+        about.name,
     )
 
 
@@ -94,4 +156,12 @@ def _change(name: str, a: _Side, b: _Side) -> ParameterChange:
         change=after.value - before.value if before and after else None,
         sigma_a=a.sigma.get(name),
         sigma_b=b.sigma.get(name),
+        moved=before is None
+        or after is None
+        or _beyond(after.value - before.value, a.sigma.get(name), b.sigma.get(name)),
     )
+
+
+def _beyond(change: float, sigma_a: float | None, sigma_b: float | None) -> bool:
+    """Whether a parameter moved by more than chance explains, the errors of both taken as independent."""
+    return abs(change) > max(SURE * math.hypot(sigma_a or 0.0, sigma_b or 0.0), ROUNDING)

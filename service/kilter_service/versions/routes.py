@@ -121,9 +121,18 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
 
 
 @router.get("/versions/{a}/diff/{b}")
-def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
-    """Compare two versions of one robot, or one with `nominal`: the nominal robot, the effects at zero."""
-    return differences.diff(database, a, b)
+def diff(
+    a: str,
+    b: str,
+    database: DatabaseOfApp,
+    campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
+) -> VersionDiff:
+    """Compare two versions of one robot, or one with `nominal`: the nominal robot, the effects at zero.
+
+    The id of a job stands for the version that it made. What both leave is compared on rows held out of both fits, of the
+    campaigns named or of all that either was made from.
+    """
+    return differences.diff(database, a, b, campaign or [])
 
 
 @router.get(

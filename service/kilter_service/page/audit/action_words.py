@@ -23,6 +23,8 @@ DONE: Mapping[str, str] = {
     "PATCH /v1/campaigns/{campaign}": "changed the name or notes of campaign {campaign}",
     "PATCH /v1/robots/{robot}": "changed what is said of robot {robot}",
     "PATCH /v1/versions/{version}": "changed the name or notes of version {version}",
+    "POST /access": "made a token",
+    "POST /access/{token}/revoke": "withdrew the token {token}",
     "POST /campaigns/{campaign}/change": "changed the name or notes of campaign {campaign}",
     "POST /campaigns/{campaign}/restore": "brought campaign {campaign} back into use",
     "POST /campaigns/{campaign}/retire": "took campaign {campaign} out of use",

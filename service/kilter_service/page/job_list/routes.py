@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request
+from typing import Annotated
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
+from kilter_service.errors import ServiceError
+from kilter_service.jobs import service as jobs
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import listed_jobs
 from kilter_service.page.shared.lists import Asked
-from kilter_service.page.shell import render
+from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.state import DatabaseOfApp
+from kilter_service.versions.differences import version_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
+MOST_SEARCHES = 12
 
 
 @router.get("/jobs")
@@ -19,3 +26,17 @@ def listed(request: Request, database: DatabaseOfApp, robot: str = "") -> HTMLRe
     """List the jobs of every robot that may be seen, or of one, newest first."""
     found, part = listed_jobs.asked(database, robot or None, Asked.of(request, ("robot", "kind", "state")))
     return render(request, "job_list/list.html", found=found, part=part, robot=robot)
+
+
+@router.get("/jobs/compare")
+def compare(
+    request: Request, database: DatabaseOfApp,
+    job: Annotated[list[str] | None, Query(max_length=MOST_SEARCHES)] = None,
+) -> Response:  # fmt: skip
+    """Compare searches that were ticked in the list, by the versions that they made."""
+    wanted = list(dict.fromkeys(job or []))
+    if len(wanted) < 2:
+        raise ServiceError("Tick at least two searches to compare them.", code="option_invalid", option="job")
+    robot = jobs.get(database, wanted[0]).robot
+    asked = urlencode([("version", version_of(one)) for one in wanted])
+    return redirect(request, f"{root_of(request)}/robots/{robot}/versions/compare?{asked}")

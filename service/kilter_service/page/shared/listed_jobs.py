@@ -36,6 +36,11 @@ class Listed:
         """What the kinds of jobs are called."""
         return KINDS
 
+    @property
+    def searches(self) -> int:
+        """How many of these jobs are searches that can be compared."""
+        return sum(job.kind == "gap" and job.state == "succeeded" for job in self.jobs)
+
 
 STATES = ("queued", "running", "succeeded", "failed", "cancelled")
 

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
-from kilter_service.page.shared.left import residuals, size_of
-from kilter_service.page.versions.paired import Paired, paired
+from kilter_service.page.versions.paired import maps
 from kilter_service.paging import Page
 from kilter_service.versions import differences, service
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
-NOMINAL = "nominal"
-SURE = 1.96  # standard deviations: 95 %
 SAME = 1e-9  # smaller differences are rounding
 STEPS = 200  # of a cumulative curve
 BARS = ("mean_mm", "p95_mm", "max_mm")
@@ -32,16 +26,16 @@ MEASURES = {"mean_mm": "mean", "p95_mm": "95 % of the rows", "max_mm": "largest"
 
 @dataclass(frozen=True)
 class Left:
-    """What one of the versions leaves of rows: how many they are, those held out of its fit, and the sizes in mm."""
+    """What one of the versions leaves of rows, the sizes in mm."""
 
     name: str
-    rows: int
-    held_out: int
     sizes: Sequence[float]
 
     @property
     def numbers(self) -> Mapping[str, float]:
         """Mean, 95th percentile and largest, mm."""
+        import numpy as np
+
         sizes = np.asarray(self.sizes)
         found = (float(sizes.mean()), float(np.percentile(sizes, 95)), float(sizes.max()))
         return dict(zip(BARS, found, strict=True))
@@ -61,18 +55,22 @@ class Compared:
     left: Sequence[Left]
     bars: Plot | None
     curve: Plot | None
-    refusal: str = ""
-    paired: Paired | None = None
+    maps: Sequence[Plot]
+
+    @property
+    def paired(self) -> PairedErrors | None:
+        """What both leave of the same rows."""
+        return self.diff.paired
 
     @property
     def moved(self) -> list[ParameterChange]:
         """Parameters that differ by more than their uncertainty, or are in one version only."""
-        return [one for one in self.changed if beyond(one)]
+        return [one for one in self.changed if one.moved]
 
     @property
     def within(self) -> list[ParameterChange]:
         """The others that differ."""
-        return [one for one in self.changed if not beyond(one)]
+        return [one for one in self.changed if not one.moved]
 
     @property
     def same(self) -> int:
@@ -81,26 +79,18 @@ class Compared:
 
 
 def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
-    """Compare two versions; without a choice on the campaigns held out, else on those that were fitted."""
-    diff = differences.diff(database, a, b)
-    sides = [None if name == NOMINAL else service.get(database, name) for name in (a, b)]
+    """Compare two versions on rows held out of both, where there are such."""
+    found = differences.compared(database, a, b, wanted or ())
+    diff, rows = found.diff, found.pairs
+    sides = [None if name == differences.NOMINAL else service.get(database, name) for name in (diff.a, diff.b)]
     known = next(side for side in sides if side is not None)
     there = [one for one in campaigns.list_campaigns(database, known.robot, Page()).campaigns if one.rows]
-    chosen = list(wanted) if wanted else _default(known, there)
-    left, tables, refusal = _left(database, sides, chosen)
+    names = [title(side) for side in sides if side is not None]
+    left = [] if rows is None else [Left(n, sizes.tolist()) for n, sizes in zip(names, rows.sizes, strict=True)]
     bars, curve = (None, None) if not left else (_bars(left), _curve(left))
     changed = [one for one in diff.parameters if one.change is None or abs(one.change) > SAME]
-    pairs = None
-    if len(left) == 2:
-        pairs = paired(database, tables, [one.name for one in left], b)
-    return Compared(known.robot, sides[0], sides[1], diff, changed, there, chosen, left, bars, curve, refusal, pairs)
-
-
-def beyond(one: ParameterChange) -> bool:
-    """Whether a parameter moved by more than chance explains: two standard deviations of both, taken as independent."""
-    if one.change is None:
-        return True
-    return abs(one.change) > SURE * math.hypot(one.sigma_a or 0.0, one.sigma_b or 0.0)
+    drawn = [] if rows is None else maps(database, rows, names, diff.b)
+    return Compared(known.robot, sides[0], sides[1], diff, changed, there, found.campaigns, left, bars, curve, drawn)
 
 
 def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple[Version, Compared | None]]:
@@ -129,40 +119,6 @@ def title(version: Version) -> str:
     return version.name or version.id
 
 
-def _default(version: Version, there: Sequence[Campaign]) -> list[str]:
-    usable = {one.id for one in there}
-    for use in ("validation", "train"):
-        found = [one.id for one in version.campaigns if one.use == use and one.id in usable]
-        if found:
-            return found[:MOST_CAMPAIGNS]
-    return [one.id for one in there[-1:]]
-
-
-def _left(
-    database: Database, sides: Sequence[Version | None], chosen: Sequence[str]
-) -> tuple[list[Left], list[dict[str, Any]], str]:
-    """What versions leave of the rows, or why that cannot be said. The nominal robot has no base to be compared in."""
-    if not chosen:
-        return [], [], "This robot has no measurements to compare on."
-    found, tables = [], []
-    for side in sides:
-        if side is None:
-            continue
-        try:
-            table = residuals(database, side.id, chosen)
-        except ServiceError as error:
-            return [], [], error.message
-        tables.append(table)
-        sizes = size_of(table)
-        seen = sizes == sizes
-        found.append(Left(title(side), int(seen.sum()), int((table["held_out"] & seen).sum()), sizes[seen].tolist()))
-    return (
-        ([], [], "Nothing was measured at the tool in these campaigns.")
-        if any(not one.rows for one in found)
-        else (found, tables, "")
-    )
-
-
 def _bars(left: Sequence[Left]) -> Plot:
     names = [MEASURES[measure] for measure in BARS]
     values = [[one.numbers[measure] for measure in BARS] for one in left]
@@ -180,6 +136,8 @@ def _bars(left: Sequence[Left]) -> Plot:
 
 
 def _curve(left: Sequence[Left]) -> Plot:
+    import numpy as np
+
     shares = np.linspace(0.0, 100.0, STEPS + 1)
     curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
     told = (10, 25, 50, 75, 90, 95, 99, 100)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from kilter_client.calls.kept import place
 from kilter_client.calls.references import id_of
@@ -56,9 +56,9 @@ def activations(robot: str) -> Steps[list[Document]]:
 
 
 def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
-    """Compare two versions; ``nominal`` stands for the nominal robot."""
-    one = first if first == NOMINAL else (yield from id_of("version", first, robot))
-    other = second if second == NOMINAL else (yield from id_of("version", second, robot))
+    """Compare two versions; ``nominal`` stands for the nominal robot, a job for the version that it made."""
+    one = first if first == NOMINAL else (yield from id_of(_kind(first), first, robot))
+    other = second if second == NOMINAL else (yield from id_of(_kind(second), second, robot))
     return (yield from get(address("versions", one, "diff", other)))
 
 
@@ -115,3 +115,7 @@ def correct(
         again=True,
     )
     return (yield from answer_of(request))
+
+
+def _kind(reference: str) -> Literal["job", "version"]:
+    return "job" if reference.startswith("job_") else "version"

@@ -91,14 +91,17 @@ def activations(robot: Robot, as_json: Json = False) -> None:
 
 
 def diff(
-    first: Annotated[str, typer.Argument(help="A version: id, name, `latest`, or `nominal`.", show_default=False)],
+    first: Annotated[
+        str,
+        typer.Argument(help="A version: id, name, `latest`, `nominal`, or the id of a search.", show_default=False),
+    ],
     second: Annotated[str, typer.Argument(help="Another; `nominal` is the nominal robot.", show_default=False)],
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
     """Compare the parameters of two versions, or of a version and the nominal robot."""
     with Kilter() as kilter:
-        both = [one if one == NOMINAL else resolved(kilter, "version", one, robot, as_json) for one in (first, second)]
+        both = [_of_diff(kilter, one, robot, as_json) for one in (first, second)]
         document = kilter.versions.diff(*both)
     emit(document, as_json, _show_diff)
 
@@ -164,13 +167,25 @@ def _held_out(metrics: dict[str, Any]) -> str:
     return ""
 
 
+def _of_diff(kilter: Kilter, one: str, robot: str | None, as_json: bool) -> str:
+    """The id of what is compared: a version, the job that made one, or the nominal robot."""
+    if one == NOMINAL:
+        return one
+    return resolved(kilter, "job" if one.startswith("job_") else "version", one, robot, as_json)
+
+
 def _show_diff(document: dict[str, Any]) -> None:
+    say((document.get("paired") or {}).get("sentence") or document.get("not_paired") or "")
     for word in ("added", "removed"):
         if document[f"effects_{word}"]:
             say(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
     sides = [NOMINAL if document[key] == NOMINAL else word for key, word in (("a", "first"), ("b", "second"))]
-    rows = [_compared(p) for p in document["parameters"]]
-    show_rows(("parameter", *sides, "change", "unit"), rows)
+    moved = [p for p in document["parameters"] if p.get("moved", True)]
+    if moved:
+        show_rows(("parameter", *sides, "change", "unit"), [_compared(p) for p in moved])
+    rest = len(document["parameters"]) - len(moved)
+    if rest:
+        say(f"{rest} more differ by less than their uncertainty or not at all; --json has them.")
 
 
 def _compared(p: dict[str, Any]) -> tuple[str, ...]:

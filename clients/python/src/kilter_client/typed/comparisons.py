@@ -10,6 +10,40 @@ from kilter_client.typed.fits import Metrics
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PairedErrors(Record):
+    """What two versions leave of the same rows, base and tool as each version has them. Rows of one pose count once."""
+
+    better: int
+    """On how many b leaves less."""
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns."""
+    chance: float
+    """Probability of so uneven a count if neither were better: exact sign test, two-sided."""
+    counted: str
+    """What is counted: `rows` where no pose was repeated."""
+    held_out: bool
+    """Whether the rows were held out of both fits; false: there were none, so fitted rows are among them."""
+    high_mm: float | None
+    """Upper end of its 95 % interval, mm; None: too few."""
+    less_mm: float
+    """How much less b leaves, mean over what is counted, mm; negative: more."""
+    low_mm: float | None
+    """Lower end of its 95 % interval, mm; None: too few."""
+    mean_a_mm: float
+    """Mean error that a leaves, mm."""
+    mean_b_mm: float
+    """Mean error that b leaves, mm."""
+    poses: int
+    """Poses compared."""
+    rows: int
+    """Rows compared."""
+    sentence: str
+    """The same in words, all lengths in one unit."""
+    worse: int
+    """On how many it leaves more."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ParameterChange(Record):
     """A parameter in two versions; None where a version does not have it."""
 
@@ -19,6 +53,8 @@ class ParameterChange(Record):
     """Value in version b."""
     change: float | None
     """b minus a."""
+    moved: bool
+    """Whether they differ by more than 1.96 standard deviations of both, or only one has it."""
     name: str
     """Name of the parameter; base and tool are whole frames, `base_x` ... `tool_rz`."""
     sigma_a: float | None
@@ -45,6 +81,10 @@ class VersionDiff(ShownDiff, Record):
     """Errors of a."""
     metrics_b: Metrics
     """Errors of b."""
+    not_paired: str
+    """Why rows are not compared, in words; empty: they are."""
+    paired: PairedErrors | None
+    """What both leave of the same rows, held out of both where there are such; None: see `not_paired`."""
     parameters: Records[ParameterChange]
     """All parameters of both, and how they differ."""
 

@@ -136,6 +136,7 @@ MODULE_OF = {
     "OffPoint": "robots",
     "Origin": "fits",
     "OwnBase": "identifications",
+    "PairedErrors": "comparisons",
     "Parameter": "fits",
     "ParameterChange": "comparisons",
     "PhysicalClass": "searches",

@@ -1,0 +1,1 @@
+"""Who may do what: tokens, their roles, robots and ends."""

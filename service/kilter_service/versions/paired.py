@@ -1,0 +1,155 @@
+"""Two versions on the same rows, pose by pose: which one is better, by how much, and how often chance alone says so."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.campaigns import looking
+from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
+from kilter_service.contract.comparisons import PairedErrors
+from kilter_service.db import Database
+from kilter_service.tables.reading import PARQUET
+from kilter_service.versions import service
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
+
+FEWEST = 3  # poses that an interval of a mean needs
+EQUAL_MM = 1e-9  # smaller differences are rounding
+NOTHING = "Nothing was measured at the tool in these campaigns."
+
+
+@dataclass(frozen=True)
+class Side:
+    """A version and what people call it."""
+
+    id: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """What two versions leave of each row: the tables, the rows that both saw (``used``), and the sizes there, mm."""
+
+    tables: tuple[Mapping[str, Any], Mapping[str, Any]]
+    used: Bools
+    sizes: tuple[Floats, Floats]
+    held_out: bool
+
+
+def pairs(database: Database, a: str, b: str, campaigns: Sequence[str]) -> Pairs:
+    """Pair the rows of campaigns: those held out of both fits, or all where there are none.
+
+    Raises:
+        ServiceError: no such version or campaign, or a campaign of another robot.
+        ObservationError: a campaign without a measured position.
+
+    """
+    import numpy as np
+
+    first, second = residuals(database, a, campaigns), residuals(database, b, campaigns)
+    sizes = size_of(first), size_of(second)
+    seen = ~np.isnan(sizes[0]) & ~np.isnan(sizes[1])
+    unseen = seen & np.asarray(first["held_out"], dtype=bool) & np.asarray(second["held_out"], dtype=bool)
+    used = unseen if unseen.any() else seen
+    return Pairs((first, second), used, (sizes[0][used], sizes[1][used]), bool(unseen.any()))
+
+
+def judged(database: Database, found: Pairs, a: Side, b: Side) -> PairedErrors | None:
+    """Say which of two versions is better; None where no row was seen."""
+    import numpy as np
+
+    if not found.used.any():
+        return None
+    first, second = found.sizes
+    difference = first - second
+    _, pose = np.unique(_poses(database, found.tables[0])[found.used], return_inverse=True)
+    means = np.bincount(pose, weights=difference) / np.bincount(pose)
+    better, worse = int((means > EQUAL_MM).sum()), int((means < -EQUAL_MM).sum())
+    less, low, high = _interval(means)
+    numbers = PairedErrors(
+        campaigns=list(dict.fromkeys(found.tables[0]["campaign"].tolist())), held_out=found.held_out,
+        rows=len(difference), poses=len(means), counted="rows" if len(means) == len(difference) else "poses",
+        better=better, worse=worse, chance=chance(better, worse), mean_a_mm=float(first.mean()),
+        mean_b_mm=float(second.mean()), less_mm=less, low_mm=low, high_mm=high, sentence="",
+    )  # fmt: skip
+    return numbers.model_copy(update={"sentence": sentence(numbers, a.name, b.name)})
+
+
+def sentence(found: PairedErrors, a: str, b: str) -> str:
+    """Say what was found, all lengths in the unit of the largest."""
+    lengths = (found.mean_a_mm, found.mean_b_mm, abs(found.less_mm), found.low_mm or 0.0, found.high_mm or 0.0)
+    left_a, left_b, less, low, high = said_of_lengths(max(map(abs, lengths)), *lengths)
+    equal = found.poses - found.better - found.worse
+    said = [
+        f"On the same {found.rows} rows{', held out of both fits' if found.held_out else ''} {a} leaves {left_a} on average "
+        f"and {b} {left_b}.",
+        f"{b} is better on {found.better} of {found.poses} {found.counted}{f' and equal on {equal}' if equal else ''}; if "
+        f"neither were better, so uneven a count would come with probability {said_of_chance(found.chance)} (exact sign "
+        "test).",
+        f"It leaves {less} {'less' if found.less_mm >= 0 else 'more'} on average"
+        + (f" (95 % interval of how much less: {low} to {high})." if found.low_mm is not None else "."),
+    ]
+    if found.counted == "poses":
+        said.append("Rows of one pose count once.")
+    if not found.held_out:
+        said.append("No row was held out of both: where one was fitted its error looks better than it is.")
+    return " ".join(said)
+
+
+def chance(better: int, worse: int) -> float:
+    """Probability of at least so uneven a count where both are equally likely: exact sign test, two-sided."""
+    from scipy.stats import binomtest
+
+    return float(binomtest(better, better + worse, 0.5).pvalue) if better + worse else 1.0
+
+
+def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
+    """Return what a version leaves of every row, as columns of the file that the interface gives."""
+    import pyarrow.parquet
+
+    table = pyarrow.parquet.read_table(io.BytesIO(service.residuals(database, version, chosen, PARQUET)))
+    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
+
+
+def size_of(table: Mapping[str, Any]) -> Floats:
+    """Length of the errors, mm; NaN where nothing was seen."""
+    import numpy as np
+
+    return np.asarray(np.sqrt(sum(np.asarray(table[f"d{axis}_mm"], dtype=np.float64) ** 2 for axis in "xyz")))
+
+
+def _interval(means: Floats) -> tuple[float, float | None, float | None]:
+    import numpy as np
+    from scipy.stats import t
+
+    mean, count = float(means.mean()), len(means)
+    if count < FEWEST:
+        return mean, None, None
+    half = float(t.ppf(0.975, count - 1) * means.std(ddof=1) / np.sqrt(count))
+    return mean, mean - half, mean + half
+
+
+def _poses(database: Database, table: Mapping[str, Any]) -> Ints:
+    """Number the poses of all rows, those of each campaign apart."""
+    import numpy as np
+
+    from kilter_core.observations.repeats import numbered_poses
+    from kilter_service.tables.assemble import observations
+
+    found, last = [], 0
+    for campaign in dict.fromkeys(table["campaign"]):
+        rows = looking.stored(database, campaign)
+        seen = observations(rows.table, rows.columns, rows.conditions)
+        own = numbered_poses(seen.q) if seen.pose_id is None else np.unique(seen.pose_groups(), return_inverse=True)[1]
+        found.append(own + last)
+        last += int(own.max(initial=-1)) + 1
+    return np.concatenate(found)
