@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
@@ -46,9 +46,21 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
         metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)
+        metrics[campaign]["fitted"] = job.fit.fitted.get(campaign, 0)
         warnings += [{**one, "campaigns": [campaign]} for one in metrics[campaign].pop("warnings")]
+        warnings += _flattering(campaign, metrics[campaign]["fitted"], len(seen))
     result = {"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows}
     return JobOutput(result | {"warnings": warnings})
+
+
+def _flattering(campaign: str, fitted: int, rows: int) -> list[dict[str, Any]]:
+    if not fitted:
+        return []
+    said = (
+        f"The version was fitted to {fitted} of the {rows} rows of campaign {campaign}, in whatever file they came: their "
+        "errors are smaller than elsewhere, and count as no number of today. Measure some poses that are only checked."
+    )
+    return [{"code": "rows_fitted", "message": said, "campaigns": [campaign]}]
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
@@ -81,4 +93,6 @@ def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> Job
     return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
 
 
-EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version", preview_job=preview_job)
+EVALUATE = JobKind(
+    "evaluate", EvaluateOptions, check, run, version_option="version", against_fit=True, preview_job=preview_job
+)
