@@ -38,6 +38,10 @@ class StageErrors(Stored):
     left_out: int | None = Field(
         None, description="Rows that were left out of them, as no measurements; null: not known."
     )
+    fitted: int | None = Field(
+        None,
+        description="Of an evaluation: rows that the version was fitted to, in whatever file; null: not looked for.",
+    )
     nominal: Errors | None = Field(None, description="The nominal robot, in its own base and tool.")
     registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
     geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")

@@ -10,16 +10,21 @@ from kilter_service.drift import store as drift
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.kind import FitOfVersion
 from kilter_service.versions import store as versions
+from kilter_service.versions.unfitted_rows import Archive
 
 
 def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion:
     """Return what a version, and those that it continues, were fitted to, against the campaigns that a job names."""
     trained = [one for training in versions.trainings(session, version) for one in training.campaigns]
     hashes = {sha256 for _, each in trained for sha256 in each}
-    shared = [c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of(session, c))]
+    robot = versions.get(session, version).robot_id
+    archive = Archive(session, robot)
+    fitted = {c: archive.copied(version, c) for c in named}
+    files = {c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of(session, c))}
+    shared = [c for c in named if c in files or fitted[c]]
     seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
-    agreed = drift.agreed_at(session, versions.get(session, version).robot_id, version, named)
-    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreed)
+    agreed = drift.agreed_at(session, robot, version, named)
+    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreed, fitted)
 
 
 def _temperatures(session: Session, campaign: str) -> Iterator[float]:

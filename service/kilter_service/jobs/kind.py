@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -29,11 +29,13 @@ if TYPE_CHECKING:
 class FitOfVersion:
     """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
     and which campaigns of the job have rows of it. ``agreed_at`` is when a check last agreed with it, None: never.
+    ``fitted`` counts by campaign the rows that were fitted, whatever file they came in.
     """
 
     temperatures_c: tuple[float, float] | None = None
     shared: tuple[str, ...] = ()
     agreed_at: datetime | None = None
+    fitted: Mapping[str, int] = field(default_factory=dict)
 
 
 Progress = Callable[[float, str], None]

@@ -123,6 +123,8 @@ def _evaluations(version: Active, campaigns: Campaigns, evaluated: Iterable[Eval
             if known is None or known.hashes & version.fitted:
                 continue
             errors = as_written(StageErrors, metrics)
+            if errors.fitted:  # the same rows in another file
+                continue
             source = "check" if one.kind == "drift" else "evaluation"
             yield _errors(version, source, one.job_id, one.at, [campaign], campaigns, errors, one.refit)
 

@@ -72,6 +72,22 @@ class Archive:
             trained.add(training)
         return trained.mask(campaign_id)
 
+    def copied(self, version: str, campaign_id: str) -> int:
+        """Count the rows of a campaign that a version, or one that it continues, was fitted to, in whatever order or file.
+
+        A motion may have a few by chance: an arm at rest reads the same twice.
+        """
+        from kilter_core.gap.evidence.holding_out import copies
+
+        rows = self.rows(campaign_id)
+        if rows is None:
+            return 0
+        trained = _Trained(self)
+        for training in store.trainings(self.session, version):
+            trained.add(training)
+        marked = int(trained.mask(campaign_id).sum())
+        return max([marked, *(len(copies(part, rows)) for part in trained.parts())])
+
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
         return self.unseen_by(part for version in versions for part in store.trainings(self.session, version))
@@ -132,9 +148,13 @@ class _Trained:
 
     def poses(self) -> Floats:
         """Joints (N, n) of all rows that were fitted."""
-        parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
-        fitted = [rows.q[mask] for rows, mask in parts if rows is not None]
+        fitted = [rows.q for rows in self.parts()]
         return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
+
+    def parts(self) -> list[Observations]:
+        """The rows that were fitted, of each campaign that can be read."""
+        parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
+        return [rows.select(mask) for rows, mask in parts if rows is not None]
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
         """Rows fitted of each campaign's named uploads, as the job drew them; None when that is no longer known."""

@@ -79,15 +79,21 @@ def refuse_shared(rows: Observations, others: Observations, use: str) -> None:
         ObservationError: ``rows_shared``, with the first of them and the remedy.
 
     """
-    shared = shared_rows(rows, others)
-    free = int(COINCIDENCE * len(others)) if is_trajectory(others) else 0
-    if len(shared) <= free:
+    shared = copies(rows, others)
+    if not len(shared):
         return
     raise ObservationError(
         f"{len(shared)} of {len(others)} rows for {use} are rows of the search too (row {shared[0] + 1} of the {use} is "
         f"the first). What chose a name cannot judge it: leave these rows out of one of the two, or measure others.",
         code="rows_shared",
     )
+
+
+def copies(rows: Observations, others: Observations) -> Ints:
+    """Rows of ``others`` that are rows of ``rows`` too; none where they are as few as an arm at rest gives by chance."""
+    shared = shared_rows(rows, others)
+    free = int(COINCIDENCE * len(others)) if is_trajectory(others) else 0
+    return shared if len(shared) > free else shared[:0]
 
 
 def _refuse_other_contacts(rows: Observations, validation: Observations) -> None:

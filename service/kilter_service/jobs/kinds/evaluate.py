@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
@@ -12,6 +12,7 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
 
 MOST_CHECKED = 500  # poses of a campaign that a check looks at
 REMEDY = "Plan its poses with `kilter plan --purpose iso9283`, and drive them as often as the standard demands."
@@ -32,11 +33,10 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     """Compare the version named (else the active one, else the nominal robot) with the rows of every campaign."""
     from kilter_core.evaluate import evaluate  # compiled kernels: only the worker needs them
     from kilter_core.identify.uncertainty.predictive import Predictive
-    from kilter_core.model import Calibration
 
     options: EvaluateOptions = job.options
     if options.metrics == "iso9283":
-        return _iso9283(job, job.calibration or Calibration.nominal(job.robot), progress)
+        return _iso9283(job, _calibration(job), progress)
     known = Predictive.from_document(job.covariance or {}, job.report)
     metrics, rows, warnings = {}, {}, []
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
@@ -46,39 +46,61 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
         metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)
+        metrics[campaign]["fitted"] = job.fit.fitted.get(campaign, 0)
         warnings += [{**one, "campaigns": [campaign]} for one in metrics[campaign].pop("warnings")]
+        warnings += _flattering(campaign, metrics[campaign]["fitted"], len(seen))
     result = {"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows}
     return JobOutput(result | {"warnings": warnings})
+
+
+def _calibration(job: JobInput) -> Calibration:
+    from kilter_core.model import Calibration
+
+    return job.calibration or Calibration.nominal(job.robot)
+
+
+def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[str, Any]:
+    from kilter_core.evaluate.iso9283 import Trial, criteria
+
+    return criteria(Trial.of(commanded.predict(rows), rows), asked)
+
+
+def _flattering(campaign: str, fitted: int, rows: int) -> list[dict[str, Any]]:
+    if not fitted:
+        return []
+    said = (
+        f"The version was fitted to {fitted} of the {rows} rows of campaign {campaign}, in whatever file they came: their "
+        "errors are smaller than elsewhere, and count as no number of today. Measure some poses that are only checked."
+    )
+    return [{"code": "rows_fitted", "message": said, "campaigns": [campaign]}]
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Evaluate some of the rows, or see which criteria all of them support."""
     from kilter_core.evaluate import evaluate
-    from kilter_core.evaluate.iso9283 import Trial, criteria
     from kilter_core.identify.compare import thinned
-    from kilter_core.model import Calibration
 
     options: EvaluateOptions = job.options
-    calibration = job.calibration or Calibration.nominal(job.robot)
+    calibration = _calibration(job)
     found.learn_from(*job.campaigns.values())
     for campaign, rows in job.campaigns.items():
         with found.noting_refusals():
             if options.metrics == "errors":
                 evaluate(job.applied_to(campaign) or calibration, thinned(rows, MOST_CHECKED), options.refit, None)
                 continue
-            refused = criteria(Trial.of(calibration.wanted().predict(rows), rows), options.criteria)["refused"]
+            refused = _criteria(calibration.wanted(), rows, options.criteria)["refused"]
             found.missing += [Lack(f"{one['symbol']} of {campaign}", one["message"], REMEDY) for one in refused]
 
 
 def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:
     """Criteria of every campaign; commanded is where the nominal chain in the version's wanted frames says."""
-    from kilter_core.evaluate.iso9283 import Trial, criteria
-
     commanded, reports = calibration.wanted(), {}
     for number, (campaign, rows) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
-        reports[campaign] = criteria(Trial.of(commanded.predict(rows), rows), job.options.criteria)
+        reports[campaign] = _criteria(commanded, rows, job.options.criteria)
     return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
 
 
-EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version", preview_job=preview_job)
+EVALUATE = JobKind(
+    "evaluate", EvaluateOptions, check, run, version_option="version", against_fit=True, preview_job=preview_job
+)
