@@ -103,6 +103,9 @@ page: $(READY) ## bundle the page's scripts and styles (needs Node.js, for whoev
 c-corrector: $(READY) ## translate the kernels of the correction into clients/c
 	$(BIN)/python -m tools.c_corrector
 
+parity-c: $(KERNELS) ## send N random setpoints through the C corrector and the compiled kernels, and compare (N=10000000)
+	$(BIN)/python -m tests.core.correct.parity --count $(or $(N),10000000)
+
 page-picture: $(KERNELS) ## draw docs/images/page.png from the page of a server with demo data (VIEW=/stream; needs Chromium)
 	$(BIN)/python -m tools.draw_page_picture $(if $(VIEW),--view $(VIEW))
 

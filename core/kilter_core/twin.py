@@ -6,9 +6,9 @@ of their own.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import radians
 
 import numpy as np
 
@@ -67,25 +67,25 @@ class Twin:
         )
 
 
-# Thesis tables 3.2 (geometry), 4.3 (clearance tilt and backlash, deg) and 4.4 (stiffness, kgf·m/deg).
-_LENGTHS_MM = {"a_2": 0.003, "a_3": 0.01, "d_4": 0.002, "d_5": 0.001}
-_ANGLES_DEG = {
-    "theta_offset_1": -0.061, "theta_offset_2": 0.0232, "theta_offset_3": -0.057, "theta_offset_4": 0.0641,
-    "theta_offset_5": -0.121, "alpha_2": -0.08, "alpha_3": 0.003, "beta_3": 0.0021, "beta_4": 0.0013,
-    "alpha_4": -0.01, "alpha_5": 0.03,
+# Thesis tables 3.2 (geometry, printed in mm and deg), 4.3 (clearance tilt and backlash, deg) and 4.4 (stiffness, kgf·m/deg).
+_LENGTHS_M = {"a_2": 0.003 * 1e-3, "a_3": 0.01 * 1e-3, "d_4": 0.002 * 1e-3, "d_5": 0.001 * 1e-3}
+_ANGLES_RAD = {
+    "theta_offset_1": radians(-0.061), "theta_offset_2": radians(0.0232), "theta_offset_3": radians(-0.057),
+    "theta_offset_4": radians(0.0641), "theta_offset_5": radians(-0.121), "alpha_2": radians(-0.08),
+    "alpha_3": radians(0.003), "beta_3": radians(0.0021), "beta_4": radians(0.0013), "alpha_4": radians(-0.01),
+    "alpha_5": radians(0.03),
 }  # fmt: skip
-_CLEARANCE_DEG = (0.022, 0.024, 0.017, 0.015, 0.018)
-_BACKLASH_DEG = (0.063, 0.061, 0.057, 0.046, 0.051)
+_CLEARANCE_RAD = (radians(0.022), radians(0.024), radians(0.017), radians(0.015), radians(0.018))
+_BACKLASH_RAD = (radians(0.063), radians(0.061), radians(0.057), radians(0.046), radians(0.051))
 _STIFFNESS_KGFM_DEG = (122.0, 90.0, 75.0, 78.0, 80.0)
 
 
 def thesis_katana(preset: str = "katana450-chapter5") -> Twin:
     """Katana 450 with the geometric errors, clearance tilt, backlash and stiffness of the thesis's tables."""
-    errors = {name: mm * 1e-3 for name, mm in _LENGTHS_MM.items()}
-    errors |= {name: math.radians(deg) for name, deg in _ANGLES_DEG.items()}
+    errors = _LENGTHS_M | _ANGLES_RAD
     for j in range(5):
-        errors[f"clearance_{j + 1}"] = math.radians(_CLEARANCE_DEG[j])
-        errors[f"backlash_load_{j + 1}"] = math.radians(_BACKLASH_DEG[j])
-        errors[f"compliance_{j + 1}"] = math.radians(1.0) / (_STIFFNESS_KGFM_DEG[j] * STANDARD_GRAVITY)
+        errors[f"clearance_{j + 1}"] = _CLEARANCE_RAD[j]
+        errors[f"backlash_load_{j + 1}"] = _BACKLASH_RAD[j]
+        errors[f"compliance_{j + 1}"] = radians(1.0) / (_STIFFNESS_KGFM_DEG[j] * STANDARD_GRAVITY)
     effects = tuple(make_effect(e) for e in ("clearance_tilt", "backlash_load", "axial_compliance"))
     return Twin(robot_from_document(preset_document(preset)), errors, effects)

@@ -17,6 +17,7 @@ from kilter_service.auth.openapi_security import described
 from kilter_service.auth.rates import Rates
 from kilter_service.auth.slow_bodies import Unhurried
 from kilter_service.auth.token import admin_token
+from kilter_service.bridges.routes import router as bridges
 from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.concurrency import Slots
 from kilter_service.correction.routes import router as correction
@@ -52,7 +53,7 @@ SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from meas
 
 ROUTERS: tuple[APIRouter, ...] = (
     robots, today, drift, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams,
-    tokens, audit, metrics, instruments, acceptance,
+    bridges, tokens, audit, metrics, instruments, acceptance,
 )  # fmt: skip
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 

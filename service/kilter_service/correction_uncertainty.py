@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.later import interpolate, special
 from kilter_service.contract.stream_messages import Status
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
     from kilter_core.correct.walker import CorrectedTrajectory
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
@@ -68,10 +67,9 @@ def about(bias: Floats, half: Floats) -> Floats:
 
 
 @cache
-def _quantiles() -> CubicSpline:
+def _quantiles() -> interpolate.CubicSpline:
     """Quantiles w / s over b / s, to 1e-9: the distribution itself takes seconds for a long trajectory."""
-    from scipy.interpolate import CubicSpline
-    from scipy.special import chndtrix
-
     away = np.linspace(0.0, FAR, NODES)
-    return CubicSpline(away, np.sqrt(chndtrix(LEVEL, 1.0, away**2)), bc_type=((1, np.zeros(())), (1, np.ones(()))))
+    return interpolate.CubicSpline(
+        away, np.sqrt(special.chndtrix(LEVEL, 1.0, away**2)), bc_type=((1, np.zeros(())), (1, np.ones(())))
+    )

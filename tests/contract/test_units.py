@@ -50,7 +50,6 @@ STILL = {
     "core/kilter_core/identify/plausibility/mix_ups.py": 3,
     "core/kilter_core/identify/uncertainty/predictive.py": 2,
     "core/kilter_core/procedures/circle_points.py": 1,
-    "core/kilter_core/twin.py": 4,
 }
 MOST_REPORTING = 65  # modules of the core with sentences or reports in mm and degrees; only ever fewer
 SHARES = (

@@ -29,14 +29,17 @@ def forked_worker(environment: dict[str, str], folder: Path) -> ForkServerProces
 
 
 def forked_command(
-    *arguments: str, environment: Mapping[str, str], folder: Path, umask: int = -1
+    *arguments: str, environment: Mapping[str, str], folder: Path, umask: int = -1, deadline_s: float = DEADLINE_S
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, as `subprocess.run` would."""
     with tempfile.TemporaryDirectory(prefix="kilter-said-") as said:
         out, err = Path(said) / "out", Path(said) / "err"
         process = _started(dict(environment), folder, list(arguments), out=str(out), err=str(err), umask=umask)
-        process.join(DEADLINE_S)
-        assert process.exitcode is not None, f"kilterd {' '.join(arguments)} does not end: {err.read_text()}"
+        process.join(deadline_s)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+            raise AssertionError(f"kilterd {' '.join(arguments)} does not end: {err.read_text()}")
         return subprocess.CompletedProcess(arguments, process.exitcode, out.read_text(), err.read_text())
 
 

@@ -32,6 +32,7 @@ OWN, OTHER = "mine", "theirs"
 NEEDED = {
     "viewer": """GET /v1/whoami POST /v1/login-links GET /v1/robots GET /v1/robots/{robot} GET /v1/robots/{robot}/campaigns
         GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/robots/{robot}/meshes
+        GET /v1/robots/{robot}/bridges
         GET /v1/robots/{robot}/today GET /v1/robots/{robot}/drift GET /v1/drift GET /v1/robots/{robot}/acceptance
         GET /v1/instruments
         GET /v1/robots/{robot}/meshes/{link} GET /v1/campaigns/{campaign} GET /v1/jobs
@@ -50,6 +51,7 @@ NEEDED = {
         POST /v1/jobs POST /v1/jobs/check POST /v1/jobs/{job}/cancel PATCH /v1/versions/{version}
         POST /v1/versions/{version}/retire POST /v1/versions/{version}/restore POST /v1/versions/{version}/activate
         POST /v1/robots/{robot}/rollback POST /v1/robots/{robot}/stream/sessions
+        PUT /v1/robots/{robot}/bridges/{bridge}
         POST /v1/fleet-jobs POST /v1/fleet-jobs/{fleet_job}/cancel""",
     "admin": """POST /v1/robots PATCH /v1/robots/{robot} DELETE /v1/robots/{robot} POST /v1/robots/{robot}/retire
         POST /v1/robots/{robot}/restore POST /v1/robots/{robot}/purge POST /v1/campaigns/{campaign}/purge
@@ -84,7 +86,9 @@ class House(NamedTuple):
         end = {OWN: "0123456789abcdef", OTHER: "f" * 16}.get(of, "0" * 16)
         names = {"robot": of, "campaign": f"cmp_{end}", "version": f"ver_{end}", "a": f"ver_{end}", "b": "nominal"}
         headers = {} if token is None else {"Authorization": f"Bearer {self.tokens.get(token, token)}"}
-        path = path.format(**names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base")
+        path = path.format(
+            **names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base", bridge="0" * 16
+        )
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 
 

@@ -7,13 +7,13 @@ import socket
 import sqlite3
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from kilter_service.db import Database, revision
 from kilter_service.settings import Settings
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -21,10 +21,13 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 def kilterd(*arguments: str, timeout: float = 120.0, **settings: str) -> subprocess.CompletedProcess[str]:
     plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment = plain | {"KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"} | settings
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", *arguments],
-        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=timeout, check=False,
-    )  # fmt: skip
+    if "PYTHONPATH" in settings:  # read when Python starts
+        done = subprocess.run(
+            [sys.executable, "-m", "kilter_service", *arguments],
+            cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=timeout, check=False,
+        )  # fmt: skip
+    else:
+        done = forked_command(*arguments, environment=environment, folder=REPOSITORY, deadline_s=timeout)
     assert "Traceback" not in done.stderr or "serve" in arguments, done.stderr
     return done
 
@@ -54,9 +57,7 @@ def test_a_newer_schema_is_left_alone(command: str, newer: Path) -> None:
 
 
 def test_a_worker_alone_says_at_once_that_the_tables_are_missing(tmp_path: Path) -> None:
-    started = time.process_time()
     done = kilterd("worker", KILTER_DATA=str(tmp_path), timeout=25)  # it used to wait for 30 s
-    assert time.process_time() - started < 25
     assert done.returncode == 1
     assert done.stderr.startswith("kilterd: The database is at revision none, this Kilter needs ")
     assert done.stderr.count("\n") == 1

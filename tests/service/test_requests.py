@@ -34,6 +34,7 @@ OPEN = {
     "GET /v1/jobs", "GET /v1/jobs/{job}", "GET /v1/jobs/{job}/events",
     "GET /v1/fleet-jobs", "GET /v1/fleet-jobs/{fleet_job}",
     "GET /v1/robots/{robot}/versions", "GET /v1/robots/{robot}/activations", "GET /v1/robots/{robot}/today",
+    "GET /v1/robots/{robot}/bridges",
     "GET /v1/robots/{robot}/drift", "GET /v1/drift",
     "GET /v1/versions/{version}",
     "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/export",

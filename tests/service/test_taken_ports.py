@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -26,10 +26,7 @@ def ended(tmp_path: Path, command: str, **settings: str) -> str:
     plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment = plain | {"KILTER_DATA": str(tmp_path / "data"), "KILTER_PORT": "0"}
     environment |= {"KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"} | settings
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", command], cwd=REPOSITORY, env=environment, capture_output=True, text=True,
-        timeout=200,
-    )  # fmt: skip
+    done = forked_command(command, environment=environment, folder=REPOSITORY)
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
     assert "Traceback" not in done.stderr

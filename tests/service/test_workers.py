@@ -28,6 +28,7 @@ from kilter_service.jobs.lease.watch import Watch
 from kilter_service.jobs.runner import Runner
 from kilter_service.settings import Settings
 from tests.service.conftest import WorkerProcess, served
+from tests.service.forked import forked_command
 from tests.service.postgresql import PostgreSql, own_postgresql, programs
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -283,10 +284,7 @@ def test_a_job_that_ran_under_an_older_kilter_starts_again(
 
 def test_sqlite_has_one_worker(settings: Settings, database: Database, worker: WorkerProcess, until: Until) -> None:
     worker.start()
-    second = subprocess.run(
-        [sys.executable, "-m", "kilter_service", "worker"],
-        env={**os.environ, **settings.environment()}, cwd=REPOSITORY, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+    second = forked_command("worker", environment={**os.environ, **settings.environment()}, folder=REPOSITORY)
     assert second.returncode == 2
     assert "Another process runs the jobs of" in second.stderr
     assert "KILTER_DATABASE_URL" in second.stderr
@@ -317,8 +315,7 @@ def test_a_database_that_is_not_there_is_said_with_the_remedy(tmp_path: Path) ->
         "KILTER_DATABASE_URL": "postgresql://nobody@127.0.0.1:1/x",
         "KILTER_DATA": str(tmp_path),
     }
-    command = [sys.executable, "-m", "kilter_service", "migrate"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, cwd=REPOSITORY)
+    done = forked_command("migrate", environment=environment, folder=REPOSITORY)
     assert done.returncode == 1
     assert "see that it runs" in done.stderr
     assert "Traceback" not in done.stderr

@@ -47,7 +47,7 @@ MODULES: Mapping[str, Sequence[str]] = {
         "DriftCheck",
         "RezeroCheck",
     ),
-    "server": ("Health", "ResolvedReference", "JobSummary", "Today"),
+    "server": ("Health", "ResolvedReference", "JobSummary", "Today", "BridgeList"),
 }
 JOB = "/v1/jobs/{job}"
 # What is written by hand for a type: how it is shown, and what can be made of it.

@@ -26,6 +26,7 @@ GROUPS = {
         "robots",
         "set_controller_compensation",
         "today",
+        "bridges",
         "drift_history",
         "drift_list",
         "accept",

@@ -8,6 +8,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.later import np
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 if TYPE_CHECKING:
@@ -146,8 +147,6 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
 
     if column_map is None:
         return read_joint_log(path, hints or LogHints())
-    import numpy as np
-
     from kilter_files.tables.joint_log import checked_log
 
     table = _mapped(path, column_map, None)

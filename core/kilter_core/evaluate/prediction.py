@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.elsewhere import elsewhere
 from kilter_core.identify.estimate import new_frames, refitted
 from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
@@ -58,8 +59,16 @@ def evaluate(
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
         "within_u95": within, "rows": table.to_document(),
-        "warnings": [*_worse(stages, measurement), *_narrow(within)],
+        "warnings": _warnings(stages, measurement, refit, within),
     }  # fmt: skip
+
+
+def _warnings(
+    stages: Mapping[str, Calibration], measurement: Measurement, refit: Sequence[str], within: float | None
+) -> list[dict[str, Any]]:
+    """What speaks against the calibration here; nothing does in frames that are not those of the rows."""
+    apart = list(elsewhere(stages["identified"], measurement, refit=refit))
+    return apart or [*_worse(stages, measurement), *_narrow(within)]
 
 
 def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[dict[str, Any]]:

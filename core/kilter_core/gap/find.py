@@ -65,6 +65,7 @@ from kilter_core.gap.search.renewed_search import rejudged
 from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.wanted import wanted
+from kilter_core.identify.elsewhere import CONFIRM, elsewhere
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.model_comparison import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.identify.plausibility.another_arm import another_arm
@@ -374,6 +375,7 @@ class _Run:
         calibration, plain = kept.calibration, kept.registered
         unseen = Measurement.of(self.validation, calibration.marker_points, held=True)
         yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
+        yield from elsewhere(calibration, unseen, CONFIRM)
 
     def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> Proposed:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""

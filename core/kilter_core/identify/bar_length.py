@@ -17,7 +17,7 @@ from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
 SHARE, LEAST_M = 0.01, 1e-3  # robots are truer than one part in a hundred
-FEWEST = 8
+FEWEST_LENGTHS = 8  # readings of a bar
 MARGIN = 6.0  # 2 log of a Bayes factor of 20, in favour of another length than was read
 SMALLEST_M = 1e-7  # no bar and no arm leaves less
 FLAT = 1e-3  # of the spread across a plane: the bar went round in it
@@ -60,7 +60,7 @@ def _badness(fit: Fit) -> float:
 
 def _radius(p: Floats) -> float | None:
     """Radius of the sphere through the points, of the circle where they lie in a plane; None of too few or a short arc."""
-    if len(p) < FEWEST:
+    if len(p) < FEWEST_LENGTHS:
         return None
     middle = p.mean(axis=0)
     sizes, axes = np.linalg.svd(p - middle, full_matrices=False)[1:]

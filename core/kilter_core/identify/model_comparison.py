@@ -71,9 +71,13 @@ class Difference:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry"."""
+    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry".
+
+    ``remarks`` are warnings of them beside the comparison.
+    """
 
     stages: Mapping[str, Floats]
+    remarks: tuple[dict[str, Any], ...] = ()
 
     @staticmethod
     def of(stages: Mapping[str, Calibration | None], unseen: Measurement) -> PoseErrors:
@@ -85,10 +89,12 @@ class PoseErrors:
     def concatenate(parts: Sequence[PoseErrors]) -> PoseErrors:
         """Pool folds; a stage that some fold lacks is left out."""
         names = [name for name in parts[0].stages if all(name in p.stages for p in parts)]
-        return PoseErrors({name: np.concatenate([p.stages[name] for p in parts]) for name in names})
+        remarks = tuple(one for part in parts for one in part.remarks)
+        return PoseErrors({name: np.concatenate([p.stages[name] for p in parts]) for name in names}, remarks)
 
     def warnings(self) -> Iterator[dict[str, Any]]:
         """Say what predicts worse than something simpler."""
+        yield from self.remarks
         after = self.stages["identified"]
         simpler = (("registration_only", "base and tool alone", WORSE_THAN_REGISTRATION),
                    ("geometry", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip

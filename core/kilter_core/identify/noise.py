@@ -24,7 +24,7 @@ from kilter_core.types import Bools, Floats, Ints
 CHANCE = 0.01  # of calling one good reading of a campaign wrong
 PASSES = 10
 ALPHA = 0.001  # of taking chance for the two sides of a pose
-FEWEST = 3  # numbers a standard deviation needs to be one
+FEWEST_NUMBERS = 3  # numbers a standard deviation needs to be one
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _read(observations: Observations, flat: Floats) -> Repeats:
 
 def _clearly_less(sided: Repeats, found: Repeats) -> bool:
     """Whether visits from one side differ by less than visits from any (F test on what the sides add)."""
-    if sided.between is None or found.between is None or not FEWEST <= sided.freedom < found.freedom:
+    if sided.between is None or found.between is None or not FEWEST_NUMBERS <= sided.freedom < found.freedom:
         return False
     within = sided.freedom * sided.between**2
     more, extra = found.freedom * found.between**2 - within, found.freedom - sided.freedom
@@ -139,7 +139,7 @@ def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
         kept &= ~(far & (size >= worst[group] * (1.0 - 1e-9)))
     count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)
     freedom = int(np.sum(np.maximum(count - 1, 0))) * width
-    if freedom < FEWEST:
+    if freedom < FEWEST_NUMBERS:
         return None, freedom, ~kept
     square = (off[kept] / free[kept]) ** 2
     return float(np.sqrt(square[count[group[kept]] > 1].sum() / freedom)), freedom, ~kept

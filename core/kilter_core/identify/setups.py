@@ -19,6 +19,7 @@ from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.cameras import Cameras, rig_of
+from kilter_core.identify.elsewhere import elsewhere
 from kilter_core.identify.errors_by_kind import KindErrors, errors_of, pooled
 from kilter_core.identify.estimate import bounded, frames_alone
 from kilter_core.identify.least_squares import Fit
@@ -306,7 +307,8 @@ def held_out(
         }
         for name in stages:
             parts[name].append(Errors.of(here[name], shown))
-        poses.append(PoseErrors.of(here, shown))
+        apart = elsewhere(here["identified"], shown) if frames is None else ()
+        poses.append(replace(PoseErrors.of(here, shown), remarks=tuple(apart)))
         kinds.append(errors_of({name: here[name] for name in stages}, shown))
         by_row.append(RowErrors.of({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
         if code is not None:

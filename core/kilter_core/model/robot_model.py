@@ -17,6 +17,7 @@ from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
 from kilter_core.arm.loads.wrenches import Loads, axial_loads, loads_of
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Batch, Effect, effect_from_document
+from kilter_core.effects.step import happened_before
 from kilter_core.errors import ObservationError
 from kilter_core.model.chain_rule import ToolColumns, Total
 from kilter_core.model.elements import Program, model_program
@@ -363,12 +364,15 @@ class Calibration:
         values = np.array([known.get(p.name, p.value) for p in model.parameters])
         return replace(self, model=model, values=values)
 
+    def for_another_campaign(self, rows: Observations) -> Calibration:
+        """The same for rows that it was not made from: what happened once, at a row of its own, has happened before them."""
+        return self.with_effects(happened_before(rows, self.model.effects))
+
     def wanted(self) -> Calibration:
         """The nominal chain in the wanted frames: where the tool should be."""
         base = self.robot.T_base if self.wanted_base is None else self.wanted_base
         tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool
-        model = RobotModel(self.robot, (), base, tool)
-        return Calibration(model, model.values0())
+        return Calibration(model := RobotModel(self.robot, (), base, tool), model.values0())
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able state, SI: frames, effects, and every parameter's value by name."""
@@ -378,7 +382,7 @@ class Calibration:
             "T_tool": model.T_tool.tolist(),
             "effects": [effect.to_document() for effect in model.effects],
             "values": dict(zip(model.names, values.tolist(), strict=True)),
-            **{name: _listed(getattr(self, name)) for name in ARRAYS},
+            **{k: None if (array := getattr(self, k)) is None else array.tolist() for k in ARRAYS},
             "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
             "rig": None if self.rig is None else self.rig.to_document(),
         }
@@ -394,7 +398,3 @@ class Calibration:
         values[indices(model.names, stored)] = list(stored.values())
         arrays: dict[str, Any] = {k: np.array(document[k]) for k in ARRAYS if document.get(k) is not None}
         return Calibration(model, values, **arrays, rig=PlacedRig.from_document(document.get("rig")))
-
-
-def _listed(array: Floats | None) -> Any:
-    return None if array is None else array.tolist()

@@ -18,6 +18,7 @@ from kilter_service.robots import store as robots
 from kilter_service.today import sentences
 from kilter_service.today import service as today
 from kilter_service.versions import store as versions
+from kilter_service.versions.unfitted_rows import Archive
 from kilter_service.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
@@ -109,9 +110,8 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
 def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iterable[Part]:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_service.acceptance.rows import judged
-    from kilter_service.versions.unfitted_rows import Archive
 
-    calibration = versions.calibration(session, version_id)
+    calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
     known = Predictive.from_document(versions.covariance(session, version_id), versions.get(session, version_id).report)
     if known is None:
         raise ServiceError(
@@ -126,7 +126,8 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iter
             continue
         used = campaigns.instruments(session, [key]).get(key) or stated
         tolerance = to_metres(wish.tolerance_mm)
-        found = judged(calibration, known, rows, unseen.places[key], used, wish.refit or (), tolerance)
+        here = calibration if key in own else calibration.for_another_campaign(rows)
+        found = judged(here, known, rows, unseen.places[key], used, wish.refit or (), tolerance)
         if found is not None:
             yield _part(session, key, found, used, wish.refit or ())
 

@@ -51,6 +51,8 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots": READ,
     "GET /v1/robots/{robot}": READ,
     "GET /v1/robots/{robot}/today": READ,
+    "GET /v1/robots/{robot}/bridges": READ,
+    "PUT /v1/robots/{robot}/bridges/{bridge}": Rule("operator"),  # every 2 s of each bridge, so it has no rate
     "GET /v1/robots/{robot}/drift": READ_COMPUTED.timed(LATER),
     "GET /v1/drift": READ_COMPUTED.timed(LATER),
     "GET /v1/robots/{robot}/acceptance": READ_COMPUTED.timed("Name fewer campaigns."),
@@ -180,6 +182,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /campaigns/{campaign}/restore": OPERATE,
     "GET /robots/{robot}/stream": READ,
     "GET /robots/{robot}/stream/events": READ,
+    "GET /robots/{robot}/bridges": READ,
     "GET /versions/{version}/report": READ_COMPUTED.timed(LATER),
     "GET /versions/{version}/report.pdf": READ_COMPUTED.timed(LATER),
     "GET /jobs/{job}/report": READ_COMPUTED.timed(LATER),

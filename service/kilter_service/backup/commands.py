@@ -6,15 +6,15 @@ import argparse
 import sys
 from pathlib import Path
 
+from kilter_service import backup_folder
+from kilter_service.backup import service
+from kilter_service.db import revision
 from kilter_service.settings import Settings
 from kilter_service.texts import plural
 
 
 def backup(settings: Settings, arguments: argparse.Namespace) -> None:
     """Write all that is stored to a file, while the server runs."""
-    from kilter_service import backup_folder
-    from kilter_service.backup import service
-
     where, keep = Path(arguments.path) if arguments.path else settings.backups, arguments.keep
     if where is None:
         print("kilterd: say where the backup goes: `kilterd backup PATH`, or set KILTER_BACKUPS", file=sys.stderr)
@@ -33,8 +33,6 @@ def backup(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring a backup into an empty data folder or database."""
-    from kilter_service.backup import service
-
     found = service.restore(settings, Path(arguments.path))
     print(
         f"Restored {found.looked_at()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
@@ -45,7 +43,6 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
 def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter, or say what that would do."""
     from kilter_service.backup import upgrade
-    from kilter_service.db import revision
 
     plan = upgrade.planned(settings) if arguments.check else upgrade.upgrade(settings)
     if not plan.steps:
@@ -70,8 +67,6 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check every hash of the database, or of a backup, while the server runs."""
-    from kilter_service.backup import service
-
     found = service.verify(Path(arguments.path)) if arguments.path else service.verify_stored(settings)
     for sentence in found.damaged:
         print(sentence)
@@ -87,8 +82,6 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def seal(settings: Settings, arguments: argparse.Namespace) -> None:
     """Seal all rows anew: with a new key, or after a change by hand."""
-    from kilter_service.backup import service
-
     found = service.seal(settings, accept=arguments.accept)
     for sentence in found:
         print(sentence)

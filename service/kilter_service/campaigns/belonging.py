@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
+from kilter_files.ground.later import pa
 from kilter_service.tables.assemble import observations
 from kilter_service.tables.columns import Column, has
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
 
@@ -64,8 +63,6 @@ class Belonging:
         """
         if not any(block.num_rows for block in self._blocks):
             return Judged()
-        import pyarrow as pa
-
         return judged(self._robot, observations(pa.concat_tables(self._blocks), self._columns, {}))
 
 

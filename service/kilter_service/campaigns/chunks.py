@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_files.ground.later import parquet
 from kilter_service.errors import ServiceError
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ class Chunk:
 
 def write_chunk(table: pa.Table, path: Path) -> Chunk:
     """Write rows as Parquet (zstd)."""
-    from pyarrow import parquet
-
     parquet.write_table(table, path, compression="zstd")
     return Chunk(path, table.num_rows, hashlib.sha256(path.read_bytes()).hexdigest())
 
@@ -38,8 +37,6 @@ def read_chunk(blob: bytes, sha256: str) -> pa.Table:
         ServiceError: the bytes are no longer those that were stored.
 
     """
-    from pyarrow import parquet
-
     if hashlib.sha256(blob).hexdigest() != sha256:
         raise ServiceError(
             f"Stored observations are damaged (chunk {sha256[:12]}): restore the database from a backup."

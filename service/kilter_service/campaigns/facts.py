@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from kilter_core.observations.repeats import last_motion
 from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.looking import Rows
 from kilter_service.campaigns.repeats import Repeats, repeats
@@ -156,8 +158,6 @@ def unit_of(column: Column) -> tuple[str, float]:
 
 
 def _column(column: Column, table: Any) -> ColumnFacts:
-    import pyarrow.compute as pc
-
     cells = table.column(column.name)
     unit, factor = unit_of(column)
     ends = pc.min_max(cells).as_py()
@@ -239,8 +239,6 @@ def _joint(joint: Joint, readings: Floats) -> JointFacts:
 
 
 def _approaches(joints: tuple[Joint, ...], seen: Observations) -> Iterator[Approach]:
-    from kilter_core.observations.repeats import last_motion
-
     signs = seen.direction if seen.direction is not None else last_motion(seen.q)
     for k, joint in enumerate(joints):
         up, down = int((signs[:, k] > 0).sum()), int((signs[:, k] < 0).sum())

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError
+from kilter_files.ground.later import pa, pc
 from kilter_service.campaigns import service, store
 from kilter_service.campaigns.belonging import MIXED_UP, Judged
 from kilter_service.db import Database
@@ -17,8 +18,6 @@ from kilter_service.tables.names import Names
 from kilter_service.wire import joint_scale
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from kilter_core.arm.robot import Robot
 
 
@@ -66,8 +65,6 @@ def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Row
         ServiceError: no such robot.
 
     """
-    import pyarrow as pa  # 0.4 s: not at the start of the API process
-
     with database.reading() as session:
         core = robots.core_robot(session, robots.usable(session, robot).id)
     names = reading.column_names(path, media)
@@ -83,8 +80,6 @@ def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Row
 
 def spans(database: Database, campaign_id: str) -> dict[int, tuple[float, float]]:
     """Return from where to where each joint (from 0) was measured, in deg or mm."""
-    import pyarrow.compute as pc
-
     rows = stored(database, campaign_id)
     out = {}
     for column in rows.columns:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 FAR = 6.0  # robust standard deviations from the other rows of its pose: such a row is named
 MAD = 1.4826  # median absolute deviation of normal noise to its standard deviation
-FEWEST = 2  # rows of a pose from which some may be said to lie apart; of two it is not known which
+FEWEST_REPEATS = 2  # rows of a pose from which some may be said to lie apart; of two it is not known which
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _scatter(group: Ints, points: Floats) -> tuple[float | None, int]:
 def _far(group: Ints, points: Floats) -> tuple[Ints, Floats, Floats]:
     """Rows much farther from the middle of their pose than rows usually are, how far, and in what is usual."""
     count = np.bincount(group)
-    judged = count[group] >= FEWEST
+    judged = count[group] >= FEWEST_REPEATS
     if not judged.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     left = np.linalg.norm(points - _medians(group, points)[group], axis=1)

@@ -13,6 +13,7 @@ import numpy as np
 from sqlalchemy import and_, delete, or_, select
 
 from kilter_core.errors import ObservationError
+from kilter_files.ground.later import pa
 from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
@@ -34,7 +35,6 @@ from kilter_service.tables.assemble import with_default_load
 from kilter_service.tables.columns import read_columns
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from numpy.typing import NDArray
 
     from kilter_core.arm.robot import Robot
@@ -247,8 +247,6 @@ def observations(
         ObservationError: nothing was uploaded yet.
 
     """
-    from pyarrow import concat_tables  # 0.4 s: not at the start of the API process
-
     row = whole(session, campaign_id)
     query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
     uploads = [u for u in session.execute(query).scalars() if only is None or u.sha256 in only]
@@ -258,7 +256,7 @@ def observations(
     tables = [
         _thinned(table.select(uploads[0].columns), every) for upload in uploads for table in _tables(session, upload.id)
     ]
-    return with_default_load(assemble(concat_tables(tables), columns, row.conditions), robot)
+    return with_default_load(assemble(pa.concat_tables(tables), columns, row.conditions), robot)
 
 
 def table(session: Session, campaign_id: str) -> pa.Table:
@@ -268,13 +266,11 @@ def table(session: Session, campaign_id: str) -> pa.Table:
         ObservationError: nothing was uploaded yet.
 
     """
-    from pyarrow import concat_tables  # 0.4 s: not at the start of the API process
-
     query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
     uploads = list(session.execute(query).scalars())
     if not uploads:
         raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
-    return concat_tables(
+    return pa.concat_tables(
         [part.select(uploads[0].columns) for upload in uploads for part in _tables(session, upload.id)]
     )
 

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations as Seen
+from kilter_core.transforms import nearest_rotation
 from kilter_service.campaigns.repeats import MAD, Repeats
 from kilter_service.wire import to_deg, to_mm
 
@@ -25,7 +28,7 @@ FAR = 8.0  # robust standard deviations from where the arm would be
 LEAST_M = 1e-3
 MOST_PLACED = 50_000  # rows whose places are compared with the arm's
 ROUNDS = 12
-FEWEST = 12
+FEWEST_SUSPECT_ROWS = 12
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
     """Rows far from the nominal arm, base and tool point fitted to the others: m, and robust standard deviations."""
     there = np.flatnonzero(~np.isnan(points).any(axis=1))
     there = there[:: max(1, len(there) // MOST_PLACED)]
-    if len(there) < FEWEST or (seen.session is not None and len(np.unique(seen.session)) > 1):
+    if len(there) < FEWEST_SUSPECT_ROWS or (seen.session is not None and len(np.unique(seen.session)) > 1):
         return []
     left = _left(robot, seen.q[there], points[there])
     middle = float(np.median(left))
@@ -105,10 +108,6 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
 
 def _left(robot: Robot, q: Floats, points: Floats) -> Floats:
     """How far (m) each point is from the nominal arm; base and tool point are fitted to the nearer half in turn."""
-    from kilter_core.model import Calibration  # compiled kernels: not at the start of the API process
-    from kilter_core.observations import Observations as Seen
-    from kilter_core.transforms import nearest_rotation
-
     model = Calibration.nominal(robot).model
     pose = model.in_frames(np.eye(4), np.eye(4)).predict(Seen(q), model.values0())
     f, F = pose.position, pose.rotation

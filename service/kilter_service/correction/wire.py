@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.later import pa
 from kilter_service.correction_outcome import flag_names
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from kilter_service.correction_outcome import Outcome
 
 Floats = NDArray[np.float64]
@@ -20,8 +19,6 @@ Floats = NDArray[np.float64]
 
 def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:
     """Add to a trajectory what was removed of the error, what is left, half the interval that holds it, and the status."""
-    import pyarrow as pa
-
     done = found.done
     columns = _along("d", done.error_removed) | {"left_mm": cells(to_mm(found.left))} | _along("left_", done.left)
     if found.turns:
@@ -41,6 +38,4 @@ def _along(name: str, values: Floats) -> dict[str, pa.Array]:
 
 def cells(values: Floats) -> pa.Array:
     """Return a column; a cell without a number is empty."""
-    import pyarrow as pa
-
     return pa.array(values, pa.float64(), mask=np.isnan(values))

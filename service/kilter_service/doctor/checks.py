@@ -14,6 +14,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
+from kilter_service import backup_folder, file_hash
+from kilter_service.backup.service import verify_stored
+from kilter_service.corrector.fast_path import kept
 from kilter_service.db import Database, revision
 from kilter_service.db.failures import in_words
 from kilter_service.doctor import store
@@ -101,8 +104,6 @@ def schema(settings: Settings) -> tuple[bool, str]:
 
 def hashes(settings: Settings) -> tuple[bool, str]:
     """The newest measurements and all versions have their hashes."""
-    from kilter_service.backup.service import verify_stored
-
     if settings.database_url is None and not (settings.data / DATABASE_FILE).exists():
         return _ok("nothing is stored yet")
     found = verify_stored(settings, quick=True)
@@ -113,8 +114,6 @@ def hashes(settings: Settings) -> tuple[bool, str]:
 
 def backup(settings: Settings) -> tuple[bool, str]:
     """A backup was made lately, and is whole."""
-    from kilter_service import backup_folder, file_hash
-
     folder = settings.backups
     if folder is None:
         return _ok("not looked for: set KILTER_BACKUPS to the folder that `kilterd backup` writes into")
@@ -181,8 +180,6 @@ def zenoh_config(settings: Settings) -> tuple[bool, str]:
 
 def kernels(_: Settings) -> tuple[bool, str]:
     """The kernels of this release are compiled."""
-    from kilter_service.corrector.fast_path import kept
-
     if not kept():
         return _wrong("not compiled yet: the first start takes a minute or two. `kilterd compile` compiles them before")
     return _ok("compiled")

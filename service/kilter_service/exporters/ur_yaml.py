@@ -13,6 +13,7 @@ from kilter_core.model.geometry import arm_screws, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.omissions import omissions
+from kilter_service.importers.urdf_tree import parse
 
 Floats = NDArray[np.float64]
 
@@ -67,8 +68,6 @@ def _first_parent(version: Exportable) -> Floats:
     robot = version.robot
     if robot["convention"] != "urdf":
         return np.eye(4)
-    from kilter_service.importers.urdf_tree import parse
-
     T = np.eye(4)
     for joint in parse(robot["urdf"]).path(robot["base_link"], robot["tip_link"]):
         if joint.moves:

@@ -6,6 +6,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from kilter_core.model.geometry import FlangeFrames, flange_frames
 from kilter_core.transforms import inverse
@@ -63,8 +64,6 @@ def _at_zero(joint: UrdfJoint) -> Floats:
     if joint.kind == "prismatic":
         T[:3, 3] = joint.axis * joint.mimic.offset
         return T
-    from scipy.spatial.transform import Rotation
-
     T[:3, :3] = Rotation.from_rotvec(joint.axis * joint.mimic.offset).as_matrix()
     return T
 

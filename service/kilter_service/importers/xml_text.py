@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import TreeBuilder
 
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser, ParseError
+
 from kilter_core.errors import RobotError
 from kilter_service.limits import MAX_XML_ATTRIBUTES, MAX_XML_DEPTH, MAX_XML_TAGS, MAX_XML_VALUE
 
@@ -21,9 +24,6 @@ def read_xml(text: str, *, comments: bool = False) -> Element:
         RobotError: not XML, xacro, entities or a DTD, or too many, too deep or too long elements.
 
     """
-    from defusedxml.common import DefusedXmlException
-    from defusedxml.ElementTree import DefusedXMLParser, ParseError
-
     _refuse_xacro(text)
     parser = DefusedXMLParser(target=_Counted(insert_comments=comments))
     try:

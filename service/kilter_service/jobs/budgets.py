@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from kilter_core.observations.spread import evenly
 from kilter_service.instruments.permissible import permissible
 
 if TYPE_CHECKING:
@@ -28,7 +31,6 @@ def budget_of(
     """Return the budget of rows as a document; None where a version knows nothing of itself, or no place is measured."""
     from kilter_core.evaluate.uncertainty import Budget
     from kilter_core.measurement import Measurement
-    from kilter_core.observations.spread import evenly
 
     if known is None or (rows.position is None and rows.markers is None):
         return None
@@ -53,8 +55,6 @@ def add_to_metrics(
     instruments: Instruments, campaigns: Sequence[str], held_campaigns: Sequence[str],
 ) -> None:  # fmt: skip
     """Put the budgets of the rows that were fitted and of those that were held out beside their errors."""
-    import numpy as np
-
     inside = np.arange(len(train)) if found.inside is None else found.inside
     outside = np.setdiff1d(np.arange(len(train)), inside)
     if held is None:  # of a fraction the rest; of folds every row was held out once

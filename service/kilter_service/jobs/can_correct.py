@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.errors import CoreError
+from kilter_core.observations.spread import evenly
 from kilter_service.jobs.kind import JobInput, JobOutput
+from kilter_service.versions import ability, preview
 
 MOST_POSES = 500  # looked at, evenly chosen
 
@@ -13,8 +15,6 @@ MOST_POSES = 500  # looked at, evenly chosen
 def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that it refuses too many poses, with what helps; activation looks again."""
     from kilter_core.model import Calibration
-    from kilter_core.observations.spread import evenly
-    from kilter_service.versions import ability, preview
 
     version = output.version
     if version is None or not job.campaigns:

@@ -52,10 +52,10 @@ class JobInput:
     ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id, and
     ``certificates`` what those of the instruments have against a campaign.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
-    the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
-    readings of all the robot's campaigns, and ``origin``, the result of the job that made the version. Only for kinds with
-    ``against_fit``: ``fit``, what the version was fitted to. ``fleet`` are versions of other robots of the type, one of
-    each, where the option ``prior`` asks for them.
+    the version the options name (``JobKind.version_option``), ``made_from`` the campaigns it was made from. Only for kinds
+    with ``history``: ``driven (N, n)`` joint readings of all the robot's campaigns, and ``origin``, the result of the job
+    that made the version. Only for kinds with ``against_fit``: ``fit``, what the version was fitted to. ``fleet`` are
+    versions of other robots of the type, one of each, where the option ``prior`` asks for them.
     """
 
     robot: Robot
@@ -78,6 +78,13 @@ class JobInput:
     no_load: tuple[str, ...] = ()
     each: Each | None = None
     fleet: tuple[FleetVersion, ...] = ()
+    made_from: frozenset[str] = frozenset()
+
+    def applied_to(self, campaign: str) -> Calibration | None:
+        """The version as it predicts the rows of a campaign: what happened once, in those it was made from, has happened."""
+        if self.calibration is None or campaign in self.made_from:
+            return self.calibration
+        return self.calibration.for_another_campaign(self.campaigns[campaign])
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:

@@ -199,6 +199,7 @@ def input_of(
         confirmation=rows_of(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),
+        made_from=frozenset() if named is None else versions.made_from(session, named),
         fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
 

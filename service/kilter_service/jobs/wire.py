@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
+from kilter_core.parameters import reported
 from kilter_service.contract.fits import Member, NullDirection
 from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import (
@@ -167,8 +168,6 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
 
 
 def _testability(found: FoundByCheck) -> Testability:
-    from kilter_core.parameters import reported  # imports numpy: not at the start of the API process
-
     testable = []
     for one in found.testable:
         unit, scale = reported(one.unit)

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kilter_service.corrector import keys
 from kilter_service.settings import Settings
 
 
@@ -49,7 +50,6 @@ class LiveSession:
     def __init__(self, place: Place) -> None:
         import zenoh  # not before somebody looks
 
-        from kilter_service.corrector import keys
         from kilter_service.corrector.session import config, is_client
 
         self.place = place

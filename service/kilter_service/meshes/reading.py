@@ -7,14 +7,16 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_TRIANGLES
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Triangles = NDArray[np.float64]
+
 
 HEADER, RECORD = 84, 50  # bytes of a binary STL: its head with the count, and each triangle
 MAX_COORDINATE = 1e6
@@ -28,8 +30,6 @@ def triangles(content: bytes, form: str) -> Triangles:
         ServiceError: it is not such a file, or it has no triangle, too many, or a number that cannot be.
 
     """
-    import numpy as np
-
     found = np.array(list(_obj(_text(content))) if form == "obj" else _stl(content), dtype=np.float64).reshape(-1, 3, 3)
     if not len(found):
         raise refused("it has no triangle")
@@ -49,8 +49,6 @@ def refused(why: str) -> ServiceError:
 
 def _stl(content: bytes) -> Sequence[float] | Triangles:
     """A binary file says how long it is; one that is as long as it says is binary, also when it begins with `solid`."""
-    import numpy as np
-
     count = int.from_bytes(content[80:HEADER], "little") if len(content) >= HEADER else -1
     if count >= 0 and len(content) == HEADER + RECORD * count:
         _check_count(count)

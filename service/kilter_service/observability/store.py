@@ -48,9 +48,12 @@ def ended_jobs(session: Session) -> dict[tuple[str, str], Ended]:
 
 
 def beats(session: Session) -> list[tuple[str, str, float]]:
-    """Return kind, name and seconds since the last sign of life of every process."""
+    """Return kind, name and seconds since the last sign of life of every process of the server.
+
+    Bridges are none: one that has ended is remembered.
+    """
     moment = now()
-    rows = session.execute(select(HeartbeatRow)).scalars()
+    rows = session.execute(select(HeartbeatRow).where(HeartbeatRow.process != "bridge")).scalars()
     return [(row.process, row.name, (moment - row.at).total_seconds()) for row in rows]
 
 

@@ -15,6 +15,7 @@ from kilter_service.contract.robot_reports import CircleAxis, FoundRobot
 from kilter_service.contract.robots import Target
 from kilter_service.contract.units import MAX_JOINTS
 from kilter_service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
+from kilter_service.robots.wire import DOCUMENT
 from kilter_service.tables import reading
 from kilter_service.tables.assemble import observations
 from kilter_service.tables.columns import read_columns
@@ -111,6 +112,4 @@ def _axis(k: int, fit: AxisFit) -> CircleAxis:
 
 
 def _document(document: dict[str, Any]) -> Any:
-    from kilter_service.robots.wire import DOCUMENT
-
     return DOCUMENT.validate_python(document)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kilter_core.errors import ObservationError
+from kilter_files.ground.later import pa
 from kilter_service.contract.columns import NAMED
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 class Names:
@@ -36,8 +34,6 @@ class Names:
             ObservationError: a name that the campaign does not have.
 
         """
-        import pyarrow as pa
-
         for place, column in enumerate(table.column_names):
             if column in self._of and pa.types.is_string(table.schema.field(column).type):
                 cells = table.column(column).to_pylist()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import ObservationError
+from kilter_files.ground.later import pa, parquet
 from kilter_service.contract.columns import NAMED
 from kilter_service.limits import BATCH_CELLS, MAX_CELLS, MAX_COLUMNS
 from kilter_service.tables.columns import check_names
@@ -15,7 +16,6 @@ from kilter_service.tables.names import Names
 from kilter_service.tables.parquet_pages import check_pages
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from pyarrow.parquet import FileMetaData, ParquetFile
 
 PIECE_ROWS = 65_536
@@ -40,8 +40,6 @@ def parquet_tables(path: Path, named: Names) -> Iterator[pa.Table]:
         ObservationError: other types than numbers, or more than may be decoded.
 
     """
-    import pyarrow as pa
-
     with _opened(path) as file:
         _check_size(file.metadata)
         columns = file.schema_arrow.names
@@ -54,8 +52,6 @@ def parquet_tables(path: Path, named: Names) -> Iterator[pa.Table]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[ParquetFile]:
-    from pyarrow import parquet
-
     check_pages(path)
     with _explained():
         file = parquet.ParquetFile(path, buffer_size=BUFFER_BYTES)
@@ -75,8 +71,6 @@ def _opened(path: Path) -> Iterator[ParquetFile]:
 @contextmanager
 def _explained() -> Iterator[None]:
     """Put an error of Arrow into Kilter's words."""
-    import pyarrow as pa
-
     try:
         yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
@@ -94,8 +88,6 @@ def _check_size(stated: FileMetaData) -> None:
 
 
 def _numeric(schema: pa.Schema) -> None:
-    import pyarrow as pa
-
     for field in schema:
         text = field.name in NAMED and (pa.types.is_string(field.type) or pa.types.is_large_string(field.type))
         if not (text or pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):

@@ -12,17 +12,15 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from kilter_core.errors import ObservationError
+from kilter_files.ground.later import pa, pc
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_CELL, MAX_CELLS, MAX_COLUMNS, MAX_HEADER_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES
 from kilter_service.tables.columns import check_names
 from kilter_service.tables.names import Names
 from kilter_service.tables.parquet_file import parquet_names, parquet_tables
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 CSV = "text/csv"
 PARQUET = "application/vnd.apache.parquet"
@@ -93,8 +91,6 @@ def whole_table(path: Path, media: str, most_rows: int) -> pa.Table:
         ObservationError: as for an upload, or more rows than that.
 
     """
-    import pyarrow as pa  # 0.4 s: not at the start of the API process
-
     pieces, rows = [], 0
     for piece in tables(path, media):
         rows += piece.num_rows
@@ -105,7 +101,6 @@ def whole_table(path: Path, media: str, most_rows: int) -> pa.Table:
 
 
 def _csv_tables(path: Path, named: Names) -> Iterator[pa.Table]:
-    import pyarrow as pa  # 0.4 s: not at the start of the API process
     from pyarrow import csv as arrow
 
     columns = _header(path)
@@ -235,8 +230,6 @@ def _not_columns() -> NoReturn:
 
 
 def _json_tables(path: Path, named: Names) -> Iterator[pa.Table]:
-    import pyarrow as pa
-
     document = _json(path)
     longest = max((len(column) for column in document.values()), default=0)
     for name, column in document.items():
@@ -274,8 +267,6 @@ def _cells(name: str, column: list[Any], named: bool) -> None:
 
 
 def _finite(table: pa.Table, first: int) -> None:
-    import pyarrow.compute as pc
-
     for name, column in zip(table.column_names, table.columns, strict=True):
         finite = pc.is_finite(column)
         if not pc.all(finite, skip_nulls=True, min_count=0).as_py():

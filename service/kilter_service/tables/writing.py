@@ -6,6 +6,7 @@ import io
 import json
 from typing import TYPE_CHECKING
 
+from kilter_files.ground.later import csv, parquet
 from kilter_service.tables.reading import CSV, PARQUET
 
 if TYPE_CHECKING:
@@ -16,12 +17,8 @@ def write_table(table: pa.Table, media: str) -> bytes:
     """Write a table in the format it came in; cells without a number are empty (CSV) or null."""
     buffer = io.BytesIO()
     if media == PARQUET:
-        from pyarrow import parquet
-
         parquet.write_table(table, buffer, compression="zstd")
     elif media == CSV:
-        from pyarrow import csv
-
         csv.write_csv(table, buffer, csv.WriteOptions(quoting_style="needed"))
     else:
         buffer.write(json.dumps(table.to_pydict()).encode())

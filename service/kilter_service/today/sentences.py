@@ -16,7 +16,7 @@ SOURCES = {
 }
 
 
-def of(today: Today) -> list[str]:
+def sentences_on(today: Today) -> list[str]:
     """Say how good the robot is, whether that has changed, and what nobody has looked at."""
     return list(_sentences(today))
 

@@ -64,7 +64,7 @@ def _uncorrected(robot: str, searched: SearchToday | None) -> Today:
         robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, compared="",
         not_evaluated=[], missing=searched, sentences=[],
     )  # fmt: skip
-    return found.model_copy(update={"sentences": sentences.of(found)})
+    return found.model_copy(update={"sentences": sentences.sentences_on(found)})
 
 
 def _today(
@@ -90,7 +90,7 @@ def _today(
         missing=searched,
         sentences=[],
     )
-    return found.model_copy(update={"sentences": sentences.of(found)})
+    return found.model_copy(update={"sentences": sentences.sentences_on(found)})
 
 
 def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:

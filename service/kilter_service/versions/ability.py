@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
+from kilter_core.observations.spread import evenly
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits, Objection
 from kilter_service.db import Database
@@ -82,8 +83,6 @@ def _remedy(
     calibration: Calibration, found: PreviewedPoses, limits: CorrectionLimits, temperature_c: float | None
 ) -> str:
     """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
-    from kilter_core.observations.spread import evenly
-
     some = evenly(len(found.q), TRIED)
     wide = preview.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
     if sum(wide.refused.values()) + wide.counts.get("LIMITED", 0) > MOST_REFUSED * len(some):

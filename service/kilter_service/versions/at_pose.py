@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.correct.walker import correct_trajectory
+from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
+from kilter_core.observations import Observations
+from kilter_core.transforms import inverse
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
@@ -22,7 +26,7 @@ from kilter_service.versions import store
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
-    from kilter_core.observations import Observations
+
 
 Floats = NDArray[np.float64]
 
@@ -71,8 +75,6 @@ def at_pose(
 
 
 def _rows(session: Session, calibration: Calibration, q: Floats | None, campaign: str, row: int) -> Observations:
-    from kilter_core.observations import Observations
-
     n = calibration.robot.n_joints
     if q is not None and len(q) != n:
         raise ServiceError(f"The arm has {n} joints, not {len(q)}: give one number for each.", code="payload_invalid")
@@ -94,10 +96,6 @@ def _looked_at(
     limits: CorrectionLimits,
     temperature_c: float | None,
 ) -> AtPose:
-    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start
-    from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
-    from kilter_core.transforms import inverse
-
     arm, wanted = acting(calibration, rows), calibration.wanted()
     to_base = inverse(np.asarray(wanted.model.T_base))
     tool, expected = arm.predict(rows).position[0], wanted.predict(rows).position[0]
@@ -128,8 +126,6 @@ def _part(
     name: str, shift: Floats, arm: Calibration, known: Predictive | None, rows: Observations, own: Sequence[int]
 ) -> Part:
     """The size of a movement with its 95 % interval along itself, by the covariance of the parameters that make it."""
-    from kilter_core.identify.uncertainty.predictive import QUANTILE
-
     size = float(np.linalg.norm(shift))
     free = [k for k in own if known is not None and arm.names[k] in known.names]
     if known is None or not free or size == 0.0:

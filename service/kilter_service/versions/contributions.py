@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kilter_core.model.closest_table import at_rest, workspace
 from kilter_service.db import Database
 from kilter_service.versions import store
 from kilter_service.wire import to_mm
@@ -21,8 +22,6 @@ class Contribution(NamedTuple):
 
 def contributions(database: Database, version_id: str) -> tuple[int, list[Contribution]]:
     """Return the number of poses, and the effects of a version, the largest first."""
-    from kilter_core.model.closest_table import at_rest, workspace  # loads compiled kernels: not at the start
-
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.observations.motions import is_trajectory, segments
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ Ints = NDArray[np.int64]
 def fitted_by_order(rows: Observations, fraction: float, training: Training) -> Ints:
     """Indices of the rows that a job of an earlier release fitted when a fraction was held out."""
     from kilter_core.measurement.contacts import placements
-    from kilter_core.observations.motions import is_trajectory
 
     search, placed = training.kind == "gap", placements(rows)
     if search and is_trajectory(rows):
@@ -50,8 +50,6 @@ def _evenly(rows: Observations, share: float, seed: int) -> NDArray[np.bool_]:
 
 
 def _of_motions(rows: Observations, fraction: float, seed: int) -> NDArray[np.bool_]:
-    from kilter_core.observations.motions import segments
-
     motion = segments(rows)
     count = int(motion.max()) + 1
     if count == 1:

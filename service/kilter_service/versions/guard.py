@@ -130,11 +130,12 @@ def _cases(
     """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
     archive = Archive(session, robot_id)
     later = _later(session, robot_id, report)
-    alone = Case(new, active, None, later(archive.unseen_by(trainings)))
+    own = frozenset(campaign for training in trainings for campaign, _ in training.campaigns)
+    alone = Case(new, active, None, later(archive.unseen_by(trainings)), own)
     if active is None:
         return [alone]
     both = archive.unseen_by([*trainings, *store.trainings(session, active)])
-    beside = Case(new, active, store.calibration(session, active), later(both))
+    beside = Case(new, active, store.calibration(session, active), later(both), own, store.made_from(session, active))
     alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
     return [beside, alone]
 
@@ -155,12 +156,17 @@ def _later(session: Session, robot_id: int, report: Mapping[str, Any]) -> Callab
 
 @dataclass
 class Case:
-    """A version, its rivals, and the rows that none of them was fitted to. ``rival`` is the active one, if it may be."""
+    """A version, its rivals, and the rows that none of them was fitted to. ``rival`` is the active one, if it may be.
+
+    ``own`` and ``rival_own`` are the campaigns that they were made from.
+    """
 
     new: Calibration
     active: str | None
     rival: Calibration | None
     unseen: Unseen
+    own: frozenset[str]
+    rival_own: frozenset[str] = frozenset()
     warnings: list[dict[str, Any]] = field(default_factory=list)
     unpredictable: list[Objection] = field(default_factory=list)
 
@@ -243,13 +249,15 @@ class Case:
         if isinstance(plain, str):
             self.warn("campaign_not_compared", f"Campaign {campaign} was not compared: {plain}")
             return None
-        new = self._errors(self.new, rows)
+        new = self._errors(self.new if campaign in self.own else self.new.for_another_campaign(rows), rows)
         if isinstance(new, str):
             message = (
                 f"No base and tool are found in which it predicts campaign {campaign} ({new}); the nominal robot does."
             )
             self.unpredictable.append(Objection(code="worse_than_registration", message=message))
             return None
+        if rival is not None and campaign not in self.rival_own:
+            rival = rival.for_another_campaign(rows)
         others = None if rival is None else self._errors(rival, rows)
         if isinstance(others, str):
             self.warn("active_not_compared", f"Version {self.active} cannot predict campaign {campaign}: {others}")

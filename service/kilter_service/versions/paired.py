@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
 from kilter_service.contract.comparisons import PairedErrors
@@ -15,7 +17,6 @@ from kilter_service.tables.reading import PARQUET
 from kilter_service.versions import service
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -53,8 +54,6 @@ def pairs(database: Database, a: str, b: str, campaigns: Sequence[str]) -> Pairs
         ObservationError: a campaign without a measured position.
 
     """
-    import numpy as np
-
     first, second = residuals(database, a, campaigns), residuals(database, b, campaigns)
     sizes = size_of(first), size_of(second)
     seen = ~np.isnan(sizes[0]) & ~np.isnan(sizes[1])
@@ -65,8 +64,6 @@ def pairs(database: Database, a: str, b: str, campaigns: Sequence[str]) -> Pairs
 
 def judged(database: Database, found: Pairs, a: Side, b: Side) -> PairedErrors | None:
     """Say which of two versions is better; None where no row was seen."""
-    import numpy as np
-
     if not found.used.any():
         return None
     first, second = found.sizes
@@ -122,13 +119,10 @@ def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[s
 
 def size_of(table: Mapping[str, Any]) -> Floats:
     """Length of the errors, mm; NaN where nothing was seen."""
-    import numpy as np
-
     return np.asarray(np.sqrt(sum(np.asarray(table[f"d{axis}_mm"], dtype=np.float64) ** 2 for axis in "xyz")))
 
 
 def _interval(means: Floats) -> tuple[float, float | None, float | None]:
-    import numpy as np
     from scipy.stats import t
 
     mean, count = float(means.mean()), len(means)
@@ -140,8 +134,6 @@ def _interval(means: Floats) -> tuple[float, float | None, float | None]:
 
 def _poses(database: Database, table: Mapping[str, Any]) -> Ints:
     """Number the poses of all rows, those of each campaign apart."""
-    import numpy as np
-
     from kilter_core.observations.repeats import numbered_poses
     from kilter_service.tables.assemble import observations
 

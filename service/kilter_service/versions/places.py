@@ -9,6 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.arm.frames import increment
+from kilter_core.correct.walker import correct_trajectory
+from kilter_core.identify.estimate import registration_only
+from kilter_core.identify.row_errors import RowErrors, mean_of
+from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration as CoreCalibration
+from kilter_core.observations import Observations
+from kilter_core.transforms import inverse
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
@@ -93,6 +102,7 @@ def places(database: Database, version: str, campaign: str) -> Places:
 
 
 def _found(part: Part, calibration: Calibration, report: dict[str, Any]) -> Places:
+    calibration = part.seen_by(calibration)
     frames = [frame for where, refit in frames_of(part, report) if (frame := _frame(part, calibration, where, refit))]
     if not frames:
         raise ServiceError(
@@ -127,8 +137,6 @@ class _Frame:
 
 
 def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[str]) -> _Frame | None:
-    from kilter_core.measurement import Measurement
-
     rows = np.flatnonzero(where)
     shape = calibration.marker_points
     here = refitted(calibration, Measurement.of(part.rows.select(where), shape), refit) if refit else calibration
@@ -142,9 +150,6 @@ def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[s
 
 def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] | None:
     """Places (n, 3) m of rows and the sizes (n,) m of their errors; None where no instrument saw a place."""
-    from kilter_core.identify.row_errors import mean_of
-    from kilter_core.measurement import Measurement
-
     measurement = Measurement.of(part.rows.select(rows), here.marker_points)
     if not measurement.observes_places:
         return None
@@ -155,10 +160,6 @@ def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] |
 
 def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
     """Errors (n, 3, 3) m of the rows chosen, by stage; registration is fitted to some rows, evenly chosen."""
-    from kilter_core.identify.estimate import registration_only
-    from kilter_core.measurement import Measurement
-    from kilter_core.model import Calibration as CoreCalibration
-
     nominal = CoreCalibration.nominal(frame.here.robot)
     some = frame.rows[np.linspace(0, len(frame.rows) - 1, min(len(frame.rows), FITTED_ROWS)).astype(np.int64)]
     fitted = registration_only(nominal, Measurement.of(part.rows.select(some), frame.here.marker_points))
@@ -167,9 +168,6 @@ def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
 
 def _errors(part: Part, stages: dict[str, Calibration], rows: Ints) -> Floats:
     """Errors (n, stages, 3) m of rows, in the axes of the robot's base."""
-    from kilter_core.identify.row_errors import RowErrors
-    from kilter_core.measurement import Measurement
-
     measurement = Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points)
     return np.stack([RowErrors.of(stages, measurement, rows).left[name] for name in stages], axis=1)
 
@@ -187,10 +185,6 @@ def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
 
 def reach(database: Database, version: str) -> Reach:
     """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
-    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start
-    from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
-    from kilter_core.observations import Observations
-
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version).limits)
         calibration, known = store.calibration(session, version), store.known(session, version)
@@ -206,8 +200,5 @@ def reach(database: Database, version: str) -> Reach:
 
 def in_base(calibration: Calibration, points: Floats) -> Floats:
     """Points (N, 3) m of the measurements in the frame of the robot's base."""
-    from kilter_core.arm.frames import increment
-    from kilter_core.transforms import inverse
-
     base = inverse(calibration.model.T_base @ increment(calibration.values[:6]))
     return np.asarray(points @ base[:3, :3].T + base[:3, 3])

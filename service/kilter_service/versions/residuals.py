@@ -7,8 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
+from kilter_core.evaluate import rows_of
+from kilter_core.identify.setups import with_own
+from kilter_core.identify.tukey import sizes_of
+from kilter_core.measurement import Measurement
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
@@ -28,12 +33,20 @@ Columns = dict[str, Any]
 
 @dataclass(frozen=True)
 class Part:
-    """A campaign's rows, which of them were fitted, and the rows (from 1) that were set aside."""
+    """A campaign's rows, which of them were fitted, and the rows (from 1) that were set aside.
+
+    ``own``: the version was made from it.
+    """
 
     campaign: str
     rows: Observations
     fitted: Bools
     set_aside: frozenset[int]
+    own: bool
+
+    def seen_by(self, calibration: Calibration) -> Calibration:
+        """The version as it predicts these rows."""
+        return calibration if self.own else calibration.for_another_campaign(self.rows)
 
 
 def residuals(database: Database, version: str, wanted: Sequence[str], media: str) -> bytes:
@@ -44,8 +57,6 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
         ObservationError: a campaign without a measured position.
 
     """
-    import pyarrow as pa
-
     with database.reading() as session:
         row = store.get(session, version)
         calibration, known = store.calibration(session, version), store.known(session, version)
@@ -68,7 +79,7 @@ def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) ->
         ServiceError: a campaign of another robot.
 
     """
-    archive = Archive(session, version.robot_id)
+    archive, own = Archive(session, version.robot_id), store.made_from(session, version.id)
     for campaign in wanted or dict.fromkeys(used["id"] for used in version.campaigns):
         if campaigns.whole(session, campaign).robot_id != version.robot_id:
             raise ServiceError(
@@ -79,7 +90,7 @@ def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) ->
         rows = campaigns.observations(session, campaign, archive.robot)
         named = version.report.get("set_aside") or []
         aside = [one["row"] for one in named if one["campaign"] == campaign]
-        yield Part(campaign, rows, archive.fitted(version.id, campaign), frozenset(aside))
+        yield Part(campaign, rows, archive.fitted(version.id, campaign), frozenset(aside), campaign in own)
 
 
 def _columns(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
@@ -93,10 +104,7 @@ def _columns(part: Part, calibration: Calibration, known: Predictive | None, rep
 
 def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
     """Errors of the rows, and half the interval that expects them."""
-    from kilter_core.evaluate import rows_of
-    from kilter_core.identify.tukey import sizes_of
-    from kilter_core.measurement import Measurement
-
+    calibration = part.seen_by(calibration)
     count, shape = len(part.rows), calibration.marker_points
     error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     turn, size = np.full(count, np.nan), np.full(count, np.nan)
@@ -135,6 +143,4 @@ def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple
 
 def refitted(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
     """Return a calibration with the frames in which it predicts these rows best."""
-    from kilter_core.identify.setups import with_own
-
     return with_own(calibration, measurement, "huber", frames)

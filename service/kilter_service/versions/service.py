@@ -16,6 +16,7 @@ from kilter_service.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import store, wire
+from kilter_service.versions.preview import preview as looked_at
 
 if TYPE_CHECKING:
     import numpy as np
@@ -76,10 +77,6 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
 
 def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
     """Say how a version would correct, without activating it."""
-    from kilter_service.versions.preview import (
-        preview as looked_at,  # compiled kernels: not at the start of the API process
-    )
-
     return looked_at(database, version_id, temperature_c)
 
 

@@ -302,6 +302,16 @@ def trainings(session: Session, version_id: str) -> list[Training]:
     return found
 
 
+def made_from(session: Session, version_id: str) -> frozenset[str]:
+    """Return the campaigns that a version, and those that it continues, were made from: their clock is its own."""
+    found: set[str] = set()
+    following = session.get(VersionRow, version_id)
+    while following is not None:
+        found |= {campaign["id"] for campaign in following.campaigns}
+        following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
+    return frozenset(found)
+
+
 def robots_with_active(session: Session) -> list[str]:
     """Return the names of the robots that have an active version."""
     query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)

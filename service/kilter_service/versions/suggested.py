@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from kilter_core.correct.needs import needs
+from kilter_core.identify.plausibility.believable import reach
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.versions.preview import at_poses, drawn
 from kilter_service.wire import to_deg, to_mm
@@ -26,9 +28,6 @@ def suggested(
     calibration: Calibration, known: Predictive | None, asked: CorrectionLimits
 ) -> tuple[CorrectionLimits, dict[str, Any]]:
     """Return the limits for a version, and what its report says of them (mm, degrees). What was ``asked`` for stays."""
-    from kilter_core.correct.needs import needs  # loads compiled kernels: not at the start of the API process
-    from kilter_core.identify.plausibility.believable import reach
-
     q = drawn(calibration.robot)
     found = needs(calibration, q)
     shift = to_mm(max(found.largest_m, found.farthest_m))

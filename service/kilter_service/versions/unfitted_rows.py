@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
+from kilter_core.observations import Observations
+from kilter_core.observations.repeats import numbered_poses, rounded_poses
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Session
 from kilter_service.robots import store as robots
@@ -19,7 +21,7 @@ from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
-    from kilter_core.observations import Observations
+
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -136,9 +138,6 @@ class _Trained:
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
         """Rows fitted of each campaign's named uploads, as the job drew them; None when that is no longer known."""
-        from kilter_core.observations import Observations
-        from kilter_core.observations.repeats import rounded_poses
-
         try:
             parts = [
                 campaigns.observations(self.archive.session, c, self.archive.robot, only=hashes)
@@ -166,8 +165,6 @@ def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
 
 def _free(rows: Observations, trained: Bools, poses: Floats) -> Bools:
     """Rows whose whole pose is neither fitted nor at the joint readings of a pose that was."""
-    from kilter_core.observations.repeats import numbered_poses
-
     numbers = numbered_poses(np.concatenate([poses, rows.q]))
     seen = trained | np.isin(numbers[len(poses) :], numbers[: len(poses)])
     groups = numbers[len(poses) :] if rows.pose_id is None else rows.pose_groups()

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kilter_core.parameters import reported
+
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
@@ -21,7 +23,6 @@ class Value(NamedTuple):
 
 def wire_values(calibration: Calibration) -> dict[str, Value]:
     """Return every parameter by name; base and tool as x, y, z and rx, ry, rz of the frame (URDF order)."""
-    from kilter_core.parameters import reported  # these import scipy: not at the start of the API process
     from kilter_core.transforms import xyz_rpy_from_pose
 
     model, values = calibration.model.absorb_frame_increments(calibration.values)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.ground.later import pa
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter, Remark
 from kilter_service.contract.previews import JointPreview, VersionPreview
 from kilter_service.contract.versions import (
@@ -146,8 +147,6 @@ def noise_of(report: dict[str, Any]) -> tuple[float, float]:
 
 def residual_columns(error: Floats, u95: Floats, turn: Floats, size: Floats) -> dict[str, Any]:
     """Say what is left of rows: errors and half intervals (N, 3) m, rotations (N,) rad, and their length (N,) in sigma."""
-    import pyarrow as pa
-
     columns = {f"d{axis}_mm": to_mm(error[:, k]) for k, axis in enumerate("xyz")}
     columns |= {"turn_deg": to_deg(turn), "residual_sigma": size}
     columns |= {f"u95_{axis}_mm": to_mm(u95[:, k]) for k, axis in enumerate("xyz")}

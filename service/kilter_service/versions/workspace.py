@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.identify.uncertainty.predictive import acting
 from kilter_core.observations import Observations
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Database
@@ -39,8 +40,6 @@ def workspace(database: Database, version_id: str, temperature_c: float | None) 
         ServiceError: no such version.
 
     """
-    from kilter_core.identify.uncertainty.predictive import acting  # loads compiled kernels: not at the start
-
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version_id).limits)
         calibration, known = store.calibration(session, version_id), store.known(session, version_id)

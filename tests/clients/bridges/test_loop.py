@@ -20,6 +20,7 @@ from kilter_client.bridges.loop import Loop, Request
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.rsi import From, RsiWire
 from kilter_core.correct.file import from_bytes, to_bytes
+from tests.clients.bridges.udp_peer import Floats
 from tests.core.correct.test_c_corrector import program_of
 
 CYCLE_S, GONE_S, RATE_RAD_S, LARGEST_RAD = 0.004, 1.0, 0.05, math.radians(1.0)
@@ -109,6 +110,44 @@ def looping(correction: Correction, wire: RsiWire | None = None) -> Iterator[tup
             thread.join(10)
             ours.close()
             theirs.close()
+
+
+def elbow_off_mm(q: Floats, offset: Floats) -> float:
+    """How far the tool of a planar arm with two wrong links and a wrong zero is from where a nominal one has it, mm."""
+
+    def tip(first: float, second: float, a: float, b: float) -> complex:
+        return a * complex(math.cos(first), math.sin(first)) + b * complex(
+            math.cos(first + second), math.sin(first + second)
+        )
+
+    return abs(tip(q[0] + offset[0], q[1] + offset[1] + 0.0014, 300.6, 199.5) - tip(q[0], q[1], 300.0, 200.0))
+
+
+def elbow_offsets(elbow: float) -> Floats:
+    """The two offsets that bring that tool where a nominal arm has it, in closed form: with the elbow on the same side."""
+    a, b = 300.6, 199.5
+    reach = math.sqrt(300.0**2 + 200.0**2 + 2 * 300.0 * 200.0 * math.cos(elbow))
+    real = math.copysign(math.acos((reach * reach - a * a - b * b) / (2 * a * b)), elbow)
+    before = math.atan2(200.0 * math.sin(elbow), 300.0 + 200.0 * math.cos(elbow))
+    after = math.atan2(b * math.sin(real), a + b * math.cos(real))
+    return np.array([before - after, real - elbow - 0.0014])
+
+
+def test_where_offsets_are_held_back_the_arm_is_off_less_than_without_them() -> None:
+    """Near a stretched elbow two large offsets make up for each other: none may go ahead of the other."""
+    for largest_deg, rate_deg_s in ((5.0, 0.2), (0.1, 100.0)):
+        guard = Guard(2, math.radians(largest_deg), math.radians(rate_deg_s), 0.1, CYCLE_S)
+        held, off_mm, without_mm = 0, 0.0, 0.0
+        for k in range(2500):
+            q = np.array([0.5, math.radians(20.0 - 14.0 * math.sin(1.5 * k * CYCLE_S))])
+            wanted = elbow_offsets(float(q[1]))
+            assert elbow_off_mm(q, wanted) < 1e-9
+            offset = np.array(guard.follow(wanted.tolist()))
+            if k > 50:  # it is ramped in
+                held += bool(np.abs(offset - wanted).max() > 1e-4)
+                off_mm, without_mm = max(off_mm, elbow_off_mm(q, offset)), max(without_mm, elbow_off_mm(q, 0 * q))
+        assert held > 1000
+        assert off_mm < 0.75 * without_mm
 
 
 def test_the_guard_bounds_whatever_it_is_given(guard: Guard) -> None:

@@ -126,6 +126,35 @@ def test_a_calibration_worse_than_none_is_warned_of_with_both_numbers(refit: lis
     assert evaluate(nominal, seen, refit)["warnings"] == []
 
 
+@pytest.mark.parametrize(
+    ("turn", "by", "tool", "refit"),
+    [(0.4, (1.5, -0.7, 0.2), (0, 0, 0), ["base"]), (0.0, (0, 0, 0), (0, 0.04, 0.01), ["base", "tool"])],
+)
+def test_rows_of_another_set_up_are_said_to_be_and_nothing_else(turn, by, tool, refit) -> None:
+    rng = np.random.default_rng(9)
+    arm = ur10()
+    q = joints(arm, 40, rng)
+    seen = measured(arm, q, rng, 3e-5)
+    flange = Calibration.nominal(robot_from_document(arm.document())).predict(seen).rotation
+    c, s = np.cos(turn), np.sin(turn)
+    points = seen.position + flange @ np.array(tool)
+    moved = replace(seen, position=points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + by)
+    nominal = Calibration.nominal(robot_from_document(arm.document()))
+    (said,) = evaluate(nominal, moved)["warnings"]
+    assert (said["code"], said["refit"]) == ("set_up_elsewhere", refit)
+    assert said["refitted_mm"] < 0.1 < 10 < said["version_mm"]
+    assert evaluate(nominal, moved, said["refit"])["warnings"] == []  # the remedy it names
+
+
+def test_an_arm_that_is_worn_is_not_said_to_stand_elsewhere() -> None:
+    rng = np.random.default_rng(10)
+    arm = ur10()
+    worn = arm.moved({"theta_offset_1": 3e-3, "theta_offset_2": 2e-3, "theta_offset_3": 2e-3})
+    seen = measured(worn, joints(arm, 40, rng), rng, 3e-5)
+    codes = [w["code"] for w in evaluate(Calibration.nominal(robot_from_document(arm.document())), seen)["warnings"]]
+    assert "set_up_elsewhere" not in codes
+
+
 def test_intervals_that_do_not_cover_are_warned_of() -> None:
     rng = np.random.default_rng(8)
     arm = ur10()

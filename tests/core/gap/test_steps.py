@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from kilter_core.effects import BASE, make_effect
+from kilter_core.effects.step import happened_before
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.events import Course, numbered
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from tests.core.gap.time_twins import robot, twin
+from tests.core.gap.time_twins import BASE as BASE_AT
+from tests.core.gap.time_twins import NOISE_M, TOOL, robot, tool_points, twin
 
 QUICK = GapOptions(
     resamples=10, permutations=3, bootstraps=299, next_poses=0,
@@ -52,6 +54,55 @@ def test_what_is_stored_has_the_state_after_the_step():
     other_day = replace(late, t=None)
     again = kept.model.predict(other_day, kept.values).position
     np.testing.assert_allclose(again, kept.model.predict(late, kept.values).position, atol=1e-12)
+
+
+def another_day(made, seed):
+    """Poses of the arm as it is after the step, on a clock of their own that begins at 0."""
+    rng = np.random.default_rng([seed, 3])
+    q = rng.permutation(made.rows.q) + rng.normal(0.0, 0.1, made.rows.q.shape)
+    dq = np.zeros_like(q)
+    dq[:, made.joint] = made.zeros[-1, made.joint]
+    points = tool_points(q + dq, made.dh, np.tile(TOOL, (len(q), 1))) + BASE_AT
+    t = np.linspace(0.0, float(made.rows.t[-1]), len(q))
+    seen = points + NOISE_M * rng.normal(size=points.shape)
+    return Observations(q=q, position=seen, pose_id=np.arange(len(q)), t=t, temperature_c=np.full(len(q), 21.0))
+
+
+def test_another_campaign_comes_after_a_step_whatever_its_own_clock_says():
+    made = twin("zero", 5)
+    rows = another_day(made, 5)
+    report = find_gap(robot(), made.rows, QUICK, confirmation=rows)
+    (effect,) = report.effects
+    again = effect.evidence.replication
+    assert again.outcome == "not_testable"
+    assert "happened once" in again.reason
+    assert effect.verdict in {"confirmed", "class_confirmed"}  # what cannot be seen again contradicts nothing
+    assert again.guarded.with_it < again.guarded.without  # the arm has its new zero there
+    kept = report.stored.calibration
+    right, wrong = (np.linalg.norm(one.predict(rows).position - rows.position, axis=1).mean()
+                    for one in (kept.for_another_campaign(rows), kept))  # fmt: skip
+    assert right < 0.75 * wrong
+
+
+def test_held_out_rows_of_another_set_up_are_said_to_be():
+    made = twin("zero", 5)
+    rows = another_day(made, 5)
+    moved = replace(rows, position=rows.position @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [1.0, 2.0, 0.1])
+    report = find_gap(robot(), made.rows, QUICK, validation=moved)
+    (said,) = [w for w in report.warnings if w["code"] == "set_up_elsewhere"]
+    assert said["refitted_mm"] < 0.3 < 100 < said["version_mm"]
+    assert "confirmation" in said["message"]
+
+
+def test_times_that_count_from_1970_are_one_clock():
+    rows = Observations(q=np.zeros((2, 6)), t=np.array([1.7e9, 1.7e9 + 60.0]))
+    step, drift = make_effect("base_step", at_s=1.7e9 + 30.0), make_effect("drift")
+    assert happened_before(rows, (step, drift)) == (step, drift)
+    own = replace(rows, t=rows.t - 1.7e9)
+    after, same = happened_before(own, (step, drift))
+    assert (after.at_s, after.at_row, same) == (None, 0, drift)
+    local = after.local(RobotModel(robot(), (after,)).batch(replace(own, row=np.array([1, 2]))), np.full(6, 1e-3))
+    assert not np.any(local.base)
 
 
 def test_sessions_are_a_remedy_that_works():

@@ -27,7 +27,8 @@ BASE, TOOL = np.array([0.3, -0.2, 0.1]), np.array([0.05, 0.03, 0.12])
 class Twin:
     """A campaign and its truth: the last row before what happened, from 1, and how far the station or tool moved, m.
 
-    ``turned (N, 3)`` rad is what the station rotated by, ``zeros (N, 6)`` what the joints turned by beyond their readings.
+    ``turned (N, 3)`` rad is what the station rotated by, ``zeros (N, 6)`` what the joints turned by beyond their readings;
+    ``dh (6, 4)`` is the arm as it was built.
     """
 
     rows: Observations
@@ -36,6 +37,7 @@ class Twin:
     moved: float = 0.0
     turned: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     zeros: Floats = field(default_factory=lambda: np.zeros((0, 6)))
+    dh: Floats = field(default_factory=lambda: DH)
 
     def with_inclinometer(self, follows: float = 1.0, noise_rad: float = 2e-6) -> Observations:
         """The rows beside an inclinometer on the base that reads this share of its tilt."""
@@ -127,4 +129,4 @@ def twin(kind: str, seed: int, size: float = 1.0, poses: int = 60, revisits: int
     points = np.einsum("nij,nj->ni", turned(angle), points) + shift + BASE
     seen = points + NOISE_M * rng.normal(size=points.shape)
     columns: dict[str, Any] = {"t": t, "temperature_c": warm + 0.02 * rng.normal(size=n)} if clock else {}
-    return Twin(Observations(q=q, position=seen, pose_id=pose, **columns), after, joint, moved, angle, dq)
+    return Twin(Observations(q=q, position=seen, pose_id=pose, **columns), after, joint, moved, angle, dq, dh)

@@ -134,11 +134,13 @@ def test_two_joints_swapped(arm: str, pair: tuple[int, int]) -> None:
     assert f"Joints {i + 1} and {j + 1} look swapped" in accused(robot, columns(robot, rows, order))
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_joints_in_reverse_or_shifted_order(arm: str) -> None:
+@spread("arm,order", ARMS, ["in reverse", "shifted"])
+def test_joints_in_reverse_or_shifted_order(arm: str, order: str) -> None:
     robot, _, rows = campaign(arm)
     n = robot.n_joints
-    assert "The joints look to be in reverse order" in accused(robot, columns(robot, rows, list(range(n))[::-1]))
+    if order == "in reverse":
+        assert "The joints look to be in reverse order" in accused(robot, columns(robot, rows, list(range(n))[::-1]))
+        return
     shifted = columns(robot, rows, [n - 1, *range(n - 1)])
     held = ", ".join(str(k) for k in (n, *range(1, n)))
     assert f"The columns of joints 1 to {n} look to hold joints {held}" in accused(robot, shifted)
@@ -151,13 +153,16 @@ def test_the_sign_of_a_joint(arm: str, joint: int) -> None:
     assert f"Joint {joint + 1} looks to count the other way round" in accused(robot, turned)
 
 
-@pytest.mark.parametrize("arm", ["ur10", "seven axes", "small ranges"])
-def test_radians_and_degrees(arm: str) -> None:
+@spread("arm,which", ["ur10", "seven axes", "small ranges"], ["radians", "degrees", "one"])
+def test_radians_and_degrees(arm: str, which: str) -> None:
     robot, _, rows = campaign(arm)
-    assert "Joints look like radians declared as degrees" in accused(robot, replace(rows, q=np.radians(rows.q)))
-    assert "Joints look like degrees declared as radians" in accused(robot, replace(rows, q=np.degrees(rows.q)))
     one = np.where(np.arange(robot.n_joints) == 2, np.pi / 180.0, 1.0)
-    assert "Joint 3 looks like radians declared as degrees" in accused(robot, replace(rows, q=rows.q * one))
+    times, sentence = {
+        "radians": (np.pi / 180.0, "Joints look like radians declared as degrees"),
+        "degrees": (180.0 / np.pi, "Joints look like degrees declared as radians"),
+        "one": (one, "Joint 3 looks like radians declared as degrees"),
+    }[which]
+    assert sentence in accused(robot, replace(rows, q=rows.q * times))
 
 
 def test_a_lift_in_the_other_unit() -> None:

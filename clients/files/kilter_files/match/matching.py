@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import interpolate
 from kilter_files.match.clock_checks import UNTOLD, Checks
 from kilter_files.match.clocks import Clocks, Pieces, match_pieces
 from kilter_files.match.dwells import Dwell, RestOptions, find_dwells, thin
@@ -243,10 +244,8 @@ def frame_rows(
     recording: Recording, log: JointLog, clocks: Clocks | Pieces, body: Body | None = None
 ) -> Iterator[Columns]:
     """Join every frame with the joints at its time (smooth between rows); frames without a marker are left out."""
-    from scipy.interpolate import CubicSpline
-
     assert log.t_s is not None
-    joints = CubicSpline(log.t_s, log.q())
+    joints = interpolate.CubicSpline(log.t_s, log.q())
     for block in recording.blocks():
         t = clocks.log_time(block.t_s)
         keep = (t >= log.t_s[0]) & (t <= log.t_s[-1]) & ~np.isnan(block.points_mm[..., 0]).all(axis=1)

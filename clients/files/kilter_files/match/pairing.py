@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.lag_evidence import spread
-from kilter_files.match.registration import Registration, calibrated, register
+from kilter_files.match.registration import Registration, calibrated, error_columns, register
 
 EXPLAINED = 0.06  # of the markers' spread that a model may leave where it explains them
 WINDOW = (6, 16)
@@ -74,8 +74,6 @@ def _sharper(arm: Arm, q: Floats, points: Floats, first: Pairing) -> Pairing:
 
 def off_calibrated(arm: Arm, q: Floats, points: Floats, found: Registration) -> Floats:
     """Return what a calibrated registration leaves in each row, mm (n)."""
-    from kilter_files.match.registration import error_columns
-
     turns, places = arm.poses(q)
     return _off(points, found.predicted(turns, places, error_columns(arm, q, found.in_base(turns, places))))
 

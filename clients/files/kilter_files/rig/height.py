@@ -11,6 +11,7 @@ from kilter_files.formats.logs.inclinometer import TIME
 from kilter_files.formats.points.tracker_header import plain
 from kilter_files.formats.reader import Head
 from kilter_files.formats.registry import binary_reader
+from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
@@ -139,8 +140,6 @@ def _text(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Fl
 
 
 def _mat(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Floats, str | None, str]:
-    from kilter_files.formats.tables.mat import read_mat
-
     if channel is None or time is None:
         what = "its variables say neither height nor time"
         raise fault(path, what, "Give --channel and --height-time, for example u(:,1) and t.")

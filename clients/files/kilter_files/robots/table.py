@@ -13,6 +13,7 @@ from kilter_files.ground.names import did_you_mean
 from kilter_files.robots import masses
 from kilter_files.robots.sheet import Sheet
 from kilter_files.robots.text import read_text
+from kilter_files.robots.workbook import read_workbook
 
 # quantity -> its spellings in tables
 QUANTITIES = {
@@ -39,12 +40,7 @@ def read_table(path: Path, convention: str | None, name: str) -> dict[str, Any]:
         MissingPackageError: XLSX without openpyxl.
 
     """
-    if path.suffix.lower() == ".xlsx":
-        from kilter_files.robots.workbook import read_workbook
-
-        sheet = read_workbook(path)
-    else:
-        sheet = _read_csv(path)
+    sheet = read_workbook(path) if path.suffix.lower() == ".xlsx" else _read_csv(path)
     return _document(sheet, _convention(sheet, convention), name)
 
 

@@ -60,6 +60,7 @@ class AsyncKilter:
     set_controller_compensation = awaited(described.set_controller_compensation)
     accept = awaited(described.accept)
     today = awaited(described.today)
+    bridges = awaited(described.bridges)
     drift_history = awaited(described.drift_history)
     drift_list = awaited(described.drift_list)
     robots = awaited(described.robots)

@@ -75,6 +75,7 @@ class Kilter:
     set_controller_compensation = waiting(robots.set_controller_compensation)
     accept = waiting(robots.accept)
     today = waiting(robots.today)
+    bridges = waiting(robots.bridges)
     drift_history = waiting(robots.drift_history)
     drift_list = waiting(robots.drift_list)
     meshes = waiting(shapes.meshes)

@@ -14,6 +14,7 @@ import numpy as np
 
 from kilter_client.errors import ApiError, KilterError, ObservationError, ServerUnreachableError
 from kilter_client.naming import same
+from kilter_files.ground.later import pa, parquet
 from kilter_files.match.matching import Columns
 from kilter_files.tables.table import PARQUET_TYPE, Prepared
 
@@ -131,9 +132,6 @@ def _joined(blocks: list[Columns]) -> Columns:
 
 
 def _parquet(columns: Columns) -> Prepared:
-    import pyarrow as pa
-    from pyarrow import parquet
-
     table = pa.table({name: pa.array(values, pa.float64(), from_pandas=True) for name, values in columns.items()})
     out = io.BytesIO()
     parquet.write_table(table, out, compression="zstd", use_dictionary=False)

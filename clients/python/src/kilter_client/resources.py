@@ -10,6 +10,7 @@ from kilter_client.calls import campaigns, robots, versions
 from kilter_client.connection import Connection
 from kilter_client.references import Kept
 from kilter_client.steps import Document, Sent
+from kilter_files import prepare
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
@@ -61,6 +62,14 @@ class Robots:
     def today(self, name: str) -> Document:
         """Return how good a robot is today, and what is missing in its active version."""
         return self._run(robots.today(name))
+
+    def bridges(self, name: str) -> Document:
+        """Return the bridges of a robot: those that run first."""
+        return self._run(robots.bridges(name))
+
+    def announce_bridge(self, name: str, run: str, news: Mapping[str, Any]) -> Document:
+        """Say to the server what the bridge of this ``run`` does; it is shown, and controls nothing."""
+        return self._run(robots.announce_bridge(name, run, news))
 
     def drift(self, name: str) -> Document:
         """Return the checks of a robot and how it stands by them."""
@@ -179,8 +188,6 @@ class Campaigns(Kept):
 
         ``sent`` is told the bytes sent and their total.
         """
-        from kilter_files import prepare
-
         file = prepare(data) if isinstance(data, str | Path) else data
         return self._run(campaigns.upload(campaign, file, sent, robot))
 

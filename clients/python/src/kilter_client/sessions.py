@@ -10,7 +10,9 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
+from kilter_client.client import Kilter
 from kilter_client.corrector import StreamError
+from kilter_client.errors import ConflictError, KilterError
 from kilter_client.signing import LIFETIME_S, Session, from_document, on_this_machine
 
 log = logging.getLogger("kilter.stream")
@@ -88,9 +90,6 @@ class Sessions:
     def _of_api(self) -> Session | None:
         if not os.environ.get("KILTER_URL"):
             return None
-        from kilter_client.client import Kilter  # imports much: only where a session comes from afar
-        from kilter_client.errors import ConflictError, KilterError
-
         _, robot, stream = self._address
         try:
             with Kilter() as kilter:

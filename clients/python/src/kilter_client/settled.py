@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError, MissingPackageError, UsageError
 from kilter_client.twin import apply
+from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -27,7 +27,7 @@ MOVES_S, RESTS_S = 1.0, 1.0
 STEP_EVERY_S = 0.01  # how often what no element is is taken anew
 AT_REST = 1e-3  # rad/s (m/s)
 HINGE, SLIDE, JOINT = 3, 2, 0  # mjJNT_HINGE, mjJNT_SLIDE, mjTRN_JOINT
-FEWEST, ROUNDS = 6, 40
+FEWEST_POINTS, ROUNDS = 6, 40
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,6 @@ def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: in
         UsageError: the campaign has no tool point, or fewer rows than base and tool need.
 
     """
-    import numpy as np
-
     table = list(DictReader(io.StringIO(content.decode())))
     names = set(table[0]) if table else set()
     readings = [_column(table, names, f"q{j + 1}", ("deg", "rad", "mm", "m")) for j in range(joints)]
@@ -73,8 +71,8 @@ def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: in
     )
     seen = np.array(points, dtype=np.float64).T
     whole = np.flatnonzero(np.isfinite(seen).all(axis=1))
-    if len(whole) < FEWEST:
-        raise UsageError(f"The campaign has {len(whole)} measured points: base and tool need {FEWEST} or more.")
+    if len(whole) < FEWEST_POINTS:
+        raise UsageError(f"The campaign has {len(whole)} measured points: base and tool need {FEWEST_POINTS} or more.")
     chosen = whole[np.unique(np.linspace(0, len(whole) - 1, min(most, len(whole))).round().astype(int))]
     return MeasuredRows(
         np.array(readings, dtype=np.float64).T[chosen], np.nan_to_num(np.array(sides, dtype=np.float64).T[chosen]),
@@ -131,8 +129,6 @@ def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) ->
         FileError: the model has not these joints or this site, or does not settle at its time step.
 
     """
-    import numpy as np
-
     _hold_the_log()
     places, turns = [], []
     arm = _Arm.of(model, settings, path)
@@ -145,8 +141,6 @@ def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) ->
 
 def _hold_the_log() -> None:
     """MuJoCo writes its warnings into a file where one stands; what they say is said by the refusal."""
-    import mujoco
-
     mujoco.set_mju_user_warning(lambda _: None)
 
 
@@ -163,8 +157,6 @@ class _Arm:
 
     @classmethod
     def of(cls, model: Any, settings: Settings, path: Path) -> _Arm:
-        import mujoco
-
         joints = [named(model, "joint", name, path) for name in settings.joints]
         site = named(model, "site", settings.tool, path)
         drives = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)
@@ -177,8 +169,6 @@ class _Arm:
 
     def settle(self, reading: Floats, side: Floats, payload_kg: float) -> tuple[Floats, Floats]:
         """Place (3,) and rotation (3, 3) of the tool's site after the joints came to ``reading`` from their sides."""
-        import mujoco
-
         data = mujoco.MjData(self.model)
         self._hang(data, payload_kg)
         start = reading - REACH * side
@@ -199,8 +189,6 @@ class _Arm:
         return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
 
     def _hang(self, data: Any, payload_kg: float) -> None:
-        import mujoco
-
         if self.payload >= 0:
             self.model.body_mass[self.payload] = payload_kg
             mujoco.mj_setConst(self.model, data)
@@ -220,9 +208,6 @@ class _Arm:
                 data.qvel[self.model.jnt_dofadr[joint]] = 0.0
 
     def _refuse_motion(self, data: Any) -> None:
-        import mujoco
-        import numpy as np
-
         speeds = [abs(float(data.qvel[self.model.jnt_dofadr[j]])) for j in self.joints]
         kinds = mujoco.mjtWarning
         bad = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
@@ -242,8 +227,6 @@ def named(model: Any, what: str, name: str, path: Path) -> int:
         FileError: it has none of that name.
 
     """
-    import mujoco
-
     kind, count = {
         "joint": (mujoco.mjtObj.mjOBJ_JOINT, model.njnt),
         "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite),
@@ -259,8 +242,6 @@ def named(model: Any, what: str, name: str, path: Path) -> int:
 
 def registered(places: Floats, turns: Floats, points: Floats) -> Floats:
     """Distances (N,) of ``points (N, 3)`` from a tool point that hangs on the frames, base frame and tool point fitted."""
-    import numpy as np
-
     R, b, t = _aligned(places, points)[0], np.zeros(3), np.zeros(3)
     for _ in range(ROUNDS):
         own = places + turns @ t
@@ -278,8 +259,6 @@ def registered(places: Floats, turns: Floats, points: Floats) -> Floats:
 
 def _aligned(own: Floats, seen: Floats) -> tuple[Floats, Floats]:
     """Rotation and shift that bring points onto others at best (Kabsch)."""
-    import numpy as np
-
     a, b = own - own.mean(axis=0), seen - seen.mean(axis=0)
     U, _, Vt = np.linalg.svd(b.T @ a)
     R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
@@ -287,8 +266,6 @@ def _aligned(own: Floats, seen: Floats) -> tuple[Floats, Floats]:
 
 
 def _rotated(w: Floats) -> Floats:
-    import numpy as np
-
     angle = float(np.linalg.norm(w))
     if angle < 1e-15:
         return np.eye(3)

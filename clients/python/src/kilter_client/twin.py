@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import UsageError
+from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -109,8 +109,6 @@ def _control(model: Any, data: Any, table: dict[str, Any], name: str) -> float:
 
 def _load(model: Any, data: Any, joint: str, body: str) -> Floats:
     """Force and moment (6,) of the weight behind ``body``, about the origin and in the axes of the joint's own frame."""
-    import numpy as np
-
     own, subtree = model.body(f"{joint}_link").id, model.body(body).id
     R, weight = data.xmat[own].reshape(3, 3), model.body_subtreemass[subtree] * model.opt.gravity
     moment = _cross((data.subtree_com[subtree] - data.xpos[own]).tolist(), weight.tolist())
@@ -119,8 +117,6 @@ def _load(model: Any, data: Any, joint: str, body: str) -> Floats:
 
 def _cross(a: list[float], b: list[float]) -> Floats:
     """The vector product of two short lists, for which numpy's takes thirty times as long."""
-    import numpy as np
-
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
@@ -176,8 +172,6 @@ def _curve(curve: dict[str, Any], q: float, own: float) -> float:
 
 def _bent(model: Any, data: Any, row: dict[str, Any], controls: dict[str, float], of_joint: Floats) -> list[float]:
     """Twist of a link that bends: linear in the loads on its joint and on its end."""
-    import numpy as np
-
     order = list(controls)
     place = order.index(row["joint"])
     after = f"{order[place + 1]}_link" if place + 1 < len(order) else "flange"
@@ -191,8 +185,6 @@ def _bent(model: Any, data: Any, row: dict[str, Any], controls: dict[str, float]
 
 def _place(model: Any, body: str, twist: list[float]) -> None:
     """Put a body where a twist (v, w) leads from its parent: the exponential."""
-    import numpy as np
-
     v, w = np.array(twist[:3]), np.array(twist[3:])
     angle = float(np.linalg.norm(w))
     half = 0.5 * angle

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.errors import FileError
 from kilter_client.settled import loaded, mujoco_package, named
 from kilter_client.twin import TABLE
+from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -72,8 +72,6 @@ def lay_onto(source: Path, twin: str, joints: Sequence[str] = (), site: str | No
 
 
 def _read(text: str) -> _Twin:
-    import numpy as np
-
     mujoco = mujoco_package()
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
@@ -114,8 +112,6 @@ class _Copy:
         """Move the bodies, set the drives, and place the tool."""
         mujoco = mujoco_package()
         # How each body that hangs on a joint, or on nothing that moves, goes from nominal to calibrated.
-        import numpy as np
-
         moves = [np.eye(4)]
         for j, body in enumerate(self.bodies):
             before = moves[-1] @ self.poses[int(self.model.body_parentid[body])]
@@ -139,8 +135,6 @@ class _Copy:
             FileError: no such pose: the joint that is farthest off is named.
 
         """
-        import numpy as np
-
         points, directions = self.twin.nominal[:-1, :3, 3], self.twin.nominal[:-1, :3, 2]
         T = self.poses[int(self.model.body_parentid[self.bodies[0]])]
         for _ in range(ROUNDS):
@@ -156,8 +150,6 @@ class _Copy:
         return T
 
     def _refuse(self, T: Floats, anchors: Floats, axes: Floats) -> None:
-        import numpy as np
-
         for k, name in enumerate(self.names):
             here = T @ self.twin.nominal[k]
             gap = anchors[k] - here[:3, 3]
@@ -252,8 +244,6 @@ def _notes(twin: _Twin) -> Iterator[str]:
 
 
 def _pose(place: Floats, matrix: Floats) -> Floats:
-    import numpy as np
-
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = np.reshape(matrix, (3, 3)), place
     return T
@@ -264,15 +254,11 @@ def _inverse(T: Floats) -> Floats:
 
 
 def _skew(v: Floats) -> Floats:
-    import numpy as np
-
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _moved(step: Floats) -> Floats:
     """A small motion (w, v) as a pose."""
-    import numpy as np
-
     mujoco = mujoco_package()
     angle = float(np.linalg.norm(step[:3]))
     quat, matrix = np.empty(4), np.empty(9)
@@ -283,8 +269,6 @@ def _moved(step: Floats) -> Floats:
 
 def _place(element: Any, T: Floats) -> None:
     """Put a body or site there, whatever way its source says its orientation."""
-    import numpy as np
-
     mujoco = mujoco_package()
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T[:3, :3]).ravel())

@@ -107,7 +107,7 @@ def _errors(calibration: Calibration, rows: Observations) -> Floats | None:
     if (rows.position is None and rows.markers is None) or lacking(calibration, rows):
         return None
     try:
-        found = errors_by_pose(calibration, rows)
+        found = errors_by_pose(calibration.for_another_campaign(rows), rows)
     except CoreError:
         return None
     return found if np.isfinite(found).all() else None

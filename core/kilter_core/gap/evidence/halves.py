@@ -25,7 +25,7 @@ from kilter_core.types import Bools, Floats
 
 AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one
 BESIDE = 3.0  # standard deviations by which it must differ from zero beside every smooth shape
-FEWEST = 12  # poses of a half: fewer hold no geometry
+POSES_PER_HALF = 12  # poses of a half: fewer hold no geometry
 RANK = 1e-8  # share of the largest singular value below which a direction of a half is not seen
 
 
@@ -76,7 +76,7 @@ class Sides:
     def able(self) -> bool:
         """Whether both have poses enough to hold the geometry."""
         settings = self.search.problem.settings
-        return min(len(np.unique(settings.group[side & settings.used])) for side in self.visits) >= FEWEST
+        return min(len(np.unique(settings.group[side & settings.used])) for side in self.visits) >= POSES_PER_HALF
 
     @cached_property
     def named(self) -> tuple[list[Candidate], list[Candidate]]:

@@ -17,7 +17,7 @@ from kilter_core.observations.motions import is_trajectory
 from kilter_core.types import Ints
 
 SHARE = 0.25  # of the poses, held out when nothing else is asked
-FEWEST = 60  # poses from which so many can be spared
+POSES_TO_SPARE_SOME = 60  # poses from which so many can be spared
 FEWEST_PLACEMENTS = 4  # of contacts, from which one can be spared unasked
 SAME_ROW = 1e-7  # m or rad: rows closer than this in all that was measured are one row, whatever unit they came in
 COINCIDENCE = 0.01  # share of the rows of a motion that may be the same: an arm at rest reads the same twice
@@ -38,7 +38,7 @@ def share_of(rows: Observations, validation: float | None) -> float:
     placed = placements(rows)
     if placed is not None and len(placed[1]) < FEWEST_PLACEMENTS:
         return 0.0
-    return SHARE if len(rows) and int(rows.pose_groups().max()) + 1 >= FEWEST else 0.0
+    return SHARE if len(rows) and int(rows.pose_groups().max()) + 1 >= POSES_TO_SPARE_SOME else 0.0
 
 
 def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[Ints, Ints]:

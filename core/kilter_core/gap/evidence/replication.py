@@ -34,6 +34,7 @@ from kilter_core.types import Floats, Progress
 
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
 AGREES = 3.0  # combined standard deviations within which two amplitudes are one
+ONCE = "It happened once, in the rows of the search: another campaign cannot show it again, and comes after it."
 WORSE = "It predicts the confirmation worse than the search's fit without it."
 WIDE = 1e4  # prior sigmas: amplitudes are fitted again, without a prior
 BALL = 3  # numbers of the ball, where contacts hold it: the base has no place
@@ -142,7 +143,7 @@ class Confirmation:
         found: Calibration, posterior: Posterior, rows: Observations, options: GapOptions, progress: Progress
     ) -> Confirmation:
         """Fit base and tool to the rows, estimate their noise, and linearise."""
-        found = _computable(found, rows)
+        found = _computable(found, rows).for_another_campaign(rows)
         prepared = _placed(found, rows, options, progress)
         problem = prepared.problem
         r, J, names = _linear(prepared, found, posterior)
@@ -197,6 +198,8 @@ def replication(
     parts = [e for e in candidate.effects if seen is None or not e.joints or set(e.joints) & set(seen)]
     parameters = [p for e in parts or candidate.effects for p in e.parameters(robot) if p.name in confirmation.names]
     names = tuple(p.name for p in parameters)
+    if candidate.effects[0].event:
+        return Replication((), np.zeros(0), np.zeros(0), None, None, ONCE)
     missing = _missing(candidate.effects[0], rows)
     if missing or not names:
         why = f"The confirmation has no {' and no '.join(missing)}." if missing else "It is part of no stored model."

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.noise.shared_drift import FEWEST, Clocks, Shared
+from kilter_core.gap.noise.shared_drift import SCALARS_BESIDE_DRIFT, Clocks, Shared
 from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, Pairs, chance_of_drift, fitted, pairs_of, separable
 from kilter_core.gap.noise.visits import Visits
 from kilter_core.observations.clock import clock_of
@@ -86,7 +86,9 @@ def repeats_of(
     left = shared.left
     chance = chance_of_drift(left, visits.condition, pairs)
     soon = residual.shape[1] * float(np.sum(pairs.dt <= SOON * np.ptp(t)))
-    most = max(shared.freedom, soon, separable(pairs, residual.shape[1])) < FEWEST and bool(pairs.terms.shape[1])
+    most = max(shared.freedom, soon, separable(pairs, residual.shape[1])) < SCALARS_BESIDE_DRIFT and bool(
+        pairs.terms.shape[1]
+    )
     made = _at_no_distance(left, pairs, blocks, chance <= DRIFTED)
     if made is None:  # all of it may be drift
         made, most = _at_no_distance(left, pairs, blocks, False), True
@@ -110,7 +112,7 @@ def _at_no_distance(
 ) -> tuple[Floats, Ints, Floats, float, tuple[float, float]] | None:
     """Deviations, their visits, variances, vectors and growth by a variogram of each block; None when nothing is left."""
     found = [fitted(left[:, b], pairs, drifting) for b in blocks]
-    if drifting and any(v.freedom < FEWEST or v.nugget <= 0.0 for v in found):
+    if drifting and any(v.freedom < SCALARS_BESIDE_DRIFT or v.nugget <= 0.0 for v in found):
         return None
     kept = np.logical_and.reduce([v.kept for v in found])
     deviation = (left[pairs.first] - left[pairs.second]) / np.sqrt(2.0)

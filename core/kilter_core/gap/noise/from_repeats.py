@@ -17,7 +17,7 @@ from kilter_core.identify.noise import pooled_columns
 from kilter_core.observations.groups import centred, unbiased
 from kilter_core.types import Bools, Floats, Ints
 
-FEWEST = 3  # independent deviations below which repeats say too little
+FEWEST_DEVIATIONS = 3  # independent deviations below which repeats say too little
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
 SPIKE_PASSES = 4
 UNMOVED = 0.01  # of the noise: repeats that a model moves no more leave it as it is
@@ -181,16 +181,16 @@ def repeat_noise(
     share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
     repeats = repeats_of(visit_residual, visits, points, lengths, taken)
     k_between = repeats.vectors if repeats else 0.0
-    if k_within + k_between < FEWEST:
+    if k_within + k_between < FEWEST_DEVIATIONS:
         return None
     at = None if points is None else points
     rows_cov = spread(within, k_within, None if at is None else at[visits.visit], at)
-    if repeats is None or k_between < FEWEST:
+    if repeats is None or k_between < FEWEST_DEVIATIONS:
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
         made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
         return replace(made, absolute=False, source=WITHIN)
     total = _between(repeats, lengths)
-    if k_within < FEWEST:
+    if k_within < FEWEST_DEVIATIONS:
         seen = spread(total, k_between, at, at)
         visit = np.broadcast_to(seen, (len(visits), *seen.shape[1:])).copy()
         made = _noise(visit, seen.mean(axis=0), k_between, lengths, None, seen)
@@ -216,7 +216,7 @@ def repeat_noise(
 def _between(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
     """Deviations of repeats whose mean squares are the variances found, with their visits; equal ones where none are left."""
     deviation, index, size = repeats.deviation, repeats.index, repeats.deviation.shape[1]
-    if len(deviation) < FEWEST:
+    if len(deviation) < FEWEST_DEVIATIONS:
         deviation, index = np.eye(size) * np.sqrt(size), np.zeros(size, dtype=np.int64)
     scaled = np.zeros_like(deviation)
     for block, variance in zip(blocks_of(size, lengths), repeats.variance, strict=True):

@@ -16,7 +16,7 @@ from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, QUICK, SPIKE
 from kilter_core.observations.groups import centred
 from kilter_core.types import Bools, Floats, Ints
 
-FEWEST = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as distinguished
+SCALARS_BESIDE_DRIFT = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as distinguished
 LENGTHS = 3
 WAVES = 5  # half waves over the campaign: a random walk has nine tenths of its variance in them
 MOST = 4  # clocks of one drift
@@ -69,7 +69,7 @@ class Shared:
         each, timed = clocks.values(many)
         left, taken, first, amounts = r, 0.0, 1.0, np.zeros((len(each), motion.shape[2]))
         for step in range(MOST if len(each) else 0):
-            if scalars - taken - motion.shape[2] < FEWEST:
+            if scalars - taken - motion.shape[2] < SCALARS_BESIDE_DRIFT:
                 break
             tried = [_tried(left, condition, many, motion, clock, scalars - taken) for clock in each]
             k = int(np.argmin([p for p, _ in tried]))
@@ -83,11 +83,11 @@ class Shared:
         if first <= DRIFTED and timed:
             course = _courses(motion, each - each.mean(axis=1)[:, None], np.any(amounts, axis=1))
             without, walk = _without_walk(left, condition, many, motion, clocks.t, course)
-            if scalars - taken - walk >= FEWEST:
+            if scalars - taken - walk >= SCALARS_BESIDE_DRIFT:
                 left, taken = without, taken + walk
         moved = _size(motion[many], amounts[:timed], each[:timed])
         warmth = motion[many] @ amounts[timed:].sum(axis=0)
-        free = scalars - taken if scalars - motion.shape[2] >= FEWEST else 0.0
+        free = scalars - taken if scalars - motion.shape[2] >= SCALARS_BESIDE_DRIFT else 0.0
         return Shared(left, first, free, taken / size, moved, float(np.sqrt(np.mean(warmth**2))))
 
 

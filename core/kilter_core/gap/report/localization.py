@@ -17,7 +17,7 @@ from kilter_core.parameters import degrees
 from kilter_core.types import Bools, Floats, Ints
 
 BINS = 6
-FEWEST = 4  # visits in a bin
+VISITS_PER_BIN = 4  # visits in a bin
 FLIPS = 999
 FEWEST_PAIRS = 3
 STANDS_OUT = 0.05
@@ -112,7 +112,7 @@ def _bins(problem: LinearizedProblem, rows: Observations, r: Floats, scale: floa
     """
     used, group = problem.settings.used, problem.settings.group
     bins = [(f, level, mask & used, part) for f, level, mask, part in _levels(problem, rows, r)]
-    bins = [b for b in bins if b[2].sum() >= FEWEST]
+    bins = [b for b in bins if b[2].sum() >= VISITS_PER_BIN]
     if not bins:
         return []
     poses = int(group.max()) + 1

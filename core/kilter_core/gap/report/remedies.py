@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_core.gap.evidence.holding_out import FEWEST
+from kilter_core.gap.evidence.holding_out import POSES_TO_SPARE_SOME
 from kilter_core.gap.evidence.verdict import Judged
 
 REMEDIES = {
@@ -11,8 +11,8 @@ REMEDIES = {
     "campaign, or a confirmation, must show its name with the same amplitude and be predicted better by it. Repeat ten "
     "poses three times, leaving them in between, or measure more poses.",
     "held_out": "Held-out poses do not clearly gain by it: measure more poses.",
-    "unseen_poses": f"No pose judged it that did not choose it: measure {FEWEST} poses or more (a quarter is then held "
-    "out), give `validation`, or measure a `confirmation` campaign on another day.",
+    "unseen_poses": f"No pose judged it that did not choose it: measure {POSES_TO_SPARE_SOME} poses or more (a quarter is "
+    "then held out), give `validation`, or measure a `confirmation` campaign on another day.",
     "no_empirical_alias": "A shape without a cause does as well: measure the poses asked for, over more of the joint's range.",
     "plausible": "Its amplitude is not plausible for an arm: check units, masses and payloads.",
     "seen": "No parameter of it differs from zero by itself: measure more poses at its joints.",

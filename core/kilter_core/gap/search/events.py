@@ -23,7 +23,7 @@ from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
 from kilter_core.types import Bools, Floats, Ints
 
-FEWEST = 4  # visits on either side: fewer are readings that went wrong, and set aside as such
+VISITS_PER_SIDE = 4  # visits on either side: fewer are readings that went wrong, and set aside as such
 EQUAL = 1e-6  # of chi-square: rounding
 SURE = 0.95  # of the interval of rows in which it happened
 
@@ -66,7 +66,7 @@ class Course:
     def able(self) -> Bools:
         """Places (N,) at which something can have happened."""
         out = np.zeros(len(self.key), dtype=bool)
-        out[FEWEST : len(out) - FEWEST + 1] = True
+        out[VISITS_PER_SIDE : len(out) - VISITS_PER_SIDE + 1] = True
         out[1:] &= np.diff(self.key) > 0.0
         return out
 

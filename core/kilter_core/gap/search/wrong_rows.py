@@ -12,7 +12,7 @@ PREDICTED = 0.01  # chance of wrong readings that seem to follow from the pose
 MOST = 0.4  # share of visits above which it is not known which part is wrong
 FEW = 0.08  # share up to which far visits need no gap between them and the others
 GAP = 1.5  # times the size of nearly all others that nearly all far visits must have
-FEWEST = 3  # far visits from which a pattern can be seen
+FEWEST_FAR_VISITS = 3  # far visits from which a pattern can be seen
 APART = 0.1  # of the campaign between two visits of a pose that one disturbance does not reach both of
 DRAWS = 999
 
@@ -29,7 +29,7 @@ def are_wrong(problem: LinearizedProblem, far: Bools, size: Floats) -> bool:
         return False
     if count > max(2, FEW * used.sum()) and not _stand_apart(size[used & ~far], size[far]):
         return False
-    return count < FEWEST or not (_again(problem, far) or _follows_from_pose(problem, far))
+    return count < FEWEST_FAR_VISITS or not (_again(problem, far) or _follows_from_pose(problem, far))
 
 
 def _stand_apart(others: Floats, far: Floats) -> bool:
@@ -45,7 +45,7 @@ def _again(problem: LinearizedProblem, far: Bools) -> bool:
         other = problem.settings.used & (group == group[k]) & (np.abs(place - k) > APART * len(far))
         partners, hits = partners + int(other.sum()), hits + int((other & far).sum())
     share = float(far.sum() - 1) / max(float(problem.settings.used.sum() - 1), 1.0)
-    return partners >= FEWEST and float(binom.sf(hits - 1, partners, share)) < PREDICTED
+    return partners >= FEWEST_FAR_VISITS and float(binom.sf(hits - 1, partners, share)) < PREDICTED
 
 
 def _follows_from_pose(problem: LinearizedProblem, far: Bools) -> bool:
@@ -55,7 +55,7 @@ def _follows_from_pose(problem: LinearizedProblem, far: Bools) -> bool:
     mean = np.stack([np.bincount(pose, c) for c in conditions.T], axis=1) / np.bincount(pose)[:, None]
     label = (np.bincount(pose, far) / np.bincount(pose) > 0.5).astype(np.float64)
     varied = mean[:, np.ptp(mean, axis=0) > 1e-9]
-    if label.sum() < FEWEST or not varied.shape[1]:
+    if label.sum() < FEWEST_FAR_VISITS or not varied.shape[1]:
         return False
     rng = np.random.default_rng(0)
     labels = np.stack([label, *(rng.permutation(label) for _ in range(DRAWS))])

@@ -16,7 +16,7 @@ from kilter_core.model import RobotModel
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Floats, Ints
 
-FEWEST = 5  # robots
+FEWEST_ROBOTS = 5  # robots
 KNOWN = 0.5  # of the width of its ordinary prior, within which a version tells a parameter
 
 
@@ -72,9 +72,9 @@ def fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[Fleet
             have one in the gauge of this fit; names those of another.
 
     """
-    if len(versions) < FEWEST:
+    if len(versions) < FEWEST_ROBOTS:
         raise CoreError(
-            f"Prior fleet needs versions of at least {FEWEST} other robots of this type, and there are {len(versions)}: "
+            f"Prior fleet needs versions of at least {FEWEST_ROBOTS} other robots of this type, and there are {len(versions)}: "
             "identify more of them without it, or leave the option prior out.",
             code="fleet_too_few",
             robots=[v.robot for v in versions],
@@ -83,9 +83,9 @@ def fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[Fleet
     reasons = [asked.differs(version.gauge) for version in versions]
     out = tuple(LeftOut(v.robot, v.version, r) for v, r in zip(versions, reasons, strict=True) if r is not None)
     kept = tuple(v for v, r in zip(versions, reasons, strict=True) if r is None)
-    if len(kept) < FEWEST:
+    if len(kept) < FEWEST_ROBOTS:
         raise CoreError(
-            f"Prior fleet needs versions of at least {FEWEST} other robots in the gauge of this fit, and there are "
+            f"Prior fleet needs versions of at least {FEWEST_ROBOTS} other robots in the gauge of this fit, and there are "
             f"{len(kept)}. {said_left_out(out)} Identify those robots with the same effects and the same free parameters as "
             "asked here, or ask here for theirs.",
             code="fleet_gauge",

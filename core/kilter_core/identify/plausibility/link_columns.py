@@ -13,7 +13,7 @@ from kilter_core.types import Floats
 
 NEAR_RAD = np.radians(2.0)  # scatter between the encoders of a joint that is not looked at further
 ROWS = 500
-FEWEST = 3
+FEWEST_VALUES = 3
 UNITS = ((1.0, ""), (DEG, "radians declared as degrees"), (np.pi / 180.0, "degrees declared as radians"))
 
 
@@ -28,7 +28,7 @@ def refuse_foreign_links(robot: Robot, rows: Observations) -> None:
         return
     for j in range(robot.n_joints):
         seen = np.flatnonzero(~np.isnan(rows.link_q[:, j]))
-        if len(seen) < FEWEST:
+        if len(seen) < FEWEST_VALUES:
             continue
         some = seen[np.unique(np.linspace(0, len(seen) - 1, min(ROWS, len(seen))).astype(np.int64))]
         q, link = rows.q[some], rows.link_q[some]

@@ -29,7 +29,7 @@ from kilter_core.parameters import mm
 from kilter_core.types import Floats
 
 FOREIGN = "foreign_observations"
-FEWEST = 12  # distinct poses below which nine numbers of base and tool can imitate too much
+FEWEST_POSES = 12  # distinct poses below which nine numbers of base and tool can imitate too much
 NEAR_M = 1e-3  # registration of a real arm that is not looked at further,
 NEAR = 0.005  # or this share of the workspace
 FAR = 0.03  # share from which two mix-ups together, or one in some rows, are looked for: they leave more, and cost more
@@ -69,7 +69,7 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
         return ()
     copied = tuple(_copied(o.markers))
     sample = Sample.of(begin, measurement)
-    if len(sample) < FEWEST:
+    if len(sample) < FEWEST_POSES:
         return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None and not mastered_otherwise(sample, ALIKE * found.after):
@@ -184,7 +184,7 @@ def _then(sentence: str, place: int) -> str:
 
 def _changed(sample: Sample) -> Finding | None:
     """Base or tool that changed once during the campaign, in the order of sessions and time or in that of the rows."""
-    if not _far(sample) or len(sample) < 2 * FEWEST:
+    if not _far(sample) or len(sample) < 2 * FEWEST_POSES:
         return None
     by_row = np.argsort(sample.row)
     again = np.any(np.diff(by_row) < 0)
@@ -213,7 +213,7 @@ def _cuts(sample: Sample) -> list[int]:
     """Places where a campaign may fall in two: between its sessions, else some even ones."""
     ends = [int(k) + 1 for k in np.flatnonzero(np.diff(sample.session))]
     even = [len(sample) * k // 8 for k in range(1, 8)]
-    return [k for k in ends + even if FEWEST <= k <= len(sample) - FEWEST] or [len(sample) // 2]
+    return [k for k in ends + even if FEWEST_POSES <= k <= len(sample) - FEWEST_POSES] or [len(sample) // 2]
 
 
 def _moved_cut(sample: Sample, cut: int) -> int:
@@ -222,7 +222,7 @@ def _moved_cut(sample: Sample, cut: int) -> int:
         _, head, tail = _apart(sample, cut)
         early, late = (np.sum((sample.points - p.at(sample.flange)) ** 2, axis=1) for p in (head, tail))
         cost = np.concatenate([[0.0], np.cumsum(early - late)])
-        cut = int(np.clip(np.argmin(cost), FEWEST, len(sample) - FEWEST))
+        cut = int(np.clip(np.argmin(cost), FEWEST_POSES, len(sample) - FEWEST_POSES))
     return cut
 
 
@@ -253,7 +253,7 @@ def _same_tool(head: Placed, tail: Placed) -> bool:
 
 def _in_part(sample: Sample) -> Finding | None:
     """A mix-up of the first or last rows only, or of one session."""
-    if sample.placed.size < FAR * sample.spread or len(sample) < 2 * FEWEST:
+    if sample.placed.size < FAR * sample.spread or len(sample) < 2 * FEWEST_POSES:
         return None
     for mixed, rest, where in _parts(sample):
         if rest.placed.size * FACTOR < sample.placed.size and not _far(rest):
@@ -269,10 +269,10 @@ def _parts(sample: Sample) -> list[tuple[Sample, Sample, str]]:
     out = []
     for code in sessions if len(sessions) > 1 else ():
         mine = sample.session == code
-        if FEWEST <= mine.sum() <= len(sample) - FEWEST:
+        if FEWEST_POSES <= mine.sum() <= len(sample) - FEWEST_POSES:
             place_of = (np.flatnonzero(mine), np.flatnonzero(~mine), f"in session {code}")
             out.append((sample.part(place_of[0]), sample.part(place_of[1]), place_of[2]))
-    third = max(FEWEST, len(sample) // 3)
+    third = max(FEWEST_POSES, len(sample) // 3)
     rows = np.arange(len(sample))
     out.append((sample.part(rows[-third:]), sample.part(rows[:third]), "in the later rows"))
     out.append((sample.part(rows[:third]), sample.part(rows[-third:]), "in the earlier rows"))

@@ -38,7 +38,7 @@ READ_M = 3e-5  # standard deviation of what is read off a sheet where the rows d
 LOAD_KG = 1.0  # at the tool: which way gravity tilts a joint, where the robot states no masses
 ALL_ORDERS = 4  # sheets of which all combinations of orders are tried; of more, one sheet after the other
 ROUND = 0.05  # of the radius: farther off the circle, and it is another path
-FEWEST = 24  # rows around the circle
+FEWEST_ROWS = 24  # rows around the circle
 WIDEST = np.radians(40.0)  # gap between two rows over which errors are not carried
 
 
@@ -180,7 +180,7 @@ def _basis(angle: Floats) -> Floats:
 
 def _around(robot: Robot, rows: Observations) -> _Circle | None:
     """The circle the rows were drawn along; angles are those of the nominal robot, which a sheet does not move."""
-    if rows.position is None or len(rows) < FEWEST:
+    if rows.position is None or len(rows) < FEWEST_ROWS:
         return None
     p = rows.position
     middle = p.mean(axis=0)

@@ -14,7 +14,7 @@ from kilter_core.types import Floats
 
 ROUNDS = 10  # of scoring, each half a step
 LEAST = 0.003  # share of what is the same at every pose: without any, poses would be taken as exact across their levers
-FEWEST = 4  # poses for each share that is estimated
+POSES_PER_SHARE = 4  # poses for each share that is estimated
 
 
 def levers(fit: Fit) -> Floats:
@@ -35,7 +35,7 @@ def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats)
     """
     G, _, n = lever.shape
     flat = np.broadcast_to(common, (G, *common.shape))
-    if FEWEST * (n + 1) > G or np.linalg.eigvalsh(common)[0] <= 0.0:
+    if POSES_PER_SHARE * (n + 1) > G or np.linalg.eigvalsh(common)[0] <= 0.0:
         return flat
     size = np.einsum("gij,gij->j", lever, lever) / np.trace(common) / G
     scaled = lever / np.sqrt(np.where(size > 0.0, size, np.inf))  # a joint that moves nothing has no share

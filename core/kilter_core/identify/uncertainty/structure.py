@@ -27,7 +27,7 @@ BENDS = (0.2, 0.8)  # concentrations of the kernel: smooth and rough
 TAKEN = 0.5  # of a direction, beyond which the fit has followed it so that no residual shows it
 SHARES = np.linspace(0.005, 0.995, 100) ** 2  # denser towards none: a share is the square of what a deviation shows
 LACKING = 0.05  # prior probability that a model lacks something, before its residuals are seen
-FEWEST = 3  # equations left over for each joint
+EQUATIONS_PER_JOINT = 3  # equations left over for each joint
 SMALL = 1e-9
 NORMAL = 1.959963984540054  # of the standard normal at 97.5 %
 
@@ -66,7 +66,7 @@ class Structure:
         basis = _followed(A.reshape(len(said), -1)[said])
         left, points = _beside(basis, r.reshape(-1)[said]), of_points.reshape(-1)[said]
         freedom = len(left) - basis.shape[1]
-        if freedom < FEWEST * L.shape[2] or not np.any(left):
+        if freedom < EQUATIONS_PER_JOINT * L.shape[2] or not np.any(left):
             return None
         sliding = np.array([joint.kind == "prismatic" for joint in problem.model.robot.joints])
         kernels = [*_over_joints(L, rows.q[poses.first], sliding), _over_time(L, poses.when, of_points)]

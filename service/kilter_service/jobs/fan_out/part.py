@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_core.errors import CoreError
+from kilter_core.types import unheard
 from kilter_service.version import code_version
 
 COUNTED = ("numpy", "scipy", "numba")  # packages whose release may change the last digit of a number
@@ -56,8 +57,6 @@ def unpack(answer: Packed) -> Any:
 
 
 def _computed(packed: Packed, wanted: str) -> tuple[Any, Exception | None]:
-    from kilter_core.types import unheard
-
     if release() != wanted:
         message = (
             f"The worker of the cluster on {platform.node()} has {release()}; the job is computed with {wanted}. "

@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from typing import TypeVar
 
 from kilter_core.errors import CoreError
+from kilter_core.types import one_by_one
 from kilter_service.jobs.fan_out.engine import Engine, Opened
 from kilter_service.jobs.fan_out.part import Packed, compute, pack, release, unpack
 from kilter_service.jobs.kind import Progress
@@ -33,8 +34,6 @@ class FanOut:
             CancelledError: ``progress`` did. Whatever ``work`` raises. CoreError: the engine cannot compute.
 
         """
-        from kilter_core.types import one_by_one  # numpy: not at the start of the API process
-
         n = len(tasks)
         if not n:
             return []

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
+from kilter_service.drift import wire
 from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
@@ -14,6 +15,7 @@ from kilter_service.wire import to_metres_if_known, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.watch import Check
 
@@ -38,10 +40,10 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     from kilter_core.watch import check as check_arm
 
     options: DriftOptions = job.options
-    assert job.calibration is not None
+    calibration = calibration_of(job)
     noise = to_metres_if_known(options.noise_mm)
     return check_arm(
-        job.calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
+        calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
     )
 
 
@@ -60,6 +62,14 @@ def rows_of(job: JobInput) -> Observations:
             code="rows_shared", campaign=campaign,
         )  # fmt: skip
     return rows
+
+
+def calibration_of(job: JobInput) -> Calibration:
+    """The version as it predicts the rows of the one campaign."""
+    ((campaign, _),) = job.campaigns.items()
+    found = job.applied_to(campaign)
+    assert found is not None
+    return found
 
 
 def known_of(job: JobInput) -> Predictive:
@@ -88,7 +98,6 @@ def known_of(job: JobInput) -> Predictive:
 
 def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
     from kilter_core.watch.check import FALSE_ALARM
-    from kilter_service.drift import wire
 
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
@@ -116,11 +125,11 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
     from kilter_core.measurement import Measurement
     from kilter_core.measurement.metrics import Errors
 
-    assert job.calibration is not None
-    measurement = Measurement.of(rows, job.calibration.marker_points, held=True)
-    errors = Errors.of(refitted(job.calibration, measurement, found.new_setup), measurement)
+    calibration = calibration_of(job)
+    measurement = Measurement.of(rows, calibration.marker_points, held=True)
+    errors = Errors.of(refitted(calibration, measurement, found.new_setup), measurement)
     ((campaign, _),) = job.campaigns.items()
-    budget = budget_of(job.calibration, known, rows, job.instruments.get(campaign), found.new_setup)
+    budget = budget_of(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
     return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
 
 

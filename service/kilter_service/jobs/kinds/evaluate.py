@@ -35,13 +35,13 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     from kilter_core.model import Calibration
 
     options: EvaluateOptions = job.options
-    calibration = job.calibration or Calibration.nominal(job.robot)
     if options.metrics == "iso9283":
-        return _iso9283(job, calibration, progress)
+        return _iso9283(job, job.calibration or Calibration.nominal(job.robot), progress)
     known = Predictive.from_document(job.covariance or {}, job.report)
     metrics, rows, warnings = {}, {}, []
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
+        calibration = job.applied_to(campaign) or Calibration.nominal(job.robot)
         metrics[campaign] = evaluate(calibration, seen, options.refit, known)
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
@@ -64,7 +64,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     for campaign, rows in job.campaigns.items():
         with found.noting_refusals():
             if options.metrics == "errors":
-                evaluate(calibration, thinned(rows, MOST_CHECKED), options.refit, None)
+                evaluate(job.applied_to(campaign) or calibration, thinned(rows, MOST_CHECKED), options.refit, None)
                 continue
             refused = criteria(Trial.of(calibration.wanted().predict(rows), rows), options.criteria)["refused"]
             found.missing += [Lack(f"{one['symbol']} of {campaign}", one["message"], REMEDY) for one in refused]

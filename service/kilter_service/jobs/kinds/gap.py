@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.observations import Observations
+from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.cancellable import cancellable
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from kilter_core.gap import GapOptions as Asked
     from kilter_core.gap import GapReport
     from kilter_core.gap.of_type import KnownType
-    from kilter_core.observations import Observations
+
 
 NOT_OF_THE_CORE = {"start", "limits", "prior"}
 
@@ -102,7 +104,6 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be searched and held out, and which effects these rows can test."""
     from kilter_core.gap.check import check_gap
     from kilter_core.gap.evidence.holding_out import parted
-    from kilter_core.observations import Observations
 
     options = _core(job.options)
     with found.noting_refusals():
@@ -155,9 +156,6 @@ def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | No
 
 def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:
     """Rows to search, what to hold out, and the confirmation, poses and sessions numbered apart."""
-    from kilter_core.observations import Observations
-    from kilter_service.campaigns.store import numbered
-
     held = job.validation if isinstance(job.validation, dict) else {}
     parts = iter(numbered([*job.campaigns.values(), *held.values(), *job.confirmation.values()]))
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]

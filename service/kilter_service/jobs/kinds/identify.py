@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from kilter_core.observations import Observations
+from kilter_core.types import one_by_one
+from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.budgets import add_to_metrics
@@ -19,7 +24,7 @@ from kilter_service.jobs.sheets import bar_lengths, doubts
 if TYPE_CHECKING:
     from kilter_core.identify import Folds, Identification, Prior
     from kilter_core.identify import IdentifyOptions as Asked
-    from kilter_core.observations import Observations
+
 
 NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
 
@@ -37,8 +42,6 @@ def check(options: IdentifyOptions) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Identify the robot from all campaigns together."""
     from kilter_core.identify import identify  # compiled kernels: only the worker needs them
-    from kilter_core.observations import Observations
-    from kilter_core.types import one_by_one
 
     options = _core(job.options)
     setups = Setups(options.refit, job.devices)
@@ -82,7 +85,6 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     from kilter_core.identify.check import check_identification
     from kilter_core.identify.holdout import fold_splits, split
     from kilter_core.identify.measurement_of_rows import between_rows, measurement_for
-    from kilter_core.observations import Observations
 
     options = _core(job.options)
     with found.noting_refusals():
@@ -108,7 +110,6 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 def _refuse_mixed_up(job: JobInput, train: Observations, validation: Observations | float | Folds | None) -> None:
     from kilter_core.identify.plausibility.belonging import refuse_mixed_up
     from kilter_core.model import Calibration
-    from kilter_core.observations import Observations
 
     begin = job.calibration or Calibration.nominal(job.robot)
     for rows in (train, validation):
@@ -123,8 +124,6 @@ def _named(job: JobInput) -> list[tuple[str, Observations]]:
 def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | float | Folds | None]:
     """Rows to fit or to split, and what validates, poses and sessions numbered apart."""
     from kilter_core.identify import Folds
-    from kilter_core.observations import Observations
-    from kilter_service.campaigns.store import numbered
 
     parts = numbered(setups.marked(_named(job)))
     if isinstance(job.validation, dict):
@@ -136,8 +135,6 @@ def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | f
 
 def _prior(job: JobInput) -> Prior | None:
     """What the start knows of its parameters, for the methods that continue from it."""
-    import numpy as np
-
     from kilter_core.identify import Prior
 
     known = job.covariance or {}

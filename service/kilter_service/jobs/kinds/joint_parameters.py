@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -77,9 +79,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 def _log_of_campaigns(job: JobInput) -> Log:
     """Readings of all campaigns, mountings numbered apart."""
-    from kilter_core.observations import Observations
     from kilter_core.procedures.inclinometers import Log
-    from kilter_service.campaigns.store import numbered
 
     encoders = [name for name, rows in job.campaigns.items() if rows.link_q is not None or rows.tilt is None]
     if encoders:

@@ -6,8 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.drift import wire
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
@@ -15,7 +20,6 @@ from kilter_service.jobs.poses import Pose, document_of, poses_of
 from kilter_service.wire import to_metres, to_metres_if_known
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from kilter_core.effects import Effect
@@ -24,6 +28,7 @@ if TYPE_CHECKING:
     from kilter_core.model.region import Region
 
     Floats = NDArray[np.float64]
+
 
 UNCHECKED = {
     "code": "collisions_not_checked",
@@ -111,12 +116,9 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
     """The few poses of a check, with what they will show."""
-    import numpy as np
-
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.watch import check_poses
     from kilter_core.watch.check import FALSE_ALARM
-    from kilter_service.drift import wire
 
     options: PlanOptions = job.options
     beyond = [joint for joint in options.without_joints if joint > job.robot.n_joints]
@@ -209,9 +211,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
 
 def _with_cameras(job: JobInput) -> Calibration:
     """What is planned with, and where its cameras and boards stand."""
-    from kilter_core.observations import Observations
     from kilter_core.plan.view_poses import placed_by_views
-    from kilter_service.campaigns.store import numbered
 
     seen = [rows for rows in numbered(job.campaigns.values()) if rows.pixels is not None]
     return placed_by_views(_begin(job), Observations.concatenate(seen) if seen else None)
@@ -248,8 +248,6 @@ def _room(job: JobInput) -> Region | None:
 
 def _box(options: PlanOptions) -> Floats | None:
     """Lowest and highest corner (2, 3) m of the option ``box_mm``."""
-    import numpy as np
-
     if options.box_mm is None:
         return None
     return _corners(np.array(options.box_mm, dtype=np.float64), "box_mm")
@@ -257,8 +255,6 @@ def _box(options: PlanOptions) -> Floats | None:
 
 def _keep_out(options: PlanOptions) -> Floats | None:
     """Lowest and highest corners (k, 2, 3) m of the option ``keep_out_mm``; None without any."""
-    import numpy as np
-
     if not options.keep_out_mm:
         return None
     boxes = [np.array(box, dtype=np.float64) for box in options.keep_out_mm]
@@ -285,8 +281,6 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     """Poses that tell the two effects named apart, or what the gap search that made the version left undecided."""
     from kilter_core.gap import GapOptions, plan_separation
     from kilter_core.gap.report.separation import undecided
-    from kilter_core.observations import Observations
-    from kilter_service.campaigns.store import numbered
 
     wanted: list[Any] = list(named_effects(job.options))
     if not wanted:

@@ -8,9 +8,10 @@ import numpy as np
 
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.drift import wire
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.jobs.kinds.drift import known_of, rows_of
+from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
 from kilter_service.jobs.plain import plain
 from kilter_service.versions.guard import REZEROED
 from kilter_service.wire import to_metres_if_known
@@ -28,8 +29,6 @@ def check(options: RezeroOptions) -> None:
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Change in the version named, else the active one, what the rows of the campaign say."""
-    from kilter_service.drift import wire
-
     progress(0.0, "comparing")
     found = _found(job)
     progress(0.5, "predicting")
@@ -66,9 +65,8 @@ def _found(job: JobInput) -> Rezeroed:
 
     options: RezeroOptions = job.options
     rows, known = rows_of(job), known_of(job)
-    assert job.calibration is not None
     noise = to_metres_if_known(options.noise_mm)
-    return rezero(job.calibration, rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c)
+    return rezero(calibration_of(job), rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c)
 
 
 def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_core.errors import CoreError
+from kilter_files.ground.later import pa
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import key_of
@@ -25,10 +28,10 @@ from kilter_service.versions.paired import residuals, size_of
 from kilter_service.wire import joint_scale, joint_units
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+
 
 MOST_LISTED = 200  # rows of a list; the file has all that were chosen
 LEFT = ("dx_mm", "dy_mm", "dz_mm", "residual_sigma")
@@ -147,8 +150,6 @@ def _left(database: Database, campaign: Campaign, version: str) -> dict[str, Flo
     table: dict[str, Any] = {}
 
     def column(name: str) -> Floats:
-        import numpy as np
-
         if not table:
             found = residuals(database, version, [campaign.id])
             table.update(found, error_mm=size_of(found))
@@ -170,9 +171,6 @@ def _known(column: Floats | None, row: int) -> float | None:
 
 def as_csv(database: Database, campaign_id: str, text: str, version: str) -> bytes:
     """Return rows with all their columns as they were measured, and what the version leaves of them."""
-    import numpy as np
-    import pyarrow as pa
-
     campaign, rows = named_rows(database, campaign_id, text)
     left = _left(database, campaign, _judge(database, campaign, version))
     places = np.array(rows) - 1

@@ -42,7 +42,9 @@ def one(
 ) -> HTMLResponse:
     """Show a campaign; ``job`` proposed its poses."""
     shown = service.shown(database, campaign)
-    return render(request, "campaign/one.html", shown=shown, proposing=proposing.of(database, shown.campaign, job))
+    return render(
+        request, "campaign/one.html", shown=shown, proposing=proposing.proposal(database, shown.campaign, job)
+    )
 
 
 @router.get("/campaigns/{campaign}/series.json")

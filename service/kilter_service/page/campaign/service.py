@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_core.errors import CoreError, ObservationError
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
@@ -23,7 +25,6 @@ from kilter_service.suspicious import service as suspicious
 from kilter_service.versions import service as versions
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from kilter_service.campaigns.looking import Rows
@@ -137,8 +138,6 @@ def _keep(campaign: Campaign, rows: Rows) -> None:
 
 
 def _values(rows: Rows, column: Column) -> NDArray[np.float64]:
-    import numpy as np
-
     from kilter_service.campaigns.facts import unit_of
 
     cells = rows.table.column(column.name).to_numpy(zero_copy_only=False)

@@ -11,6 +11,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kilter_files import prepare
+from kilter_files.formats.registry import readers
+from kilter_files.formats.unknown.guess import Columns
+from kilter_files.formats.unknown.table_shape import shape_of
+from kilter_files.ground.errors import FileError, KilterError, MissingPackageError
+from kilter_files.look.draft import draft
+from kilter_files.look.inspection import inspect
 from kilter_service.sandbox import confine
 
 MOST_ROWS = 2_000_000
@@ -38,8 +45,6 @@ def main() -> None:
 
 def _refusal(error: Exception, name: str) -> str:
     """Say what is wrong with the file; what no reader foresaw is said so."""
-    from kilter_files.ground.errors import KilterError, MissingPackageError
-
     if isinstance(error, MissingPackageError):
         package = error.context.get("package", "a package")
         return f"{name}: reading it needs {package}, which this server lacks. Install it there: pip install {package}."
@@ -82,9 +87,6 @@ ALONE: Mapping[str, str] = {
 
 def _looked(path: Path) -> Document:
     """What inspection says, as far as it can be had: a table that it does not know may still take a map."""
-    from kilter_files.ground.errors import FileError
-    from kilter_files.look.inspection import inspect
-
     try:
         found = inspect(path)
     except FileError as error:
@@ -99,8 +101,6 @@ def _looked(path: Path) -> Document:
 
 def _called(seen: Document) -> Document:
     """What a file that is read as it is looks like, in words. A reader of a device states units and columns itself."""
-    from kilter_files.formats.registry import readers
-
     known = readers().get(seen["kind"])
     return ({} if known is None else {"kind": known.title}) | ({"remarks": []} if seen["device"] else {})
 
@@ -112,22 +112,15 @@ def _problems(found: Document) -> list[str]:
 
 def _prepared(path: Path, device: str | None) -> Document:
     """Rows as the readers prepare them for an upload, and what they say of them."""
-    from kilter_files import prepare
-
     return _kept(prepare(path, device), "as it is" if device is None else device)
 
 
 def _mapped(path: Path, chosen: Path) -> Document:
-    from kilter_files import prepare
-
     return {"map": chosen.read_text(encoding="utf-8")} | _kept(prepare(path, None, chosen), "column map")
 
 
 def _drafted(path: Path, chosen: Path) -> Document:
     """A drafted map, and what it makes of the file where nothing in it is open."""
-    from kilter_files.ground.errors import KilterError
-    from kilter_files.look.draft import draft
-
     found = draft(path)
     chosen.write_text(found.text, encoding="utf-8")
     said: Document = {"map": found.text, "open": found.open, "guessed": found.guessed, "unused": found.unused}
@@ -142,8 +135,6 @@ def _drafted(path: Path, chosen: Path) -> Document:
 def _kept(prepared: Any, reader: str) -> Document:
     """Write the rows beside the file."""
     if prepared.rows is not None and prepared.rows > MOST_ROWS:
-        from kilter_files.ground.errors import FileError
-
         raise FileError(f"The file has {prepared.rows} rows, at most {MOST_ROWS} are read: split it.")
     Path("rows").write_bytes(prepared.content)
     return {
@@ -155,10 +146,6 @@ def _kept(prepared: Any, reader: str) -> Document:
 
 def _described(path: Path) -> Document:
     """The columns of the file itself, so that a map can be chosen: names, units, first cells, ranges and gaps."""
-    from kilter_files.formats.registry import readers
-    from kilter_files.formats.unknown.guess import Columns
-    from kilter_files.formats.unknown.table_shape import shape_of
-
     columns = Columns(shape_of(path))
     rows = len(columns.shape.source.lines)
     return {

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-FEWEST, MOST = 6, 12  # points in a bin, and bins
+POINTS_PER_BIN, MOST = 6, 12  # points in a bin, and bins
 TWO_SIDES = 0.4  # share of the ups and downs that must vanish when the two sides of a curve are parted
 SMOOTH = 0.15  # ups and downs for each point, in ranges of the curve, below which it is a line over the angle
 NORMAL = 1.959964
@@ -64,7 +64,7 @@ def _travel(points: Sequence[Point]) -> float:
 
 def binned(points: Sequence[Point]) -> list[Bin]:
     """Put points, ordered by angle, into bins of about as many each."""
-    number = max(1, min(MOST, len(points) // FEWEST))
+    number = max(1, min(MOST, len(points) // POINTS_PER_BIN))
     edges = [round(k * len(points) / number) for k in range(number + 1)]
     return [_bin(points[a:b]) for a, b in pairwise(edges) if b - a > 1]
 

@@ -46,7 +46,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
     """Return what ``gap/result.html`` shows of a search that has succeeded."""
     result = job.result or GapResult()
     unit = steps.unit_of(result.gap)
-    read = steps.of(result.figures, unit)
+    read = steps.steps_shown(result.figures, unit)
     return {
         "version": result.version_id,
         "result": result,

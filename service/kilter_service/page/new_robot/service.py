@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from kilter_core.arm.presets import preset_names
+from kilter_files.ground.errors import KilterError, UsageError
+from kilter_files.robots.read import Described, read_robot
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.errors import ServiceError
 from kilter_service.page.drop.drafts import plain_name
@@ -57,8 +60,6 @@ class Looked:
 
 def presets() -> Sequence[str]:
     """Return the robots that ship with Kilter."""
-    from kilter_core.arm.presets import preset_names
-
     return preset_names()
 
 
@@ -122,9 +123,6 @@ def _said(told: Told, folder: Path) -> dict[str, Any]:
 
 
 def _from_file(path: Path, told: Told) -> dict[str, Any]:
-    from kilter_files.ground.errors import KilterError, UsageError
-    from kilter_files.robots.read import Described, read_robot
-
     urdf, table = path.suffix.lower() in (".urdf", ".xml"), path.suffix.lower() in (".csv", ".tsv", ".txt")
     described = Described(
         told.name,

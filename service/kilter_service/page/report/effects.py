@@ -39,7 +39,7 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
     from kilter_core.effects.registry import EFFECTS  # compiled kernels: not at the start of the API process
 
     named = {one.id: one for one in (search.effects if search is not None else None) or []}
-    moved = contributions.of(database, version.id)
+    moved = contributions.moved_by_each(database, version.id)
     sizes = {one.effect: (words.mm(one.rms_mm), words.mm(one.largest_mm)) for one in moved.effects}
     shown = []
     for effect in version.effects:
@@ -54,5 +54,5 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
 
 def closing(search: GapResult | None) -> tuple[Plot, str] | None:
     """How a search closed the gap, step by step: drawn, and in a sentence."""
-    read = None if search is None else steps.of(search.figures, steps.unit_of(search.gap))
+    read = None if search is None else steps.steps_shown(search.figures, steps.unit_of(search.gap))
     return None if read is None else (steps.plot(read, SHADES[:2]), steps.describe(read))

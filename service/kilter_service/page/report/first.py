@@ -51,7 +51,7 @@ class First:
         return len(self.found.campaigns) - len(self.campaigns)
 
 
-def of(database: Database, robot: str, wish: Wish) -> First:
+def first_sheet(database: Database, robot: str, wish: Wish) -> First:
     """Return the first page.
 
     Raises:

@@ -92,7 +92,7 @@ def of_version(database: Database, version_id: str, wish: Wish | None = None) ->
     sheet = _sheet(database, version, jobs.get(database, version.job_id))
     if wish is None:
         return sheet
-    return replace(sheet, first=first.of(database, version.robot, wish._replace(version=version_id)))
+    return replace(sheet, first=first.first_sheet(database, version.robot, wish._replace(version=version_id)))
 
 
 def of_job(database: Database, job_id: str) -> Sheet:

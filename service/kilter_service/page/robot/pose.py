@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.page.robot import scene
@@ -85,8 +87,6 @@ def asked(
         ServiceError: no such version, campaign or row, or joints of another arm.
 
     """
-    import numpy as np
-
     arm, given = robots.arm(database, robot), read(text)
     scale = np.asarray(joint_scale(arm))
     if given is not None and len(given) != len(scale):
@@ -105,8 +105,6 @@ def asked(
 
 
 def _moves_of_version(version: str, name: str, found: AtPose) -> Said:
-    import numpy as np
-
     moved = to_mm(found.moved)
     parts = [Part(one.name, to_mm(one.size), to_mm_if_known(one.low), to_mm_if_known(one.high)) for one in found.parts]
     return Said(

@@ -41,14 +41,14 @@ def overview(
     other: ID = "",
 ) -> HTMLResponse:
     """Show how good a robot is, what corrects it, and what to do next."""
-    shown = service.of(database, settings, robot, version or None, campaign or None, other)
+    shown = service.shown_robot(database, settings, robot, version or None, campaign or None, other)
     return render(request, "robot/overview.html", shown=shown)
 
 
 @router.get("/robots/{robot}/settings")
 def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show what is rarely changed of a robot."""
-    return render(request, "robot/settings.html", shown=settled.of(database, robot))
+    return render(request, "robot/settings.html", shown=settled.shown_settings(database, robot))
 
 
 @router.post("/robots/{robot}/remarks")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_service.campaigns import looking
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
@@ -13,12 +15,12 @@ from kilter_service.versions import service as versions
 from kilter_service.wire import joint_scale, joint_units, to_deg, to_mm
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from kilter_service.tables.columns import Column
 
     Floats = NDArray[np.float64]
+
 
 Document = dict[str, Any]
 NAMES = ("TX", "TY", "TZ", "RX", "RY", "RZ")
@@ -31,8 +33,6 @@ def arm(database: Database, robot: str) -> Document:
 
     `linkages` are pairs of elements, the axis of a joint and the one that rods tie to it.
     """
-    import numpy as np
-
     found = robots.arm(database, robot)
     units = joint_units(found)
     elements = []
@@ -83,8 +83,6 @@ def check(database: Database, robot: str, version: str) -> None:
 
 def places(database: Database, version: str, campaign: str) -> Document:
     """Return the measured places with their errors; `total` counts what there is, the lists hold what is shown."""
-    import numpy as np
-
     found = versions.places(database, version, campaign)
     scale = np.asarray(joint_scale(found.robot))
     return {
@@ -109,8 +107,6 @@ def _label(column: Column) -> str:
 
 def reach(database: Database, version: str) -> Document:
     """Return poses all over the joint limits: correction of the tool, and the standard deviation of where it is."""
-    import numpy as np
-
     found = versions.reach(database, version)
     after = None if found.after is None else np.round(to_mm(found.after), ERROR).tolist()
     return {
@@ -122,8 +118,6 @@ def reach(database: Database, version: str) -> Document:
 
 def worst(database: Database, version: str, campaign: str, most: int = 5) -> Document:
     """Return the rows with the largest errors of a version, the worst first."""
-    import numpy as np
-
     found = versions.places(database, version, campaign)
     size = to_mm(np.linalg.norm(found.left["identified"], axis=1))
     held = found.held_out if found.held_out.any() else np.ones(len(size), dtype=bool)

@@ -66,7 +66,7 @@ class Shown:
         return sum(one.identifiable is False or one.value is None for one in rows)
 
 
-def of(
+def shown_robot(
     database: Database, settings: Settings, name: str, version: str | None, campaign: str | None, other: str = ""
 ) -> Shown:
     """Return what the view shows; ``version`` and ``campaign`` are those of the picture, where they were chosen."""

@@ -30,6 +30,6 @@ class Settled:
         return [meshes.BASE, *(joint.name for joint in self.robot.joints)]
 
 
-def of(database: Database, name: str) -> Settled:
+def shown_settings(database: Database, name: str) -> Settled:
     """Return what the settings of a robot show."""
     return Settled(robots.get(database, name), meshes.list_meshes(database, name).meshes)

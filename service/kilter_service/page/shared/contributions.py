@@ -44,7 +44,7 @@ class Moved:
         return drawn
 
 
-def of(database: Database, version_id: str) -> Moved:
+def moved_by_each(database: Database, version_id: str) -> Moved:
     """Say how far each effect of a version moves the tool."""
     poses, found = service.contributions(database, version_id)
     return Moved(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from kilter_service.bridges import service as known_bridges
+from kilter_service.contract.bridges import Bridge
 from kilter_service.db import Database
 from kilter_service.health import service as health
 from kilter_service.metrics import service as observability
@@ -32,12 +34,19 @@ class Corrector:
     runs: bool
     detail: str
     streams: Sequence[Mapping[str, Any]]
+    bridges: Mapping[str, Sequence[Bridge]] = field(default_factory=dict)
 
     def of(self, robot: str, active: str | None, compensation: str = "unknown") -> Correcting:
         """Say what it does for a robot, whose active version is given, and what its controller does by itself."""
         if compensation in CORRECTS:
             said = f"The controller {WORDS[compensation]}, so its setpoints are not corrected a second time."
             return Correcting("by the controller", "faint", said, "By its controller")
+        running = [one for one in self.bridges.get(robot, ()) if not one.gone]
+        if running:  # it corrects by itself, whether or not the corrector runs
+            return _of_bridge(running[0])
+        lost = next((one for one in self.bridges.get(robot, ()) if one.state != "ended"), None)
+        if lost is not None and not any(one["robot"] == robot for one in self.streams):
+            return Correcting("bridge gone", "bad", lost.sentence, OFF)
         if self.detail.startswith(health.STARTING):
             return Correcting("starting", "warn", f"The corrector {self.detail}: setpoints are not corrected yet.", OFF)
         if not self.runs:
@@ -63,4 +72,16 @@ def corrector(database: Database, settings: Settings) -> Corrector:
     """Look at the corrector."""
     check = health.report(database, settings).checks.get("corrector")
     runs = check is not None and check.ok and "alive" in check.detail
-    return Corrector(runs, "it was not looked at" if check is None else check.detail, observability.streams(database))
+    return Corrector(
+        runs,
+        "it was not looked at" if check is None else check.detail,
+        observability.streams(database),
+        known_bridges.of_robots(database),
+    )
+
+
+def _of_bridge(bridge: Bridge) -> Correcting:
+    """What a bridge does, which runs."""
+    if bridge.state in ("correcting", "ramping in"):
+        return Correcting("by a bridge", "warn" if bridge.other_version else "good", bridge.sentence)
+    return Correcting("bridge " + bridge.state, "faint" if bridge.state == "waiting" else "warn", bridge.sentence)

@@ -40,7 +40,7 @@ def job_of(database: Database, robot: str, job: str) -> Job | None:
     return found
 
 
-def of(database: Database, campaign: Campaign, job: str) -> Proposing | None:
+def proposal(database: Database, campaign: Campaign, job: str) -> Proposing | None:
     """Return what a campaign leads back to."""
     found = job_of(database, campaign.robot, job)
     if found is None:

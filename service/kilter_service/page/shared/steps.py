@@ -39,7 +39,7 @@ def unit_of(gap: GapSize | None) -> str:
     return "deg" if gap is not None and gap.before_deg is not None else "mm"
 
 
-def of(figures: GapFigures | None, unit: str) -> Steps | None:
+def steps_shown(figures: GapFigures | None, unit: str) -> Steps | None:
     """Read the steps from the report's figure; None where it has none."""
     bars = figures.gap_bar.data if figures is not None and figures.gap_bar is not None else None
     if not bars or len(bars[0].x) < 2:

@@ -7,10 +7,11 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, StreamingResponse
 
 from kilter_service.auth.following import followed
+from kilter_service.bridges import service as known_bridges
 from kilter_service.live import service as live
 from kilter_service.live.followers import viewers_of
 from kilter_service.page.route import PageRoute
-from kilter_service.page.shell import render
+from kilter_service.page.shell import is_part, render
 from kilter_service.page.stream import service
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 
@@ -21,6 +22,14 @@ router = APIRouter(include_in_schema=False, route_class=PageRoute)
 def stream(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show what is known of the streams of a robot now; the browser follows what comes after."""
     return render(request, "stream/stream.html", view=service.view(database, settings, robot))
+
+
+@router.get("/robots/{robot}/bridges")
+def bridges(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show the bridges of a robot: a part of the view, which asks again every other second."""
+    found = known_bridges.of_robot(database, robot).bridges
+    template = "stream/bridges.html" if is_part(request) else "stream/bridges_alone.html"
+    return render(request, template, robot=robot, bridges=found)
 
 
 @router.get("/robots/{robot}/stream/events")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kilter_service.bridges import service as known_bridges
+from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.versions import Activation
 from kilter_service.db import Database
 from kilter_service.live import service as live
@@ -26,6 +28,7 @@ class StreamView:
     reasons: dict[str, str]
     endpoint: str
     correcting: Correcting
+    bridges: list[Bridge]
 
 
 def view(database: Database, settings: Settings, robot: str) -> StreamView:
@@ -41,4 +44,5 @@ def view(database: Database, settings: Settings, robot: str) -> StreamView:
     endpoint = place.endpoint if place else settings.zenoh_listen
     arm = robots.get(database, robot)
     correcting = corrector(database, settings).of(robot, arm.active_version, arm.controller_compensation)
-    return StreamView(shown, entries[0] if entries else None, WHY, endpoint, correcting)
+    bridges = known_bridges.of_robot(database, robot).bridges
+    return StreamView(shown, entries[0] if entries else None, WHY, endpoint, correcting, bridges)

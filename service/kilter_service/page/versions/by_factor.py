@@ -7,24 +7,28 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from kilter_core.observations.repeats import last_motion
 from kilter_service.campaigns import looking
 from kilter_service.db import Database
 from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.words import beside
+from kilter_service.tables.assemble import observations
 from kilter_service.versions import service
 from kilter_service.versions.paired import residuals, size_of
 from kilter_service.wire import joint_scale
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
+
 MOST_POINTS, WORST = 1200, 100  # points that are drawn of a figure, and how many of them are the largest errors
-BINS, FEWEST = 10, 5  # bins of about as many rows each, and rows from which a mean is shown
+BINS, ROWS_OF_MEAN = 10, 5  # bins of about as many rows each, and rows from which a mean is shown
 SURE = 1.96  # standard errors on each side of a mean: 95 %
 
 
@@ -61,8 +65,6 @@ def figures(database: Database, version_id: str, wanted: Sequence[str]) -> list[
 
 
 def _seen(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
-    import numpy as np
-
     version = service.get(database, version_id)
     chosen = list(dict.fromkeys(wanted or (used.id for used in version.campaigns)))
     table = residuals(database, version_id, chosen)
@@ -80,11 +82,6 @@ def _seen(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
 
 
 def _causes(rows: looking.Rows) -> list[Cause]:
-    import numpy as np
-
-    from kilter_core.observations.repeats import last_motion
-    from kilter_service.tables.assemble import observations
-
     seen = observations(rows.table, rows.columns, rows.conditions)
     out = []
     signs = seen.direction if seen.direction is not None else last_motion(seen.q)
@@ -108,8 +105,6 @@ def _causes(rows: looking.Rows) -> list[Cause]:
 
 def _course(seen: Seen, cause: Cause) -> Plot:
     """Points of the rows, and means of bins with their 95 % intervals."""
-    import numpy as np
-
     there = np.flatnonzero(~np.isnan(cause.values) & ~np.isnan(seen.sizes))
     found = [_mean(seen.sizes[part], cause.values[part]) for part in _parts(there, cause.values)]
     bins = [one for one in found if one is not None]
@@ -135,8 +130,6 @@ def _course(seen: Seen, cause: Cause) -> Plot:
 
 def _levels(seen: Seen, cause: Cause) -> Plot:
     """The mean error at each of a few values."""
-    import numpy as np
-
     names, bars = [], []
     for level, name in enumerate(cause.names):
         part = np.flatnonzero((cause.values == level) & ~np.isnan(seen.sizes))
@@ -164,16 +157,12 @@ def _beside(mean: float, low: float, high: float, most: float) -> tuple[str, str
 
 def _parts(there: Any, values: Floats) -> Iterator[Any]:
     """Rows of bins with about as many each, from the lowest value on."""
-    import numpy as np
-
     return iter(np.array_split(there[np.argsort(values[there], kind="stable")], BINS))
 
 
 def _mean(sizes: Floats, values: Floats) -> tuple[float, float, float, float, int] | None:
     """Middle of the cause, mean error, its 95 % interval, and rows; None: too few rows."""
-    import numpy as np
-
-    if len(sizes) < FEWEST:
+    if len(sizes) < ROWS_OF_MEAN:
         return None
     mean, error = float(sizes.mean()), float(sizes.std(ddof=1)) / math.sqrt(len(sizes))
     return float(np.median(values)), mean, max(mean - SURE * error, 0.0), mean + SURE * error, len(sizes)
@@ -181,8 +170,6 @@ def _mean(sizes: Floats, values: Floats) -> tuple[float, float, float, float, in
 
 def _drawn(there: Any, sizes: Floats) -> Any:
     """Rows that are drawn: all, or some evenly chosen and the largest errors."""
-    import numpy as np
-
     if len(there) <= MOST_POINTS:
         return there
     even = there[:: -(-len(there) // (MOST_POINTS - WORST))]

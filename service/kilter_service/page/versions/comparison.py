@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
@@ -78,7 +80,7 @@ class Compared:
         return len(self.diff.parameters) - len(self.changed)
 
 
-def of(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
+def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
     """Compare two versions on rows held out of both, where there are such."""
     found = differences.compared(database, a, b, wanted or ())
     diff, rows = found.diff, found.pairs
@@ -109,8 +111,8 @@ def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple
                 f"Version {one.id} is of robot {one.robot}: choose those of {robot}.", code="option_invalid"
             )
     first, second, *others = found
-    usual = of(database, first.id, second.id, None)
-    rest = [(one, of(database, first.id, one.id, usual.chosen)) for one in others]
+    usual = compared_versions(database, first.id, second.id, None)
+    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen)) for one in others]
     return [(first, None), (second, usual), *rest]
 
 
@@ -136,8 +138,6 @@ def _bars(left: Sequence[Left]) -> Plot:
 
 
 def _curve(left: Sequence[Left]) -> Plot:
-    import numpy as np
-
     shares = np.linspace(0.0, 100.0, STEPS + 1)
     curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
     told = (10, 25, 50, 75, 90, 95, 99, 100)

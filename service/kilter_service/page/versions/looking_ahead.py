@@ -73,7 +73,7 @@ class Download:
     refusal: str = ""
 
 
-def of(database: Database, version_id: str, temperature_c: float | None) -> Ahead:
+def correction_ahead(database: Database, version_id: str, temperature_c: float | None) -> Ahead:
     """Look at what a version would do. A preview that fails is a sentence: it decides nothing, and keeps nobody."""
     found = service.get(database, version_id)
     etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
@@ -112,7 +112,7 @@ def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
         ServiceError: there is no version to go back to.
 
     """
-    return of(database, activation.before(database, robot), temperature_c)
+    return correction_ahead(database, activation.before(database, robot), temperature_c)
 
 
 def exports(database: Database, version_id: str) -> list[Download]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
@@ -15,7 +17,6 @@ from kilter_service.versions.paired import Pairs
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -26,8 +27,6 @@ MOST_DRAWN, LARGEST = 1200, 200  # rows that are drawn, and how many of them are
 
 def maps(database: Database, found: Pairs, names: Sequence[str], version: str) -> list[Plot]:
     """Draw where each version is better on the rows that were paired. ``version`` says where the tools are."""
-    import numpy as np
-
     table = found.tables[0]
     campaign, row = np.asarray(table["campaign"])[found.used], np.asarray(table["row"])[found.used]
     return _maps(database, version, campaign, row, found.sizes[0] - found.sizes[1], names)
@@ -37,8 +36,6 @@ def _maps(
     database: Database, version: str, campaign: Any, row: Ints, difference: Floats, names: Sequence[str]
 ) -> list[Plot]:
     """Where each version is the better one, from above and from the side; nothing where tools have no place."""
-    import numpy as np
-
     places, gains, rows = [], [], []
     for one in dict.fromkeys(campaign.tolist()):
         try:
@@ -57,8 +54,6 @@ def _maps(
 
 
 def _drawn(gain: Floats) -> Ints:
-    import numpy as np
-
     if len(gain) <= MOST_DRAWN:
         return np.arange(len(gain))
     even = np.linspace(0, len(gain) - 1, MOST_DRAWN - LARGEST).astype(np.int64)
@@ -68,8 +63,6 @@ def _drawn(gain: Floats) -> Ints:
 def _map(
     title: str, at: Floats, gain: Floats, rows: Sequence[str], axes: tuple[int, int], names: Sequence[str]
 ) -> Plot:
-    import numpy as np
-
     across, up = axes
     plot = Plot(
         title, around(f"{'xyz'[across]}, mm", at[:, across].tolist()), around(f"{'xyz'[up]}, mm", at[:, up].tolist()),

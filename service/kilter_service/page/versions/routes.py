@@ -59,13 +59,13 @@ def exports(version: str, request: Request, database: DatabaseOfApp) -> HTMLResp
 @router.get("/versions/{version}/contributions")
 def effects(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show how far each effect of a version moves the tool."""
-    return render(request, "versions/contributions.html", moved=contributions.of(database, version))
+    return render(request, "versions/contributions.html", moved=contributions.moved_by_each(database, version))
 
 
 @router.get("/versions/{version}/workspace")
 def where(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show where a version corrects, damps and refuses."""
-    shown = workspace.of(database, version, settings.temperature_c)
+    shown = workspace.reach_shown(database, version, settings.temperature_c)
     return render(request, "versions/workspace.html", shown=shown)
 
 
@@ -80,7 +80,7 @@ def factors(
 @router.get("/versions/{version}/activation")
 def look_ahead(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show what would change by activating a version; the first half of activating it."""
-    ahead = looking_ahead.of(database, version, settings.temperature_c)
+    ahead = looking_ahead.correction_ahead(database, version, settings.temperature_c)
     return render(request, "versions/activation.html", ahead=ahead)
 
 
@@ -133,4 +133,4 @@ def compare(
     campaign: Annotated[list[str] | None, Query(max_length=comparison.MOST_CAMPAIGNS)] = None,
 ) -> HTMLResponse:
     """Show how two versions differ, and what each leaves of the campaigns chosen."""
-    return render(request, "versions/compare.html", shown=comparison.of(database, a, b, campaign))
+    return render(request, "versions/compare.html", shown=comparison.compared_versions(database, a, b, campaign))

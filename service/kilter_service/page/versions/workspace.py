@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from kilter_service.correction_outcome import REACHED_M
 from kilter_service.db import Database
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
@@ -34,15 +36,13 @@ class Shown:
     map: Plot
 
 
-def of(database: Database, version_id: str, temperature_c: float | None) -> Shown:
+def reach_shown(database: Database, version_id: str, temperature_c: float | None) -> Shown:
     """Look at what a version does all over the joint limits.
 
     Raises:
         ServiceError: no such version.
 
     """
-    import numpy as np
-
     seen = service.workspace(database, version_id, temperature_c)
     found, words = seen.found, np.array(seen.found.words)
     rows = []

@@ -14,6 +14,7 @@ import numpy as np
 
 from kilter_files.formats.joints.mcap_check import MCAP, SQLITE, check_mcap, check_sqlite
 from kilter_files.ground.arrays import Floats
+from kilter_files.ground.errors import KilterError
 from kilter_files.ground.faults import fault, head_of, missing_package
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -137,8 +138,6 @@ def _place(path: Path) -> Path:
 @contextmanager
 def _guarded(path: Path) -> Iterator[None]:
     """Whatever the library stumbles over in a damaged bag is that bag's fault."""
-    from kilter_files.ground.errors import KilterError
-
     try:
         yield
     except KilterError:

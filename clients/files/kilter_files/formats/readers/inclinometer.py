@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.recordings.marker_header import understand
 from kilter_files.ground.errors import FileError
 from kilter_files.tables.table import Table
 
@@ -19,7 +20,6 @@ class InclinometerLog(Reader[Table]):
     def recognises(self, head: Head) -> bool:
         """Columns that are inclinations, without coordinates."""
         from kilter_files.formats.logs.inclinometer import tilts_of
-        from kilter_files.formats.recordings.marker_header import understand
 
         return head.layout is not None and bool(tilts_of(head.layout)) and not understand(head.layout).xyz
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.points.ipa_lasertracker import NEEDED, read_ipa_lasertracker
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.unknown.described import describe_table
 from kilter_files.tables.table import Table
 
 
@@ -22,8 +23,6 @@ class IpaLasertracker(Reader[Table]):
 
     def describe(self, head: Head) -> Document:
         """Columns as they stand in the file, and how it is sent."""
-        from kilter_files.formats.unknown.described import describe_table
-
         found = describe_table(head)
         return found | {
             "kind": self.name, "device": self.name, "ready": True,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import NO_HINTS, Document, Head, Hints, RecordingReader
+from kilter_files.formats.recordings.marker_header import is_recording
 
 if TYPE_CHECKING:
     from kilter_files.tables.recording import Recording
@@ -20,7 +21,6 @@ class MarkerText(RecordingReader):
 
     def recognises(self, head: Head) -> bool:
         """A long table of tools, or coordinates with a counter, a rate or a clock."""
-        from kilter_files.formats.recordings.marker_header import is_recording
         from kilter_files.formats.recordings.polaris_long import long_columns
 
         layout = head.layout

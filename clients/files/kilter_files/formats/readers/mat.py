@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.tables.mat import read_mat
+from kilter_files.ground.later import np
 from kilter_files.tables.source import Source
 
 
@@ -24,10 +26,6 @@ class Mat(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Variables and their shapes."""
-        import numpy as np
-
-        from kilter_files.formats.tables.mat import read_mat
-
         variables = read_mat(head.path).variables
         shapes = [{"name": name, "shape": list(np.shape(value))} for name, value in sorted(variables.items())]
         return {
@@ -37,8 +35,6 @@ class Mat(Reader[Source]):
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read the variables."""
-        from kilter_files.formats.tables.mat import read_mat
-
         return read_mat(path, hints.layout.missing_numbers)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.tables.parquet import read_parquet
 from kilter_files.ground.units import unit_of
 from kilter_files.tables.source import Source
 
@@ -27,8 +28,6 @@ class Parquet(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Columns, and those that are not the contract's."""
-        from kilter_files.formats.tables.parquet import read_parquet
-
         source = read_parquet(head.path)
         columns = [{"name": name, "unit": unit_of(name)} for name in source.names]
         odd = [name for name in source.names if unit_of(name) is None]
@@ -37,8 +36,6 @@ class Parquet(Reader[Source]):
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read the columns."""
-        from kilter_files.formats.tables.parquet import read_parquet
-
         return read_parquet(path, hints.layout.missing_numbers)
 
 

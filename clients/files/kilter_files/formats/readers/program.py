@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kilter_files.formats.programs.targets import dialect_of
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.tables.program import read_program
 from kilter_files.tables.source import Source
 
 
@@ -18,8 +20,6 @@ class Program(Reader[Source]):
 
     def recognises(self, head: Head) -> bool:
         """A text with targets of a dialect, whatever its ending."""
-        from kilter_files.formats.programs.targets import dialect_of
-
         return not head.path.is_dir() and dialect_of(head.path) is not None
 
     def describe(self, head: Head) -> Document:
@@ -31,8 +31,6 @@ class Program(Reader[Source]):
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read the targets."""
-        from kilter_files.formats.tables.program import read_program
-
         return read_program(path, hints.layout)
 
 

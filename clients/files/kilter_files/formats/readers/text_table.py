@@ -6,6 +6,8 @@ from pathlib import Path
 
 from kilter_files.formats.points.tracker_header import PRESETS, meaning
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.tables.text import read_text
+from kilter_files.formats.unknown.described import describe_table
 from kilter_files.tables.source import Source
 
 
@@ -33,15 +35,11 @@ class TextTable(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Columns with ranges, and what a draft of a map takes them for."""
-        from kilter_files.formats.unknown.described import describe_table
-
         shape = {} if head.layout is None else {"layout": head.layout.to_document()}
         return describe_table(head) | shape
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read the cells."""
-        from kilter_files.formats.tables.text import read_text
-
         return read_text(path, hints.layout)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.tables.workbook import read_xlsx
+from kilter_files.formats.unknown.described import describe_table
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import unit_of
 from kilter_files.tables.source import Layout, Source
@@ -26,21 +28,15 @@ class Workbook(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Columns of the sheet with the table; ready when those of the first sheet are the contract's."""
-        from kilter_files.formats.unknown.described import describe_table
-
         return describe_table(head) | {"ready": _is_contract(head.path)}
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read a sheet."""
-        from kilter_files.formats.tables.workbook import read_xlsx
-
         return read_xlsx(path, hints.layout)
 
 
 def _is_contract(path: Path) -> bool:
     """Whether the first sheet holds contract columns only."""
-    from kilter_files.formats.tables.workbook import read_xlsx
-
     try:
         names = [name for name in read_xlsx(path, Layout()).choices if name]
     except FileError:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kilter_files.ground.text_layout import TextLayout, name_and_unit
+from kilter_files.ground.units import SIZES
 
 COUNTER = re.compile(r"(?:frame|sample)s?[\s_]*(?:#|no\.?|number|index|nr\.?)?\s*:?", re.I)
 CLOCK = {"hour": 3600.0, "hours": 3600.0, "minute": 60.0, "minutes": 60.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
@@ -120,8 +121,6 @@ def _with_upper_row(layout: TextLayout) -> list[str]:
 
 
 def _clock(layout: TextLayout, names: Sequence[str]) -> tuple[tuple[int, float], ...]:
-    from kilter_files.ground.units import SIZES
-
     parts = tuple((i, CLOCK[name.lower()]) for i, name in enumerate(names) if name.lower() in CLOCK)
     if len(parts) > 1:
         return parts

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kilter_files.formats.opening import endings, open_source
+from kilter_files.formats.tables.workbook import read_xlsx, sheet_names
 from kilter_files.ground.cell_lists import parse_list
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
@@ -70,8 +71,6 @@ def _text(path: Path) -> tuple[Layout, dict[str, str | None]]:
 
 
 def _workbook(path: Path) -> tuple[Layout, dict[str, str | None]]:
-    from kilter_files.formats.tables.workbook import read_xlsx, sheet_names
-
     best: tuple[float, Layout, list[Row]] | None = None
     for sheet in sheet_names(path):
         layout = Layout(header=False, sheet=sheet)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import secrets
 import select
 import signal
 import socket
@@ -17,6 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from kilter_client.bridges.announced import Announcer
 from kilter_client.bridges.news import Kind, Line
 from kilter_client.bridges.versions import Followed, look
 from kilter_client.corrector import StreamError, find_corrector, root_of, session_config
@@ -50,19 +52,27 @@ class Companion:
         self._ended = threading.Event()
         self._said = self._server = ""
         self._problem, self._answered_s = "", time.monotonic()
+        self._announcer = Announcer(task.robot, secrets.token_hex(8), lambda text: _tell(task, text))
 
     def run(self) -> None:
         """Work until the bridge ends."""
         threading.Thread(target=self._follow, name="versions", daemon=True).start()
+        last = "killed"
         with _publisher(self._task) as publish:
             while not self._line.cut:
                 select.select([self._line], [], [], 1.0)
                 self._say_of_server()
                 while (packet := self._line.receive()) is not None:
+                    if packet[0] is Kind.END:
+                        last = "ended"
+                        continue
                     document = json.loads(packet[1]) | {"robot": self._task.robot, "bridge": self._task.bridge}
                     publish(json.dumps(document).encode())
+                    self._announcer.take(document)
                     self._say(document)
+            publish(json.dumps({"robot": self._task.robot, "bridge": self._task.bridge, "state": last}).encode())
         self._ended.set()
+        self._announcer.close(last)
 
     def _follow(self) -> None:
         known = Followed(self._task.number)

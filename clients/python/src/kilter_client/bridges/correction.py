@@ -34,6 +34,7 @@ class Correction:
         self.server = ""
         self.refused: Counter[str] = Counter()
         self.last = "OK"
+        self._largest_rad = 0.0
         warm_up()
 
     @property
@@ -90,6 +91,11 @@ class Correction:
 
     def step(self, q: Sequence[float] | None, cycles: int = 1) -> tuple[float, ...]:
         """Return the offsets (n,) rad for wanted joints (n,) rad, ``cycles`` after the last ones; None: they are not known."""
+        offset = self._next(q, cycles)
+        self._largest_rad = max(self._largest_rad, max(map(abs, offset)))
+        return offset
+
+    def _next(self, q: Sequence[float] | None, cycles: int) -> tuple[float, ...]:
         self._since_s += cycles * self._cycle_s
         if self.off:
             return self._guard.follow(None)
@@ -121,6 +127,7 @@ class Correction:
             "version": f"{self._stored.number:016x}",
             "share": round(share, 4),
             "offset_rad": [round(one, 9) for one in self.offset],
+            "largest_offset_rad": round(self._largest_rad, 9),
             "refused": dict(self.refused),
             "server": self.server,
         }

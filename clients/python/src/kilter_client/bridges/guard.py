@@ -46,9 +46,19 @@ class Guard:
         else:
             self.share = max(0.0, self.share - self._part)
         smooth = self.share * self.share * (3.0 - 2.0 * self.share)
-        self.offset = tuple(map(self._next, self.offset, [smooth * one for one in self._wanted]))
+        # One scale for all joints. Near a stretched elbow large offsets of two joints make up for each other: one that
+        # went ahead of the other would take the tool further off than no correction does.
+        scale = smooth * _fitting(self._largest, self._wanted)
+        steps = [scale * one - now for one, now in zip(self._wanted, self.offset, strict=True)]
+        part = _fitting(self._most, steps)
+        self.offset = tuple(
+            min(max(now + part * step, -self._largest), self._largest)  # which rounding may pass
+            for now, step in zip(self.offset, steps, strict=True)
+        )
         return self.offset
 
-    def _next(self, now: float, wanted: float) -> float:
-        aim = min(max(wanted, -self._largest), self._largest)
-        return now + min(max(aim - now, -self._most), self._most)
+
+def _fitting(bound: float, numbers: Sequence[float]) -> float:
+    """The share, 1 at most, of these numbers at which none is beyond the bound."""
+    largest = max(map(abs, numbers))
+    return 1.0 if largest <= bound else bound / largest

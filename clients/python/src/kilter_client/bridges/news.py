@@ -20,6 +20,7 @@ class Kind(bytes, Enum):
     OFF = b"O"  # to the bridge: why nothing is to be corrected, in words
     SERVER = b"S"  # to the bridge: what became of the server, in words; empty: it is there
     STATE = b"R"  # of the bridge: its state, JSON
+    END = b"E"  # of the bridge: it ends; without this it was killed
 
 
 class Line:

@@ -18,7 +18,7 @@ from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.fci import JOINTS, Fci
 from kilter_client.bridges.guard import Guard
 from kilter_client.bridges.loop import Loop, Wire
-from kilter_client.bridges.news import Line, pair
+from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints
 from kilter_client.errors import FileError, MissingPackageError, UsageError
 from kilter_client.given import signs_of
@@ -166,6 +166,7 @@ def beside(start: Start) -> Iterator[Line]:
     try:
         yield ours
     finally:
+        ours.send(Kind.END, b"")
         ours.close()
         try:
             companion.wait(ENDS_S)

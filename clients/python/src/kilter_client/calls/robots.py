@@ -23,6 +23,16 @@ def today(name: str) -> Steps[Document]:
     return get(address("robots", name, "today"))
 
 
+def bridges(name: str) -> Steps[Document]:
+    """Return the bridges of a robot."""
+    return get(address("robots", name, "bridges"))
+
+
+def announce_bridge(name: str, run: str, news: Mapping[str, Any]) -> Steps[Document]:
+    """Say what a bridge does."""
+    return read(Request("PUT", address("robots", name, "bridges", run), body=news, again=True))
+
+
 def drift(name: str) -> Steps[Document]:
     """Return the checks of a robot and how it stands by them."""
     return get(address("robots", name, "drift"))

@@ -169,14 +169,17 @@ def verdicts(content: bytes, content_type: str) -> dict[str, int]:
 
 
 def status(
-    robot: Annotated[str | None, typer.Argument(help="A robot: how good it is today, too.", show_default=False)] = None,
+    robot: Annotated[
+        str | None, typer.Argument(help="A robot: how good it is, and its bridges.", show_default=False)
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Show whether the server is ready, and how good a robot is today."""
+    """Show whether the server is ready, how good a robot is today, and what its bridges do."""
     with Kilter() as kilter:
         document = {"url": kilter.url, **kilter.health()}
         if robot is not None:
             document["today"] = kilter.robots.today(robot)
+            document["bridges"] = kilter.robots.bridges(robot)["bridges"]
     emit(document, as_json, _show_status)
 
 
@@ -186,3 +189,6 @@ def _show_status(document: dict[str, Any]) -> None:
         say(f"  {name}: {'ok' if check['ok'] else 'not ok'} ({check['detail']})")
     if "today" in document:
         show_today(document["today"])
+    for bridge in document.get("bridges", ()):
+        counts = f"{bridge['cycles']} cycles, {bridge['late']} late, {bridge['lost']} lost"
+        say(f"{bridge['sentence']} Since {bridge['since'][:19]}Z: {counts}.")

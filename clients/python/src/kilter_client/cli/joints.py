@@ -21,6 +21,7 @@ from kilter_client.cli.arguments import (
 )
 from kilter_client.cli.texts.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
+from kilter_files.rig.readings import read_readings
 
 
 def register(app: typer.Typer) -> None:
@@ -67,8 +68,6 @@ def joint_parameters(
         resolution_deg=resolution_deg,
     )
     if readings is not None:
-        from kilter_files.rig.readings import read_readings
-
         chosen["readings"] = read_readings(readings)
 
     def files(job: dict[str, Any]) -> None:

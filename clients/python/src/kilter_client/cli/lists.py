@@ -12,6 +12,9 @@ from kilter_client.cli.output import Document, emit, note
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.texts.effect_texts import EFFECTS
 from kilter_client.cli.texts.listed_texts import COLUMNS, EXPORTS, METHODS, PRESETS
+from kilter_files.formats.registry import list_formats
+from kilter_files.ground.units import unit_of
+from kilter_files.robots.read import KATANA, TABLES, UR, URDF
 
 OF_THIS_RELEASE = "These are of this release of the command; a server of another release may have others."
 
@@ -65,8 +68,6 @@ def columns(as_json: Json = False) -> None:
 
     The list is that of this release of the command; no server is asked.
     """
-    from kilter_files.ground.units import unit_of
-
     rows = []
     for column in COLUMNS:
         units = dict.fromkeys(unit_of(name) for name in re.findall(r"\w+", column["columns"]))
@@ -78,9 +79,6 @@ def columns(as_json: Json = False) -> None:
 
 
 def _formats() -> Iterator[dict[str, str]]:
-    from kilter_files.formats.registry import list_formats
-    from kilter_files.robots.read import KATANA, TABLES, UR, URDF
-
     for use, name, endings, title in list_formats():
         yield _format(use, name, endings, title)
     robots = (("json", (".json",), "robot.json"), ("urdf", URDF, "URDF"), ("table", TABLES, "DH or MDH table"))

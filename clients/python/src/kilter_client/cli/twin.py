@@ -19,9 +19,12 @@ from kilter_client.cli.references import OfRobot, resolved, resolved_options
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
+from kilter_client.settled import Settings, errors_of, loaded, rows_of
+from kilter_client.twin_onto import lay_onto
+from kilter_client.twin_read import read_drives
+from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 group = typer.Typer(
@@ -63,8 +66,6 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Score a model on measured poses, settled, beside the nominal, rigid and identified arm; base and tool fitted for each."""
-    from kilter_client.settled import Settings, errors_of, loaded, rows_of
-
     found = loaded(model)
     with Kilter() as kilter:
         used = resolved(kilter, "campaign", campaign, robot, as_json)
@@ -91,8 +92,6 @@ def onto(
     as_json: Json = False,
 ) -> None:
     """Write a copy of a model with a version's poses and drives; the model and its meshes stay as they are."""
-    from kilter_client.twin_onto import lay_onto
-
     if output.resolve() == model.resolve():
         raise UsageError(f"{output} is the model itself, which stays as it is: name another file.")
     with Kilter() as kilter:
@@ -117,9 +116,6 @@ def read(
     as_json: Json = False,
 ) -> None:  # fmt: skip
     """Read stiffness, friction and backlash that a model states as starting values of effects, and say what is left."""
-    from kilter_client.settled import loaded
-    from kilter_client.twin_read import read_drives
-
     if (robot_file is None) != (output is None):
         raise UsageError(
             "--robot-file and --output go together: a robot document, and the copy with the model's drives."
@@ -188,8 +184,6 @@ def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, a
 
 
 def _document(model: Path, campaign: str, job: Mapping[str, Any], apart: NDArray[np.float64]) -> dict[str, Any]:
-    import numpy as np
-
     result = job["result"]
     errors = result["metrics"][campaign]
     mm = apart * 1e3

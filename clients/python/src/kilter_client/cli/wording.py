@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.cli.catalogue import ENTRIES
+from kilter_client.cli.groups import command
 from kilter_client.errors import KilterError
 
 # Where a message names a route as the remedy, the command that uses it.
@@ -88,8 +89,6 @@ def parameters_of(arguments: Sequence[str]) -> dict[str, str]:
 
 def command_of(arguments: Sequence[str]) -> Any:
     """Return the command that ``arguments`` call, None when they call none."""
-    from kilter_client.cli.groups import command
-
     words = [word for word in arguments if not word.startswith("-")]
     if not words or words[0] not in ENTRIES:
         return None

@@ -9,12 +9,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
+from kilter_client.calls import versions
 from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.plots import draw
+from kilter_client.results.rows import Rows
 from kilter_client.results.tables import Tabular
 
 if TYPE_CHECKING:
     from kilter_client.results.record import Record
-    from kilter_client.results.rows import Rows
+
 
 MODELS = {
     "nominal": "nominal",
@@ -103,9 +106,6 @@ class Asking:
             UsageError: it made no version, or came from an ``AsyncKilter``: ``await k.residuals(result)``.
 
         """
-        from kilter_client.calls import versions
-        from kilter_client.results.rows import Rows
-
         record = cast("Record", self)
         version = record.get("version_id") or record.get("id")
         if not version:
@@ -126,8 +126,6 @@ class ShownFigure:
             MissingPackageError: matplotlib is not installed.
 
         """
-        from kilter_client.plots import draw
-
         file = Path(path)
         (done,) = draw(self.document, file.with_suffix(""), (file.suffix.lower().removeprefix("."),))
         return done

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kilter_client.results.digits import decimals, ends, estimate
+from kilter_client.results.rows import Rows
 from kilter_client.results.shown import Asking, Shown
 from kilter_client.results.tables import html_table, number
-
-if TYPE_CHECKING:
-    from kilter_client.results.rows import Rows
 
 
 def parameter_table(parameters: Sequence[Any]) -> str:
@@ -147,8 +145,6 @@ class ShownPlan(Shown):
 
     def to_rows(self) -> Rows:
         """Return the poses: joints with their unit, directions, loads."""
-        from kilter_client.results.rows import Rows
-
         return Rows((self.csv or "").encode())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import MissingPackageError
@@ -93,8 +94,6 @@ def number(value: Any, digits: int = 4) -> str:
 
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> str:
     """Return a table for a notebook; every cell is escaped, long tables end with how many rows there are more."""
-    from html import escape  # brings all names of characters along
-
     cells = "".join(f"<th>{escape(name)}</th>" for name in head)
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows[:MOST_ROWS])
     more = f"<p>and {len(rows) - MOST_ROWS} rows more</p>" if len(rows) > MOST_ROWS else ""

@@ -20,6 +20,8 @@ MODULE_OF = {
     "AxisReport": "robots",
     "Board": "campaigns",
     "BoardFound": "cameras",
+    "Bridge": "server",
+    "BridgeList": "server",
     "Budget": "budgets",
     "Camera": "campaigns",
     "CameraFound": "cameras",

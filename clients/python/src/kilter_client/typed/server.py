@@ -197,3 +197,57 @@ class Today(Record):
     """The same in words, the most important first."""
     version_id: str | None
     """The active version; None: none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Bridge(Record):
+    """A bridge as the server knows it."""
+
+    controller: str | None
+    """Address of the controller; None: none asks."""
+    cycle_ms: float
+    """Cycle of the controller, ms."""
+    cycles: int
+    """Cycles answered since it began."""
+    gone: bool
+    """Whether it is gone: it has ended, was killed, or was not heard for 6 s; then nothing corrects the arm."""
+    heard_at: str
+    """When it was last heard."""
+    id: str
+    """Id of the run of this bridge."""
+    kind: str
+    """Controller: `rsi` KUKA, `egm` ABB, `fci` Franka."""
+    largest_offset_deg: float
+    """Largest offset of a joint since it began, deg."""
+    late: int
+    """Of these, answered later than a cycle."""
+    lost: int
+    """Cycles for which no request came."""
+    offset_deg: float
+    """Largest offset of a joint now, deg."""
+    other_version: bool
+    """Whether it corrects with a version that is not the active one."""
+    refused: int
+    """Cycles whose joints could not be corrected."""
+    robot: str
+    """Name of the robot."""
+    sentence: str
+    """The same in words."""
+    silent_s: float
+    """For how long it has not been heard, s."""
+    since: str
+    """When it was first heard."""
+    state: str
+    """What it does; `killed`: it vanished without saying that it ends."""
+    version_id: str
+    """The version it corrects with."""
+    why: str
+    """Why it does not correct; empty where it does."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BridgeList(Record):
+    """Bridges of a robot: those that run first, then the newest. Those that are gone for a day are forgotten."""
+
+    bridges: Records[Bridge]
+    """The bridges."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from kilter_client.typed.acceptance import Acceptance
     from kilter_client.typed.drifts import DriftHistory, DriftList
     from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
-    from kilter_client.typed.server import Today
+    from kilter_client.typed.server import BridgeList, Today
 
 Compensation = Literal["none", "factory", "kilter", "unknown"]
 
@@ -135,6 +135,18 @@ def today(robot: Thing) -> Steps[Today]:
     from kilter_client.typed.server import Today
 
     return Today.read((yield from calls.today(reference("robot", robot))))
+
+
+def bridges(robot: Thing) -> Steps[BridgeList]:
+    """Return the bridges of a robot, those that run first: what each does, since when, and whether it is gone.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    from kilter_client.typed.server import BridgeList
+
+    return BridgeList.read((yield from calls.bridges(reference("robot", robot))))
 
 
 def drift_history(robot: Thing) -> Steps[DriftHistory]:

@@ -10,6 +10,9 @@ import typer
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.output import emit, say
 from kilter_client.errors import UsageError
+from kilter_files.rig.board.cube import check_cube, save_cube
+from kilter_files.rig.board.drawing import save_board
+from kilter_files.rig.board.layout import USUAL, Board, check_board
 
 
 def register(app: typer.Typer) -> None:
@@ -52,10 +55,6 @@ def board(
     as_json: Json = False,
 ) -> None:
     """Write a board to print for a camera, in true mm with rulers, and its description as JSON."""
-    from kilter_files.rig.board.cube import check_cube, save_cube
-    from kilter_files.rig.board.drawing import save_board
-    from kilter_files.rig.board.layout import USUAL, Board, check_board
-
     side = 0.75 * square_mm if marker_mm is None else marker_mm
     made = Board(kind, columns, rows, square_mm, side, dictionary or USUAL[kind], first_id)
     if edge_mm is not None and not cube:

@@ -14,6 +14,9 @@ from kilter_client.cli.output import emit, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import FileError, UsageError
 from kilter_client.results.rows import saved
+from kilter_files.formats.reader import LogHints
+from kilter_files.rig.see.as_parquet import check_pyarrow, write_parquet
+from kilter_files.rig.see.optics.intrinsics_file import read_camera
 
 if TYPE_CHECKING:
     from kilter_files.rig.see.poses import Poses
@@ -100,7 +103,6 @@ def see(
     _check_output(output)
     if camera is not None and intrinsics is not None:
         raise UsageError("Give --camera, or --intrinsics to find them, not both.")
-    from kilter_files.rig.see.optics.intrinsics_file import read_camera
     from kilter_files.rig.see.run import Looker
     from kilter_files.rig.see.second import second_of
     from kilter_files.rig.see.target import check_apart, read_target
@@ -133,7 +135,6 @@ def _bag(
 ) -> tuple[Pictures, Poses] | None:  # fmt: skip
     """The pictures and joints of a bag; None of files."""
     from kilter_files.formats.joints.joint_log import log_of_bag
-    from kilter_files.formats.reader import LogHints
     from kilter_files.rig.see.bag_pictures import is_bag, pictures_of_bag
 
     if not any(map(is_bag, pictures)):
@@ -149,8 +150,6 @@ def _bag(
 
 
 def _check_output(output: Path) -> None:
-    from kilter_files.rig.see.as_parquet import check_pyarrow
-
     if output.suffix.lower() not in (".csv", PARQUET):
         raise UsageError(f"--output {output}: end it in .csv or {PARQUET}.")
     if output.suffix.lower() == PARQUET:
@@ -159,8 +158,6 @@ def _check_output(output: Path) -> None:
 
 def _looked(looker: Looker, source: Pictures, output: Path, camera_name: str | None, as_json: bool) -> Seen:
     """Write beside the file first: what was there stays until all is well."""
-    from kilter_files.rig.see.as_parquet import write_parquet
-
     part, whole = (output.with_name(output.name + ending) for ending in (".part", ".whole"))
     total = source.count()
     try:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kilter_client.cli.files.inspect import check_numpy
+
 if TYPE_CHECKING:
     from kilter_files.tables.joint_log import JointLog
 
@@ -25,8 +27,6 @@ def servo_conditions(calibration: Path | None) -> dict[str, Any]:
     """
     if calibration is None:
         return {}
-    from kilter_client.cli.files.inspect import check_numpy
-
     check_numpy()
     from kilter_files.formats.lerobot.calibration import read_calibration
 

@@ -12,6 +12,7 @@ from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.inspect import Calibration, JointOrder, NormMode, check_numpy
 from kilter_client.cli.output import emit, say
+from kilter_files.formats.reader import LogHints
 
 MOVED = 3  # exit code, as of `kilter check`
 UNTOLD = (
@@ -45,7 +46,6 @@ def episodes(
     check_numpy()
     from kilter_files.formats.lerobot.episodes import episodes_of
     from kilter_files.formats.lerobot.moved import moves_of
-    from kilter_files.formats.reader import LogHints
 
     order = arguments.split_names([joint_order or ""])
     found = episodes_of(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))

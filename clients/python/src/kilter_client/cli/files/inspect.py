@@ -13,6 +13,10 @@ from kilter_client.cli.arguments import Json
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
+from kilter_files.formats.points.tracker_header import PRESETS
+from kilter_files.formats.reader import Hints, LogHints
+from kilter_files.look.draft import draft
+from kilter_files.look.inspection import inspect as look
 
 MARKERS_SHOWN = 12
 
@@ -88,10 +92,6 @@ def inspect(
         emit(_drafted(file, draft), as_json, _show_draft)
         return
     check_numpy()
-    from kilter_files.formats.points.tracker_header import PRESETS
-    from kilter_files.formats.reader import Hints, LogHints
-    from kilter_files.look.inspection import inspect as look
-
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     if rate is not None and not rate > 0:
@@ -106,8 +106,6 @@ def inspect(
 
 def _drafted(file: Path, target: Path) -> dict[str, Any]:
     """Write the draft, never over a file that is there."""
-    from kilter_files.look.draft import draft
-
     found = draft(file)
     found.save(target)
     return {"file": str(file), "draft": str(target)} | found.to_document()

@@ -13,6 +13,7 @@ from kilter_client.cli.files.match import joints_of
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
+from kilter_files import read_joints
 
 Joints = Annotated[Path, typer.Argument(help="The joint log.", metavar="JOINTS", show_default=False, exists=True)]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the rows go, as CSV.")]
@@ -40,7 +41,6 @@ def ballbar_join(
 ) -> None:
     """Join a ball bar's log with the joint log by the angle of each run: lengths with their joints, for kilter upload."""
     check_numpy()
-    from kilter_files import read_joints
     from kilter_files.formats.logs.ballbar import read_ballbar
     from kilter_files.rig.ballbar_join import join_ballbar
 
@@ -84,7 +84,6 @@ def tilt_join(
 ) -> None:
     """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
     check_numpy()
-    from kilter_files import read_joints
     from kilter_files.match.dwells import RestOptions
     from kilter_files.rig.tilt_join import TiltOptions, join_tilts
 

@@ -28,13 +28,17 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
 from kilter_files import read_joints
+from kilter_files.formats.opening import open_recording
+from kilter_files.formats.reader import LogHints
+from kilter_files.formats.registry import recognised
+from kilter_files.tables.table import Prepared, Table
 
 if TYPE_CHECKING:
     from kilter_files.match.clock_checks import Checks
     from kilter_files.match.rigid_body import Body
     from kilter_files.tables.joint_log import JointLog
     from kilter_files.tables.recording import Recording
-    from kilter_files.tables.table import Table
+
 
 By = Literal["order", "time", "frames"]
 How = Annotated[By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")]
@@ -99,7 +103,6 @@ def match(
     check_numpy()
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
-    from kilter_files.formats.opening import open_recording
     from kilter_files.match.dwells import RestOptions
     from kilter_files.match.rigid_body import tool_as_markers
 
@@ -129,9 +132,6 @@ def _log(
     servos: tuple[Path | None, str | None, str], robot: str | None, as_json: bool,
 ) -> JointLog:  # fmt: skip
     """Read the joint log, and say what was understood of it; ``servos`` are a data set's calibration, norm mode and zero."""
-    from kilter_files.formats.reader import LogHints
-    from kilter_files.formats.registry import recognised
-
     likely = joints_of(robot) if recognised(joints, "bag") else ()
     log = read_joints(joints, joints_map, LogHints(topic, order, likely, *servos))
     for text in log.notes:
@@ -141,7 +141,6 @@ def _log(
 
 def _body(recording: Recording, tcp: str) -> Body:
     """Find the rigid body of the markers, with the tool point that is given or digitised in another recording."""
-    from kilter_files.formats.opening import open_recording
     from kilter_files.match.rigid_body import find_body, names_a_file
 
     return find_body(recording, open_recording(Path(tcp)) if names_a_file(recording, tcp) else tcp)
@@ -161,7 +160,6 @@ def _dwells(
     wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_files.match.matching import match_dwells
-    from kilter_files.tables.table import Prepared, Table
 
     matched = match_dwells(found, log, by, options[0], body, options[1])
     _tell(matched.report, as_json)

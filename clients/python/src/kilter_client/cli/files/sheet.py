@@ -13,6 +13,12 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.plots import draw
+from kilter_files import read_joints
+from kilter_files.ground.faults import head_of
+from kilter_files.ground.later import np
+from kilter_files.rig.sheet.drawing import save_sheet
+from kilter_files.rig.sheet.layout import sheet_for
 
 if TYPE_CHECKING:
     from kilter_files.rig.drawn_circle import Circle
@@ -49,9 +55,6 @@ def sheet(
     as_json: Json = False,
 ) -> None:
     """Write the sheet to print for the pencil: circle, quarter points, markers, scale bars, in true mm."""
-    from kilter_files.rig.sheet.drawing import save_sheet
-    from kilter_files.rig.sheet.layout import sheet_for
-
     made = sheet_for(radius_mm, page)
     size = save_sheet(made, output)
     document = {
@@ -89,7 +92,6 @@ def sheet_read(
         write(output, to_csv(reading))
         note(f"{output}: {len(reading.angle_deg)} angles", as_json)
     if plot is not None:
-        from kilter_client.plots import draw
         from kilter_files.rig.sheet.report import figure
 
         draw(figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
@@ -137,7 +139,6 @@ def sheet_join(
     if take_command is not None and not 0 < take_command < 100:
         raise UsageError(f"--take-command {take_command:g}: give mm above 0, for example 1.")
     check_numpy()
-    from kilter_files import read_joints
     from kilter_files.rig.drawn_circle import Frame, JoinOptions, join, read_points, register
     from kilter_files.rig.height import read_calibration, read_heights
 
@@ -158,9 +159,6 @@ def sheet_join(
 
 def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Circle:
     """Errors of the circle in a scan, or in a ball bar's log."""
-    import numpy as np
-
-    from kilter_files.ground.faults import head_of
     from kilter_files.rig.drawn_circle import Circle
 
     if head_of(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and head_of(file, 2) != b"\xff\xd8":

@@ -15,6 +15,7 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_client.verbs.meshes import FORMS
+from kilter_files.robots.link_meshes import link_meshes
 
 mesh = typer.Typer(
     help="Give links their shapes, for the picture of the arm.", no_args_is_help=True, rich_markup_mode=None, cls=Group
@@ -67,8 +68,6 @@ def from_urdf(
     as_json: Json = False,
 ) -> None:
     """Send the shapes that a robot's URDF names: STL, OBJ, DAE, boxes, cylinders, spheres."""
-    from kilter_files.robots.link_meshes import link_meshes
-
     packages = dict(map(_package, package or ()))
     with Kilter() as kilter:
         asked = kilter.run(calls.of_urdf(robot))

@@ -1,0 +1,1 @@
+"""Bridges: processes between a controller and its arm, which announce themselves."""

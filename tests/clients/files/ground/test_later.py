@@ -1,0 +1,32 @@
+"""Packages that are imported at their first use."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+from kilter_files.ground import later
+
+
+@pytest.mark.parametrize("name", later.__all__)
+def test_every_package_of_the_gate_is_one_that_is_imported_at_its_first_use(name: str) -> None:
+    code = f"import sys; from kilter_files.ground.later import {name} as it; print(it._name in sys.modules, it._name)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded, module = done.stdout.split()
+    assert loaded == "False"
+    first = next(one for one in dir(import_module(module)) if not one.startswith("_"))
+    assert getattr(getattr(later, name), first) is getattr(import_module(module), first)
+
+
+def test_a_missing_package_is_an_import_error_at_its_first_use() -> None:
+    absent = later.Later("no_such_package")
+    with pytest.raises(ImportError, match="no_such_package"):
+        _ = absent.anything
+
+
+def test_a_name_that_the_package_lacks_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = later.Later("json").no_such_name

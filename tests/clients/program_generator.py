@@ -1,0 +1,157 @@
+"""Robot programs of many lines, each of which is known to be a target, to be named, or to be left alone.
+
+It knows how people write programs and nothing of how Kilter reads them. A program is a list of lines and of what each is:
+``"joints"`` and ``"pose"`` with the joints at which it was taught, ``"named"``, or ``"alone"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .six_joint_arms import Arm, Floats
+from .test_filter_poses import BASE, TOOL, confdata, config, numbers, quaternion, status_turn, vector, zyx
+
+
+class Line(NamedTuple):
+    """A line of a program, what it is, and the joints at which it was taught, deg."""
+
+    text: str
+    what: str = "alone"
+    q: Floats | None = None
+
+
+class Generator:
+    """Writes programs for one arm."""
+
+    def __init__(self, rng: np.random.Generator, preset: str, taught: Floats) -> None:
+        self.rng, self.arm, self.taught = rng, Arm(preset), taught
+
+    def q(self) -> Floats:
+        """Joints that were taught."""
+        found: Floats = self.taught[self.rng.integers(len(self.taught))]
+        return found
+
+    def pose(self, q: Floats, base: Floats = BASE) -> Floats:
+        """The pose of the tool there, in the frame of the program."""
+        found: Floats = np.linalg.inv(base) @ self.arm.flange(q) @ TOOL
+        return found
+
+    def one_of(self, lines: Sequence[Line]) -> Line:
+        """Any of these."""
+        return lines[self.rng.integers(len(lines))]
+
+    def krl(self, count: int) -> list[Line]:
+        """A KRL program: external axes, S and T, frames by hand, logic, relative moves, splines."""
+        frames = [",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(T), strict=True)) for T in (BASE, TOOL)]
+        lines = [Line("DEF w()"), Line("INI", "named"), Line(f"$BASE={{{frames[0]}}}"), Line(f"$TOOL={{{frames[1]}}}")]
+        alone = [
+            Line("; PTP {A1 10,A2 20,A3 30,A4 0,A5 0,A6 0} was here"), Line("$VEL.CP=0.25"), Line("WAIT SEC 0.5"),
+            Line("$OUT[3]=TRUE"), Line("$VEL_AXIS[1]=50"), Line(""), Line("WAIT FOR $IN[4]"), Line("  "), Line("$APO.CDIS=5.5"),
+        ]  # fmt: skip
+        named = [
+            Line(text, "named") for text in ("LIN_REL {X 10,Z -5}", "PTP_REL {A1 5}", "PTP XHOME", "LIN NOWHERE C_DIS")
+        ]
+        for _ in range(count):
+            q, kind = self.q(), self.rng.random()
+            if kind < 0.3:
+                axes = ",".join(f"A{k} {v:.9f}" for k, v in enumerate(q, 1))
+                more = ",E1 12.5,E2 0.0" if self.rng.random() < 0.4 else ""
+                lines.append(Line(f"PTP {{{axes}{more}}} C_PTP ; {{A1 9}}", "joints", q))
+            elif kind < 0.6:
+                six = ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(self.pose(q)), strict=True))
+                word = ("PTP", "LIN")[self.rng.integers(2)]
+                lines.append(Line(f"  {word} {{{six},{status_turn(q)}}} C_DIS", "pose", q))
+            else:
+                lines.append(self.one_of(alone if kind < 0.85 else named))
+        return [*lines, Line("END")]
+
+    def rapid(self, count: int) -> list[Line]:
+        """A RAPID module: targets in moves, work objects, external axes, offsets, circles, logic."""
+        lines = [
+            Line("MODULE w"), Line(f"  PERS tooldata grip := [TRUE,[{quaternion(TOOL)}],[1,[0,0,1],[1,0,0,0],0,0,0]];"),
+            Line(f'  PERS wobjdata bench := [FALSE,TRUE,"",[{quaternion(BASE)}],[[0,0,0],[1,0,0,0]]];'), Line("PROC main()"),
+        ]  # fmt: skip
+        alone = [
+            Line("  ! MoveAbsJ [[1,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]], v100, z10, grip;"), Line("  SetDO doGrip, 1;"),
+            Line("  WaitTime 0.5;"), Line('  TPWrite "p1 [[1,2,3],[1,0,0,0]]";'), Line("  AccSet 50, 100;"), Line(""),
+            Line("  reg1 := reg1 + 1;"),
+        ]  # fmt: skip
+        named = [
+            Line(text, "named")
+            for text in (
+                "  MoveL Offs(pHome, 0, 0, 50), v100, z10, grip\\WObj:=bench;",
+                "  MoveL RelTool(pHome, 0, 0, -10), v50, fine, grip\\WObj:=bench;",
+                "  MoveJ pElsewhere, v200, z50, grip\\WObj:=bench;",
+            )
+        ]
+        outside = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+        for _ in range(count):
+            q, kind = self.q(), self.rng.random()
+            if kind < 0.3:
+                axes = ",".join(f"{v:.9f}" for v in q)
+                lines.append(Line(f"  MoveAbsJ [[{axes}],{outside}], v200, z50, grip;", "joints", q))
+            elif kind < 0.6:
+                word, more = (("MoveL", "\\V:=80"), ("MoveJ", ""))[self.rng.integers(2)]
+                target = f"[{quaternion(self.pose(q))},{confdata(q)},{outside}]"
+                lines.append(Line(f"  {word} {target}, v100{more}, z10, grip\\WObj:=bench;", "pose", q))
+            else:
+                lines.append(self.one_of(alone if kind < 0.85 else named))
+        return [*lines, Line("ENDPROC"), Line("ENDMODULE")]
+
+    def urscript(self, count: int) -> list[Line]:
+        """A URScript: joints, poses behind them, arithmetic on poses, moves that are computed, logic."""
+        lines = [Line("def w():"), Line(f"  set_tcp(p[{vector(TOOL)}])")]
+        alone = [
+            Line("  # movej([0, 0, 0, 0, 0, 0])"), Line("  set_digital_out(3, True)"), Line("  sleep(0.5)"), Line(""),
+            Line('  textmsg("movel(p[1,2,3,0,0,0])")'), Line("  set_payload(1.2)"), Line("  count = count + 1"),
+        ]  # fmt: skip
+        named = [
+            Line(text, "named")
+            for text in (
+                "  movel(pose_trans(get_actual_tcp_pose(), p[0, 0, 0.05, 0, 0, 0]), a=1.2, v=0.1)",
+                "  movej(get_inverse_kin(p_taught), a=1.4)",
+                "  movel(pose_add(p_taught, p[0, 0, 0.1, 0, 0, 0]))",
+            )
+        ]
+        for _ in range(count):
+            q, kind = self.q(), self.rng.random()
+            if kind < 0.6:
+                axes = ", ".join(f"{v:.12f}" for v in np.radians(q))
+                lines.append(Line(f"  movej([{axes}], a=1.4, v=1.05)", "joints", q))
+                if kind < 0.3:
+                    near = q + self.rng.uniform(-4, 4, 6)
+                    pose = vector(self.pose(near, np.eye(4)))
+                    lines.append(Line(f"  movel(p[{pose}], a=1.2, v=0.2, r=0.01)", "pose", near))
+            else:
+                lines.append(self.one_of(alone if kind < 0.85 else named))
+        return [*lines, Line("end")]
+
+    def fanuc(self, count: int) -> list[Line]:
+        """A FANUC program in the controller's ASCII form: positions in frame 2 with tool 1, logic, registers."""
+        moves, positions = [], []
+        alone = [
+            "  CALL GRIP    ;", "  WAIT   0.50(sec) ;", "  DO[3]=ON ;", "  !P[1] was taught by hand ;", "  R[1]=R[1]+1    ;",
+            "  IF R[1]>5,JMP LBL[1] ;",
+        ]  # fmt: skip
+        named = ["J PR[1] 100% FINE    ;", "L P[1] 100mm/sec FINE Offset,PR[2]    ;"]
+        for k in range(1, count + 1):
+            q = self.q()
+            kind = self.rng.random()
+            moves.append(Line(f"  {len(moves) + 1}:L P[{k}] 100mm/sec FINE    ;"))
+            x, y, z, r, p, w = zyx(self.pose(q))
+            places = ", ".join(f"{n} = {v:.9f} mm" for n, v in zip("XYZ", (x, y, z), strict=True))
+            turns = ", ".join(f"{n} = {v:.10f} deg" for n, v in zip("WPR", (w, p, r), strict=True))
+            positions += [
+                Line(f"P[{k}]{{"), Line("   GP1:"), Line(f"\tUF : 2, UT : 1,\tCONFIG : {config(q)},"),
+                Line(f"\t{places},", "pose", q), Line(f"\t{turns}", "turns", q), Line("};"),
+            ]  # fmt: skip
+            if kind < 0.5:
+                moves.append(Line(f"  {len(moves) + 1}:{alone[self.rng.integers(len(alone))]}"))
+        moves.append(Line(f"  {len(moves) + 1}:{named[0]}", "named"))
+        return [Line("/PROG W"), Line("/MN"), *moves, Line("/POS"), *positions, Line("/END")]
+
+
+OPTIONS = {"fanuc": ["--fanuc-j3", "same", "--base", f"2={numbers(BASE, True)}", "--tool", f"1={numbers(TOOL, True)}"]}

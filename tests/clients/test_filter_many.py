@@ -1,0 +1,129 @@
+"""Many programs of every dialect through `kilter filter`: each line is a target and rewritten, or named, or untouched."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kilter_client import Kilter
+
+from .answered import document
+from .program_generator import OPTIONS, Generator, Line
+from .six_joint_arms import Arm, Floats
+from .test_filter_poses import (
+    BASE,
+    ERRORS,
+    TOOL,
+    WITHIN_MM,
+    calibrated,
+    fanuc_back,
+    krl_back,
+    rapid_back,
+    taught,
+    urscript_back,
+)
+
+DIALECTS = {
+    "krl": ("kr6-r900", ".src"), "rapid": ("irb120", ".mod"), "urscript": ("ur10e", ".script"), "fanuc": ("irb120", ".ls"),
+}  # fmt: skip
+NUMBER = r"-?\d+\.\d+(?:[eE]-?\d+)?"
+
+
+def joints_of(text: str, dialect: str) -> Floats:
+    """Joints of a corrected line, deg."""
+    inside = text.partition(";")[0] if dialect == "krl" else text
+    found = np.array([float(v) for v in re.findall(NUMBER, inside)[:6]])
+    return np.degrees(found) if dialect == "urscript" else found
+
+
+def pose_of(text: str, dialect: str) -> Floats:
+    """The pose of a corrected line."""
+    if dialect == "krl":
+        return krl_back(text.strip().replace("LIN", "PTP"))[0][0]
+    if dialect == "rapid":
+        return rapid_back("robtarget :=" + text.partition("Move")[2].partition("[")[1] + text.partition("[")[2])[0][0]
+    return urscript_back(text)[0][0]
+
+
+def off_mm(arm: tuple[Arm, Arm], line: Line, text: str, dialect: str) -> float:
+    """How far the real arm is from where the line was taught, if the nominal controller carries the new text out."""
+    ideal, real = arm
+    assert line.q is not None
+    if line.what == "joints":
+        return float(np.linalg.norm((real.flange(joints_of(text, dialect)) - ideal.flange(line.q))[:3, 3]))
+    base = np.eye(4) if dialect == "urscript" else BASE
+    return of_pose(arm, line.q, base @ pose_of(text, dialect))
+
+
+def of_pose(arm: tuple[Arm, Arm], q: Floats, pose: Floats) -> float:
+    """The same for the pose of the tool in the frame of the root."""
+    ideal, real = arm
+    command = ideal.joints(pose @ np.linalg.inv(TOOL), q)
+    return float(np.linalg.norm((real.flange(command) @ TOOL - ideal.flange(q) @ TOOL)[:3, 3]))
+
+
+def check(dialect: str, lines: list[Line], new: list[str], told: dict[str, object], arm: tuple[Arm, Arm]) -> float:
+    """Every line is accounted for; the largest distance from a taught point, mm."""
+    assert len(new) == len(lines)
+    left = told["left"]
+    assert isinstance(left, list)
+    named = {one["line"] for one in left}
+    held = told["not_ok"]  # targets that a limit holds, or that are damped: listed, and not exact
+    assert isinstance(held, list)
+    not_exact, names = {one["line"] for one in held}, {one["name"] for one in held}
+    assert len(held) < len(lines) / 10
+    worst = 0.0
+    for number, (line, text) in enumerate(zip(lines, new, strict=True), 1):
+        if line.what in ("joints", "pose", "turns"):
+            assert number not in named, (line, left)
+            assert text != line.text or line.what == "turns"
+            assert re.sub(NUMBER, "#", text) == re.sub(NUMBER, "#", line.text)
+            if dialect != "fanuc" and number not in not_exact:
+                worst = max(worst, off_mm(arm, line, text, dialect))
+        else:
+            assert text == line.text
+            assert (number in named) == (line.what == "named"), (number, line, left)
+    if dialect == "fanuc":
+        taught_at = [line.q for line in lines if line.what == "pose"]
+        for k, ((pose, _), q) in enumerate(zip(fanuc_back("\n".join(new)), taught_at, strict=True), 1):
+            assert q is not None
+            if f"P[{k}]" not in names:
+                worst = max(worst, of_pose(arm, q, BASE @ pose))
+    return worst
+
+
+def through(kilter: Kilter, folder: Path, dialect: str, count: int, capsys: pytest.CaptureFixture[str]) -> None:
+    preset, ending = DIALECTS[dialect]
+    name = f"poses-{preset}"
+    if name not in {one["name"] for one in kilter.robots.list()}:
+        calibrated(kilter, preset, folder / "measured.csv")
+    arm, q = (Arm(preset), Arm(preset, ERRORS)), taught(preset, 60, seed=7)
+    rng = np.random.default_rng(sum(map(ord, dialect)))
+    worst = 0.0
+    for _ in range(count):
+        lines: list[Line] = getattr(Generator(rng, preset, q), dialect)(int(rng.integers(8, 30)))
+        path, output = folder / f"w{ending}", folder / f"out{ending}"
+        end = ("\n", "\r\n")[rng.integers(2)]
+        path.write_bytes(end.join(line.text for line in lines).encode())
+        capsys.readouterr()
+        told = document(capsys, "filter", path, "--robot", name, "-o", output, *OPTIONS.get(dialect, []))
+        worst = max(worst, check(dialect, lines, output.read_bytes().decode().split(end), told, arm))
+    assert 0.0 < worst < WITHIN_MM
+
+
+@pytest.mark.parametrize("dialect", [*DIALECTS])
+def test_every_line_of_a_program_is_accounted_for(
+    kilter: Kilter, tmp_path: Path, dialect: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    through(kilter, tmp_path, dialect, 4, capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dialect", [*DIALECTS])
+def test_every_line_of_fifty_programs_is_accounted_for(
+    kilter: Kilter, tmp_path: Path, dialect: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    through(kilter, tmp_path, dialect, 50, capsys)
