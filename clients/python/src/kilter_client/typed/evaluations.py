@@ -17,6 +17,8 @@ class CampaignErrors(Record):
 
     budget: Budget | None
     """What is not known of these rows, with the expanded uncertainty; None: not computed."""
+    fitted: int | None
+    """Of an evaluation: rows that the version was fitted to, in whatever file; None: not looked for."""
     geometry_only: Errors | None
     """The fitted geometry without effects."""
     identified: Errors | None
