@@ -16,11 +16,12 @@ from .test_filter_poses import BASE, TOOL, confdata, config, numbers, quaternion
 
 
 class Line(NamedTuple):
-    """A line of a program, what it is, and the joints at which it was taught, deg."""
+    """A line of a program, what it is, and the joints at which it was taught, deg; ``via`` are those on the way of an arc."""
 
     text: str
     what: str = "alone"
     q: Floats | None = None
+    via: Floats | None = None
 
 
 class Generator:
@@ -45,8 +46,13 @@ class Generator:
 
     def krl(self, count: int) -> list[Line]:
         """A KRL program: external axes, S and T, frames by hand, logic, relative moves, splines."""
-        frames = [",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(T), strict=True)) for T in (BASE, TOOL)]
-        lines = [Line("DEF w()"), Line("INI", "named"), Line(f"$BASE={{{frames[0]}}}"), Line(f"$TOOL={{{frames[1]}}}")]
+        frames = [f"{{{self.six(T)}}}" for T in (BASE, TOOL)]
+        set_by = self.rng.integers(3)
+        base, tool = (
+            (f"$BASE={frames[0]}", f"$TOOL={frames[1]}"), ("$BASE=BASE_DATA[2]", "$TOOL = TOOL_DATA[1]"),
+            ("BAS(#BASE,2)", "BAS (#TOOL,1 )"),
+        )[set_by]  # fmt: skip
+        lines = [Line("DEF w()"), Line("INI", "named"), Line(base), Line(tool)]
         alone = [
             Line("; PTP {A1 10,A2 20,A3 30,A4 0,A5 0,A6 0} was here"), Line("$VEL.CP=0.25"), Line("WAIT SEC 0.5"),
             Line("$OUT[3]=TRUE"), Line("$VEL_AXIS[1]=50"), Line(""), Line("WAIT FOR $IN[4]"), Line("  "), Line("$APO.CDIS=5.5"),
@@ -60,13 +66,39 @@ class Generator:
                 axes = ",".join(f"A{k} {v:.9f}" for k, v in enumerate(q, 1))
                 more = ",E1 12.5,E2 0.0" if self.rng.random() < 0.4 else ""
                 lines.append(Line(f"PTP {{{axes}{more}}} C_PTP ; {{A1 9}}", "joints", q))
+            elif kind < 0.5:
+                word = ("PTP", "LIN", "SPTP", "SLIN")[self.rng.integers(4)]
+                lines.append(Line(f"  {word} {self.krl_pose(q)} C_DIS", "pose", q))
             elif kind < 0.6:
-                six = ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(self.pose(q)), strict=True))
-                word = ("PTP", "LIN")[self.rng.integers(2)]
-                lines.append(Line(f"  {word} {{{six},{status_turn(q)}}} C_DIS", "pose", q))
+                lines += self.krl_arc(q, self.q())
+            elif kind < 0.65:
+                lines += self.krl_spline(q)
             else:
                 lines.append(self.one_of(alone if kind < 0.85 else named))
         return [*lines, Line("END")]
+
+    def six(self, T: Floats) -> str:
+        """A pose as KRL writes it."""
+        return ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(T), strict=True))
+
+    def krl_pose(self, q: Floats) -> str:
+        """A pose with S and T."""
+        return f"{{{self.six(self.pose(q))},{status_turn(q)}}}"
+
+    def krl_arc(self, q: Floats, via: Floats) -> list[Line]:
+        """An arc: its via point is a target too."""
+        word, comma = ("CIRC", "SCIRC")[self.rng.integers(2)], (",", ", ", " , ")[self.rng.integers(3)]
+        more = ("", ",CA 180.0", " C_DIS")[self.rng.integers(3)]
+        return [Line(f"{word} {self.krl_pose(via)}{comma}{self.krl_pose(q)}{more}", "pose", q, via)]
+
+    def krl_spline(self, q: Floats) -> list[Line]:
+        """A block of splines, and motions that choose frames for themselves."""
+        pose = self.krl_pose(q)
+        return [
+            Line("SPLINE WITH $VEL.CP=0.2", "named"), Line(f"  SPL {pose}", "named"), Line(f"  SLIN {pose}", "pose", q),
+            Line("ENDSPLINE", "named"), Line(f"SLIN {pose} WITH $BASE=BASE_DATA[9], $VEL.CP=0.1", "named"),
+            Line(f"SPTP {pose} WITH $VEL_AXIS[1]=SVEL_JOINT(50.0), $TOOL=TOOL_DATA[1], $BASE=BASE_DATA[2]", "pose", q),
+        ]  # fmt: skip
 
     def rapid(self, count: int) -> list[Line]:
         """A RAPID module: targets in moves, work objects, external axes, offsets, circles, logic."""
@@ -95,15 +127,22 @@ class Generator:
                 lines.append(Line(f"  MoveAbsJ [[{axes}],{outside}], v200, z50, grip;", "joints", q))
             elif kind < 0.6:
                 word, more = (("MoveL", "\\V:=80"), ("MoveJ", ""))[self.rng.integers(2)]
-                target = f"[{quaternion(self.pose(q))},{confdata(q)},{outside}]"
-                lines.append(Line(f"  {word} {target}, v100{more}, z10, grip\\WObj:=bench;", "pose", q))
+                target, arc = self.robtarget(q), self.rng.random() < 0.3
+                via = self.q() if arc else None
+                goals = target if via is None else f"{self.robtarget(via)}, {target}"
+                line = f"  {'MoveC' if arc else word} {goals}, v100{more}, z10, grip\\WObj:=bench;"
+                lines.append(Line(line, "pose", q, via))
             else:
                 lines.append(self.one_of(alone if kind < 0.85 else named))
         return [*lines, Line("ENDPROC"), Line("ENDMODULE")]
 
+    def robtarget(self, q: Floats) -> str:
+        """A robtarget written into a move."""
+        return f"[{quaternion(self.pose(q))},{confdata(q)},[9E9,9E9,9E9,9E9,9E9,9E9]]"
+
     def urscript(self, count: int) -> list[Line]:
         """A URScript: joints, poses behind them, arithmetic on poses, moves that are computed, logic."""
-        lines = [Line("def w():"), Line(f"  set_tcp(p[{vector(TOOL)}])")]
+        lines = [Line("def w():"), Line(f"  set_tcp(p[{vector(TOOL)}])"), *self.subprogram()]
         alone = [
             Line("  # movej([0, 0, 0, 0, 0, 0])"), Line("  set_digital_out(3, True)"), Line("  sleep(0.5)"), Line(""),
             Line('  textmsg("movel(p[1,2,3,0,0,0])")'), Line("  set_payload(1.2)"), Line("  count = count + 1"),
@@ -122,12 +161,40 @@ class Generator:
                 axes = ", ".join(f"{v:.12f}" for v in np.radians(q))
                 lines.append(Line(f"  movej([{axes}], a=1.4, v=1.05)", "joints", q))
                 if kind < 0.3:
-                    near = q + self.rng.uniform(-4, 4, 6)
-                    pose = vector(self.pose(near, np.eye(4)))
-                    lines.append(Line(f"  movel(p[{pose}], a=1.2, v=0.2, r=0.01)", "pose", near))
+                    lines += self.behind(q)
             else:
                 lines.append(self.one_of(alone if kind < 0.85 else named))
         return [*lines, Line("end")]
+
+    def beside(self, q: Floats) -> tuple[str, Floats]:
+        """A pose a few degrees from these joints, and its joints."""
+        near = q + self.rng.uniform(-4, 4, 6)
+        return f"p[{vector(self.pose(near, np.eye(4)))}]", near
+
+    def subprogram(self) -> list[Line]:
+        """A subprogram inside the program: no tool is set in it, so its pose is named."""
+        q = self.q()
+        axes, pose = ", ".join(f"{v:.12f}" for v in np.radians(q)), self.beside(q)[0]
+        return [
+            Line("  def away():"), Line(f"    movej([{axes}])", "joints", q), Line(f"    movel({pose}, v=0.1)", "named"),
+            Line("  end"),
+        ]  # fmt: skip
+
+    def behind(self, q: Floats) -> list[Line]:
+        """Moves from these joints to poses: along a line or arc, in a loop, and after the subprogram moved the arm."""
+        (pose, near), (other, on), kind = self.beside(q), self.beside(q), self.rng.random()
+        line = Line(f"  movel({pose}, a=1.2, v=0.2, r=0.01)", "pose", near)
+        if kind < 0.4:
+            return [line]
+        if kind < 0.6:
+            return [Line(f"  movec({other}, {pose}, a=1.2, v=0.2)", "pose", near, on)]
+        if kind < 0.8:
+            return [Line("  away()"), Line(line.text, "named")]
+        axes = ", ".join(f"{v:.12f}" for v in np.radians(q))
+        return [
+            Line("  while count < 3:"), Line(f"    movel({other})", "named"), Line(f"    movej([{axes}])", "joints", q),
+            line, Line("    count = count + 1"), Line("  end"), Line(f"  movel({other}, v=0.1)", "named"),
+        ]  # fmt: skip
 
     def fanuc(self, count: int) -> list[Line]:
         """A FANUC program in the controller's ASCII form: positions in frame 2 with tool 1, logic, registers."""
@@ -140,13 +207,22 @@ class Generator:
         for k in range(1, count + 1):
             q = self.q()
             kind = self.rng.random()
-            moves.append(Line(f"  {len(moves) + 1}:L P[{k}] 100mm/sec FINE    ;"))
+            beside, arc = 0.5 < kind < 0.7, kind > 0.85
+            if beside:
+                more = ("Offset,PR[2]", "Tool_Offset,PR[3]", "INC")[self.rng.integers(3)]
+                moves.append(Line(f"  {len(moves) + 1}:L P[{k}] 100mm/sec FINE {more}    ;", "named"))
+            elif arc:
+                moves += [Line(f"  {len(moves) + 1}:C P[{k}]    "), Line(f"    :  P[{k}] 100mm/sec CNT50    ;")]
+            else:
+                moves.append(Line(f"  {len(moves) + 1}:L P[{k}] 100mm/sec FINE    ;"))
             x, y, z, r, p, w = zyx(self.pose(q))
             places = ", ".join(f"{n} = {v:.9f} mm" for n, v in zip("XYZ", (x, y, z), strict=True))
             turns = ", ".join(f"{n} = {v:.10f} deg" for n, v in zip("WPR", (w, p, r), strict=True))
             positions += [
-                Line(f"P[{k}]{{"), Line("   GP1:"), Line(f"\tUF : 2, UT : 1,\tCONFIG : {config(q)},"),
-                Line(f"\t{places},", "pose", q), Line(f"\t{turns}", "turns", q), Line("};"),
+                Line(f"P[{k}]{{", "named" if beside else "alone"), Line("   GP1:"),
+                Line(f"\tUF : 2, UT : 1,\tCONFIG : {config(q)},"),
+                Line(f"\t{places},", "alone" if beside else "pose", q),
+                Line(f"\t{turns}", "alone" if beside else "turns", q), Line("};"),
             ]  # fmt: skip
             if kind < 0.5:
                 moves.append(Line(f"  {len(moves) + 1}:{alone[self.rng.integers(len(alone))]}"))
@@ -154,4 +230,7 @@ class Generator:
         return [Line("/PROG W"), Line("/MN"), *moves, Line("/POS"), *positions, Line("/END")]
 
 
-OPTIONS = {"fanuc": ["--fanuc-j3", "same", "--base", f"2={numbers(BASE, True)}", "--tool", f"1={numbers(TOOL, True)}"]}
+OPTIONS = {
+    "krl": ["--base", f"2={numbers(BASE)}", "--tool", f"1={numbers(TOOL)}"],
+    "fanuc": ["--fanuc-j3", "same", "--base", f"2={numbers(BASE, True)}", "--tool", f"1={numbers(TOOL, True)}"],
+}

@@ -20,7 +20,7 @@ from .test_filter_poses import (
     WITHIN_MM,
     calibrated,
     fanuc_back,
-    krl_back,
+    of_zyx,
     rapid_back,
     taught,
     urscript_back,
@@ -39,13 +39,15 @@ def joints_of(text: str, dialect: str) -> Floats:
     return np.degrees(found) if dialect == "urscript" else found
 
 
-def pose_of(text: str, dialect: str) -> Floats:
-    """The pose of a corrected line."""
+def poses_of(text: str, dialect: str) -> list[Floats]:
+    """The poses of a corrected line."""
     if dialect == "krl":
-        return krl_back(text.strip().replace("LIN", "PTP"))[0][0]
+        lists = re.findall(r"\{([^}]*)\}", text.partition(";")[0])
+        return [of_zyx(np.array([float(v) for v in re.findall(r"\b[XYZABC] (-?[\d.]+)", one)])) for one in lists]
     if dialect == "rapid":
-        return rapid_back("robtarget :=" + text.partition("Move")[2].partition("[")[1] + text.partition("[")[2])[0][0]
-    return urscript_back(text)[0][0]
+        lists = re.findall(r"\[\[[^\]]*\],\[[^\]]*\],\[[^\]]*\],\[[^\]]*\]\]", text)
+        return [rapid_back(f"robtarget :={one}")[0][0] for one in lists]
+    return [urscript_back(f"movel(p[{one}]")[0][0] for one in re.findall(r"p\[(.*?)\]", text)]
 
 
 def off_mm(arm: tuple[Arm, Arm], line: Line, text: str, dialect: str) -> float:
@@ -55,7 +57,8 @@ def off_mm(arm: tuple[Arm, Arm], line: Line, text: str, dialect: str) -> float:
     if line.what == "joints":
         return float(np.linalg.norm((real.flange(joints_of(text, dialect)) - ideal.flange(line.q))[:3, 3]))
     base = np.eye(4) if dialect == "urscript" else BASE
-    return of_pose(arm, line.q, base @ pose_of(text, dialect))
+    goals, poses = [q for q in (line.via, line.q) if q is not None], poses_of(text, dialect)
+    return max(of_pose(arm, q, base @ pose) for q, pose in zip(goals, poses, strict=True))
 
 
 def of_pose(arm: tuple[Arm, Arm], q: Floats, pose: Floats) -> float:
@@ -87,11 +90,11 @@ def check(dialect: str, lines: list[Line], new: list[str], told: dict[str, objec
             assert text == line.text
             assert (number in named) == (line.what == "named"), (number, line, left)
     if dialect == "fanuc":
-        taught_at = [line.q for line in lines if line.what == "pose"]
-        for k, ((pose, _), q) in enumerate(zip(fanuc_back("\n".join(new)), taught_at, strict=True), 1):
-            assert q is not None
-            if f"P[{k}]" not in names:
-                worst = max(worst, of_pose(arm, q, BASE @ pose))
+        positions = [line for line in lines if line.q is not None and " mm" in line.text]
+        for k, ((pose, _), line) in enumerate(zip(fanuc_back("\n".join(new)), positions, strict=True), 1):
+            assert line.q is not None
+            if f"P[{k}]" not in names and line.what == "pose":
+                worst = max(worst, of_pose(arm, line.q, BASE @ pose))
     return worst
 
 

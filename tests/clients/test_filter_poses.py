@@ -344,3 +344,114 @@ def test_a_joint_that_the_correction_takes_through_zero_gets_another_turn(
             turns.add((status_turn(q), stated))
         assert len({stated for _, stated in turns}) == 1
         assert any(before != after for before, after in turns)
+
+
+@pytest.mark.parametrize("name", ["RAPID", "FANUC LS"])
+def test_no_pose_is_written_whose_posture_is_no_longer_the_stated_one(
+    kilter: Kilter, arms: dict[str, str], tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Joint 5 so near zero that its error takes it to the other side: the controller would spin the wrist by half a turn."""
+    one = LANGUAGES[name]
+    robot = robot_of(kilter, arms, one.preset, tmp_path)
+    ideal = Arm(one.preset)
+    q = np.array([[10.0, 20, 15, 30, small, 25] for small in BENDS])
+    path, output = tmp_path / f"w{one.ending}", tmp_path / f"out{one.ending}"
+    poses = np.linalg.inv(BASE) @ np.array([ideal.flange(at) @ TOOL for at in q])
+    path.write_text(one.program(q, poses))
+    capsys.readouterr()
+    told = document(capsys, "filter", path, "--robot", robot, "-o", output, *one.options)
+    before, after = (one.back(file.read_text()) for file in (path, output))
+    kept = 0
+    for (old, _), (new, stated), at in zip(before, after, q, strict=True):
+        if np.array_equal(old, new):
+            continue
+        kept += 1
+        command = ideal.joints(BASE @ new @ np.linalg.inv(TOOL), at)
+        over = command + np.array([0, 0, 0, 180, -2 * command[4], 180])  # the other bend of the wrist
+        meant = min(command, over, key=lambda c: abs(np.remainder(c[3] - at[3] + 180, 360) - 180))
+        assert one.states(meant)[AXIS_5[name]] == stated[AXIS_5[name]], (at, meant, stated)
+    named = {line["line"] for line in told["left"] if "singularity" in line["what"]}
+    assert kept + len(named) == len(q)
+
+
+AXIS_5 = {"RAPID": -2, "FANUC LS": 1}  # the character that says on which side axis 5 is
+
+
+BENDS = (-20.0, -0.3, -0.12, -0.05, -0.01, 0.01, 0.05, 0.12, 0.3, 20.0)
+
+
+def offset_wrist(name: str) -> dict[str, object]:
+    """A small arm of which axes 4, 5 and 6 do not meet: the flange stands 150 mm beside axis 4."""
+    return {
+        "name": name, "convention": "dh", "joints": [{"name": f"J{k}", "limits_deg": [-170, 170]} for k in range(1, 7)],
+        "rows": [
+            {"type": "revolute", "theta_offset_deg": theta, "d_mm": d, "a_mm": a, "alpha_deg": alpha}
+            for theta, d, a, alpha in OFFSET_WRIST
+        ],
+    }  # fmt: skip
+
+
+OFFSET_WRIST = [(0, 245, 0, -90), (-90, 0, 540, 0), (0, 0, 0, -90), (0, 540, 0, 90), (0, 150, 0, -90), (0, 160, 0, 0)]
+SEVEN_AXES = [
+    (0, 360, 0, -90), (0, 0, 0, 90), (0, 420, 0, 90), (0, 0, 0, -90), (0, 400, 0, -90), (0, 0, 0, 90), (0, 126, 0, 0),
+]  # fmt: skip
+
+
+def of_rows(rows: list[tuple[float, ...]], q: Floats) -> Floats:
+    """Flange (4, 4) mm of an arm by its table."""
+    T = np.eye(4)
+    for (theta, d, a, alpha), value in zip(rows, q, strict=True):
+        T = T @ about("z", np.radians(theta + value)) @ shift(a, 0, d) @ about("x", np.radians(alpha))
+    return T
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "said"),
+    [("crx", OFFSET_WRIST, "neither do its last three axes meet"), ("iiwa14", SEVEN_AXES, "has 7 joints")],
+)
+def test_an_arm_without_a_closed_inverse_gets_joints_exactly_and_its_poses_are_named(
+    kilter: Kilter,
+    tmp_path: Path,
+    name: str,
+    rows: list[tuple[float, ...]],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    count, robot = len(rows), f"no-closed-inverse-{name}"
+    six = name == "crx"
+    kilter.robots.add(offset_wrist(robot) if six else {"name": robot, "convention": "preset", "preset": name})
+    rng = np.random.default_rng(11)
+    real = [(theta + error, *rest) for (theta, *rest), error in zip(rows, rng.uniform(-0.1, 0.1, count), strict=True)]
+    q = rng.uniform(-80, 80, (40, count))
+    seen = np.array([of_rows(real, at) for at in q])
+    turns = Rotation.from_matrix(seen[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    head = ",".join([*(f"q{k}_deg" for k in range(1, count + 1)), "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"])
+    body = [",".join(f"{v:.15g}" for v in row) for row in np.hstack([q, seen[:, :3, 3], turns])]
+    (tmp_path / "seen.csv").write_text("\n".join([head, *body, ""]))
+    assert run(["upload", robot, str(tmp_path / "seen.csv"), "--name", f"of-{robot}"]) == 0
+    assert run(["identify", robot, "-c", f"of-{robot}", "--level", "2", "--tool", "fixed", "--base", "fixed"]) == 0
+    assert run(["activate", "latest", "--robot", robot, "--force"]) == 0
+    nulls = ["$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 0,A 0,B 0,C 0}"]
+    taught_at = q[:8]
+    joints = [f"PTP {{{','.join(f'A{k} {v:.9f}' for k, v in enumerate(at, 1))}}}" for at in taught_at]
+    pose = "LIN {" + ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(of_rows(rows, q[0])), strict=True)) + "}"
+    path, output = tmp_path / "w.src", tmp_path / "out.src"
+    path.write_text("\n".join(["DEF w()", *nulls, *joints, pose, "END", ""]))
+    capsys.readouterr()
+    told = document(capsys, "filter", path, "--robot", robot, "-o", output)
+    line = len(joints) + 4
+    assert said in lines_left(told)[line]
+    assert "Give joint targets" in lines_left(told)[line]
+    assert lines_left(told).keys() == {line}
+    assert told["targets"] == len(joints)
+    new = output.read_text().splitlines()
+    assert new[line - 1] == pose
+    held = {one["line"] for one in told["not_ok"]}
+    off = []
+    for number, (at, text) in enumerate(zip(taught_at, new[3:], strict=False), 4):
+        command = np.array([float(v) for v in re.findall(r"A\d (-?[\d.]+)", text)])
+        assert np.abs(command - at).max() < 2.0  # beside the programmed posture, not in another
+        if number not in held:
+            off.append(np.linalg.norm((of_rows(real, command) - of_rows(rows, at))[:3, 3]))
+    assert len(off) > len(joints) / 2
+    assert max(off) < WITHIN_MM

@@ -292,6 +292,7 @@ def test_poses_of_which_too_little_is_known_are_named_with_their_reason(
 
 SIX = "X {},Y 0,Z 0,A 0,B 0,C 0"
 MOVE = f"LIN {{{SIX.format(500)},S 2,T 2}}"
+SPLINE = f"S{MOVE}"
 ONE, TWO = (f"$TOOL={{{SIX.format(k)}}}" for k in (1, 2))
 
 
@@ -309,6 +310,13 @@ ONE, TWO = (f"$TOOL={{{SIX.format(k)}}}" for k in (1, 2))
         (["FDAT_ACT=FP1", "BAS(#PTP_PARAMS,100)", MOVE, "FDAT_ACT=FP2", MOVE], [3, "stands still"]),
         (["$TOOL=TOOL_DATA[3]", MOVE, "$TOOL=other", MOVE], [3, "is not known"]),
         ([ONE, "END", "DEF other()", MOVE], [None]),
+        ([f"{ONE}:{{Z 9}}", MOVE], ["is not known"]),
+        ([ONE, "$TOOL.Z = 5", MOVE], ["the program changes $TOOL"]),
+        (["$TOOL=TOOL_DATA[3]", MOVE, "TOOL_DATA[3].Z=7"], ["the program changes TOOL_DATA[3]"]),
+        (["$TOOL=TOOL_DATA[3]", "TOOL_DATA[n]=other", MOVE, "TOOL_DATA[3] = {X 3}"], ["the program changes TOOL_DATA[3]"]),
+        ([ONE, f"{SPLINE} WITH $VEL.CP=0.2, $TOOL=STOOL2(FP1),$BASE= SBASE(FP1.BASE_NO)", MOVE], [3, 1]),
+        ([ONE, f"{SPLINE} WITH $TOOL=STOOL2(FX)", f"{SPLINE} WITH $TOOL=tool_of(1, 2)"], ["FX is not in", "is not known"]),
+        (["SPLINE WITH $TOOL=TOOL_DATA[3]", SPLINE, "ENDSPLINE", ONE, MOVE], [3, 1]),
     ],
 )  # fmt: skip
 def test_the_tool_of_a_move_is_the_one_that_is_surely_set(
@@ -327,3 +335,51 @@ def test_the_tool_of_a_move_is_the_one_that_is_surely_set(
         known = tool.numbers[0] if not isinstance(tool, str) else next((w for w in tools if str(w) in tool), None)
         found.append(known if isinstance(known, str | None) else int(known))
     assert found == tools
+
+
+A, B = (f"set_tcp(p[{k},0,0.1,0,0,0])" for k in (1, 2))
+AT, TO = "movej([0,-1.5,1.5,-1.5,-1.5,0])", "movel(p[0.5,0,0.4,0,3.14,0])"
+
+
+@pytest.mark.parametrize(
+    ("lines", "tool", "from_joints"),
+    [
+        ([A, AT, TO], 1, True),
+        (['set_tcp(p[1,0,0.1,0,0,0], "grip")', AT, TO], 1, True),
+        ([A, "set_tcp(pose_trans(flange, p[0,0,0.1,0,0,0]))", AT, TO], "is not known", True),
+        ([A, "def go():", "while x:", AT, "end", "end", AT, TO], 1, True),
+        (["def go():", A, AT, "end", AT, TO], "no set_tcp is before it", True),
+        ([A, "def go():", B, AT, "end", "go()", AT, TO], "go() sets the tool", True),
+        ([A, "def go():", AT, "end", AT, "go()", TO], 1, False),
+        ([A, AT, "def go():", AT, "end", TO], 1, False),
+    ],
+)
+def test_tool_and_last_target_of_a_program_with_subprograms(
+    tmp_path: Path, lines: list[str], tool: int | str, from_joints: bool
+) -> None:
+    (tmp_path / "a.script").write_text("\n".join(["def a():", *lines, "end", ""]))
+    use = read_program(tmp_path / "a.script").cartesian[-1].uses[0]
+    if isinstance(tool, str):
+        assert isinstance(use.tool, str)
+        assert tool in use.tool
+    else:
+        assert not isinstance(use.tool, str)
+        assert use.tool.numbers[0] == tool
+    assert (use.near is not None) == from_joints
+
+
+@pytest.mark.parametrize(("between", "known"), [("", True), ("grip(1)", True), ("away( )", False)])
+def test_a_subprogram_of_the_same_file_may_move_the_arm(tmp_path: Path, between: str, known: bool) -> None:
+    lines = [
+        "DEF a()",
+        "PTP {A1 1,A2 2}",
+        between,
+        f"LIN {{{SIX.format(500)}}}",
+        "END",
+        "DEF away()",
+        "PTP {A1 9,A2 2}",
+        "END",
+    ]
+    (tmp_path / "a.src").write_text("\n".join(lines))
+    program = read_program(tmp_path / "a.src")
+    assert (program.cartesian[0].uses[0].near is not None) == known

@@ -19,6 +19,7 @@ AXES = re.compile(
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
 GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME})[ \t]*(?=[, \t\r\n]|$)")
+COMMA = re.compile(r"[ \t]*,")
 LINE_END = re.compile(r"\n")
 
 
@@ -98,8 +99,9 @@ def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFr
         return
     first = GOAL.match(match[2])
     goals = [first]
-    if first is not None and "CIRC" in match[1].upper() and match[2][first.end() : first.end() + 1] == ",":
-        goals.append(GOAL.match(match[2], first.end() + 1))
+    comma = COMMA.match(match[2], first.end()) if first is not None and "CIRC" in match[1].upper() else None
+    if comma is not None:
+        goals.append(GOAL.match(match[2], comma.end()))
     for goal in goals:
         _go(program, match, goal, known, frames)
 

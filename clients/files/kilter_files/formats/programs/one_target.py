@@ -60,6 +60,10 @@ class Configuration(Protocol):
         """Say whether joint ``k`` (from 0) of the program may have this value."""
         ...
 
+    def keeps(self, branch: Branch, joints_deg: Sequence[float]) -> bool:
+        """Say whether these joints of the program, in this branch, are still what it says, but for what is restated."""
+        ...
+
     def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return what must be written anew for these joints of the program, by its place."""
         ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from kilter_client.calls import robots
@@ -13,7 +13,7 @@ from kilter_client.steps import Document, Steps
 
 if TYPE_CHECKING:
     from kilter_files.formats.programs.found import Program
-    from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span
+    from kilter_files.formats.programs.one_target import Branch, JointTarget, PoseTarget, Span
     from kilter_files.formats.programs.poses.postures import Found
     from kilter_files.formats.programs.poses.rigid import Rigid
 
@@ -46,6 +46,7 @@ class Understood:
 
     joints_deg: Mapping[PoseTarget, tuple[float, ...]]
     left: Mapping[PoseTarget, str]
+    branches: Mapping[PoseTarget, Branch] = field(default_factory=dict)
 
 
 def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoints) -> Steps[Understood]:
@@ -56,9 +57,8 @@ def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoin
     if not poses:
         return Understood({}, {})
     if len(robot["joints"]) != 6:
-        return Understood(
-            {}, dict.fromkeys(poses, f"the robot has {len(robot['joints'])} joints, its inverse needs six")
-        )
+        why = f"the robot has {len(robot['joints'])} joints, its inverse needs six. Give joint targets"
+        return Understood({}, dict.fromkeys(poses, why))
     before = {id(use.near): use.near for pose in poses for use in pose.uses if _is_joints(use.near)}
     rows = [joints.of_robot(one.joints_deg) for one in before.values()]  # type: ignore[union-attr]
     name = str(robot["name"])
@@ -121,14 +121,14 @@ def _chosen(
             if stated is not None
             else _following(pose, postures, known, limits)
         )
-    joints_deg, left = {}, {}
+    joints_deg, left, branches = {}, {}, {}
     for pose in poses:
         one = known[id(pose)]
         if isinstance(one, str):
             left[pose] = one
         else:
-            joints_deg[pose] = one.joints_deg
-    return Understood(joints_deg, left)
+            joints_deg[pose], branches[pose] = one.joints_deg, one.branch
+    return Understood(joints_deg, left, branches)
 
 
 def _following(
@@ -151,6 +151,28 @@ def _following(
         chosen.append(one)
     apart = max(math.dist(one.joints_deg, chosen[0].joints_deg) for one in chosen)
     return chosen[0] if apart < SAME_DEG else "moves come to it with different joints"
+
+
+def not_kept(
+    robot: str, corrected: Sequence[tuple[PoseTarget, Sequence[float]]], understood: Understood, joints: ProgramJoints
+) -> Steps[dict[PoseTarget, str]]:
+    """Name the poses at which the controller would not find these corrected joints of the robot (deg) by what is stated."""
+    from kilter_files.formats.programs.poses.postures import posture_at
+
+    flanges = (yield from robots.forward(robot, [q for _, q in corrected])) if corrected else []
+    found = (yield from robots.inverse(robot, flanges)) if flanges else []
+    out: dict[PoseTarget, str] = {}
+    for (pose, q), postures in zip(corrected, found, strict=True):
+        one, stated = posture_at(q, postures), pose.configuration
+        if one is None:
+            out[pose] = "the correction takes it to a singularity"
+        elif not (
+            one.branch == understood.branches[pose]
+            if stated is None
+            else stated.keeps(one.branch, joints.of_program(q))
+        ):
+            out[pose] = "the correction takes it past a singularity, to another configuration"
+    return out
 
 
 def rewritten(

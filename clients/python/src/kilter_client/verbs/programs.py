@@ -14,7 +14,7 @@ from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
 from kilter_client.given import signs_of
 from kilter_client.steps import Document, Steps
-from kilter_client.verbs.program_poses import ProgramJoints, Understood, rewritten, understand
+from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
 from kilter_client.verbs.things import Thing, reference
 from kilter_client.verbs.versions import correct
 
@@ -88,6 +88,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
         programs,
         "is not corrected",
     )
+    done = yield from _kept(programs, done, understood, joints, name, strict=strict)
     texts = yield from _texts(programs, done, joints, name)
     return FilteredProgram.read(_report(programs, done, texts))
 
@@ -193,6 +194,30 @@ def _done(
         new = [float(answer[name][row]) if status in ANSWERED else math.nan for name in names]
         done.append(Done(program, target, taught, new, status))
     return done
+
+
+def _kept(
+    programs: Sequence[Program],
+    done: AllDone,
+    understood: Understood,
+    joints: ProgramJoints,
+    robot: str,
+    *,
+    strict: bool,
+) -> Steps[AllDone]:
+    """Leave the poses that would no longer be reached in their configuration, each named with its line."""
+    from kilter_files.formats.programs.one_target import PoseTarget
+
+    poses = [(one.target, one.joints_deg) for one in done if isinstance(one.target, PoseTarget)]
+    lost = yield from not_kept(robot, poses, understood, joints)
+    for one in programs:
+        one.leave_poses(lost)
+    kept = AllDone(one for one in done if one.target not in lost)
+    kept.notes = done.notes
+    if lost and (strict or not kept):
+        named = [(one, line, what) for one in programs for line, what in one.left]
+        _refuse(named, programs, "is not rewritten" if strict else "has no target that can be")
+    return kept
 
 
 def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:

@@ -28,6 +28,10 @@ class StatusTurn:
         """Say whether a joint has the sign that T states."""
         return abs(value_deg) < 360.0 and _either(bool(self.turn >> k & 1), lambda q: q < 0.0, value_deg)
 
+    def keeps(self, branch: Branch, joints_deg: Sequence[float]) -> bool:
+        """Say whether wrist and elbow are still where S says; T is written anew."""
+        return self.fits(branch)
+
     def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return T for these joints, where it is another."""
         turn = sum(1 << k for k, q in enumerate(joints_deg) if q < -0.0)
@@ -55,6 +59,10 @@ class ConfData:
             return _either(bool(self.branch & 1), lambda q: q < 0.0, value_deg)
         stated = dict(zip((0, 3, 5), self.quadrants, strict=True)).get(k)
         return stated is None or _either(stated, lambda q: math.floor(q / 90.0), value_deg)
+
+    def keeps(self, branch: Branch, joints_deg: Sequence[float]) -> bool:
+        """Say whether the branch is still the stated one, and axis 5 on its side; the other numbers are written anew."""
+        return self.fits(branch) and _either(bool(self.branch & 1), lambda q: q < 0.0, joints_deg[4])
 
     def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return the quadrants for these joints that are others."""
@@ -84,6 +92,10 @@ class Config:
         if k == 4 and not _either(self.flip, lambda q: q >= 0.0, value_deg):
             return False
         return k < 3 or _either(self.turns[k - 3], _turns, value_deg)
+
+    def keeps(self, branch: Branch, joints_deg: Sequence[float]) -> bool:
+        """Say whether the branch is still the stated one, and axis 5 on its side; the other numbers are written anew."""
+        return self.fits(branch) and _either(self.flip, lambda q: q >= 0.0, joints_deg[4])
 
     def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return the full turns for these joints that are others."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,11 +24,13 @@ class _Part:
 class InForce:
     """``control`` are lines at which a program branches, by place: 1 opens a block, -1 closes one, 0 divides it, None jumps.
 
-    ``starts`` are the places at which subprograms begin: nothing is in force from one to the next.
+    ``starts`` are the places at which subprograms begin: nothing is in force from one to the next. Where one stands inside
+    another, ``owners`` has the number of the subprogram that each start begins or goes on with.
     """
 
     control: Sequence[tuple[int, int | None]]
     starts: Sequence[int]
+    owners: Sequence[int] = ()
     settings: list[tuple[int, object]] = field(default_factory=list)
     _parts: dict[int, _Part] = field(default_factory=dict)
 
@@ -37,7 +40,7 @@ class InForce:
 
     def at(self, place: int) -> tuple[bool, object]:
         """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
-        number = bisect_right(self.starts, place)
+        number = self._owner(place)
         part = self._parts.get(number) or self._parts.setdefault(number, self._part(number))
         k = bisect_left(part.places, place) - 1
         if k < 0:
@@ -47,11 +50,15 @@ class InForce:
     def joined(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
         between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
-        return not between and bisect_right(self.starts, first) == bisect_right(self.starts, second)
+        return not between and self._owner(first) == self._owner(second)
+
+    def _owner(self, place: int) -> int:
+        k = bisect_right(self.starts, place)
+        return self.owners[k - 1] if k and self.owners else k
 
     def _part(self, number: int) -> _Part:
-        control = [(at, way) for at, way in self.control if bisect_right(self.starts, at) == number]
-        inside = [(at, value) for at, value in self.settings if bisect_right(self.starts, at) == number]
+        control = [(at, way) for at, way in self.control if self._owner(at) == number]
+        inside = [(at, value) for at, value in self.settings if self._owner(at) == number]
         jumps = any(way is None for _, way in control)
         depth, steps = 0, iter([*control, (math.inf, 0)])
         step = next(steps)
@@ -64,6 +71,14 @@ class InForce:
         values = [value for _, value in inside]
         same = all(value == values[0] for value in values)
         return _Part([at for at, _ in inside], values, same, plain, jumps)
+
+
+def calls_of_own(text: str, named: re.Pattern[str]) -> list[int]:
+    """Return where a program calls its own subprograms, of which ``named`` finds the names: they may move the arm."""
+    names = {match[1].upper() for match in named.finditer(text)}
+    heads = {match.start(1) for match in named.finditer(text)}
+    calls = re.finditer(r"(?<![\w.$])(\w{1,64})[ \t]*\(", text)
+    return [match.start() for match in calls if match[1].upper() in names and match.start() not in heads]
 
 
 def _place(control: tuple[int, int | None]) -> int:

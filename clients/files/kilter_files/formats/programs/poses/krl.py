@@ -55,7 +55,7 @@ def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
     bases: dict[str, list[PoseTarget]] = {}
     for name, pose in poses.items():
         bases.setdefault(name.partition("[")[0], []).append(pose)
-    change = re.compile(r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)[ \t]*(?!\{)", re.I | re.M)
+    change = re.compile(r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)(?![ \t]*\{)", re.I | re.M)
     for match in change.finditer(text):
         for pose in bases.get(match[1].upper(), ()):
             if not re.match(r"\s*\.\s*E\d", match[2], re.I):

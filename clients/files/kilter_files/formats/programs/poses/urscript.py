@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Use
-from kilter_files.formats.programs.poses.in_force import InForce
+from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own
 from kilter_files.formats.programs.poses.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.poses.rapid import arguments
 
@@ -15,11 +15,13 @@ NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]")
 INVERSE = re.compile(r"get_inverse_kin\s?\(")
 CALL = re.compile(r"\b(move[jlpc])\s?\(")
-SET_TCP = re.compile(r"\bset_tcp\s?\(\s*([^()\n]{1,300}?)\s*\)")
+SET_TCP = re.compile(r"\bset_tcp\s?\(")
 CONTROL = re.compile(
     r"^[ \t]*(?:(if|while)\b|(end)\b|(def|thread|sec|elif|else|halt|return|break|continue|join|run|kill)\b)", re.M
 )
-START = re.compile(r"^[ \t]*(?:def|thread|sec)\b", re.M)
+OWN = re.compile(r"^[ \t]*(?:def|thread|sec)[ \t]+(\w{1,64})", re.M)
+OPENS = frozenset(("if", "while", "def", "thread", "sec"))
+PARTS = frozenset(("def", "thread", "sec"))
 CHANGED = re.compile(r"^[ \t]*(\w{1,64})[ \t]*\[[^\]\n]{1,40}\][ \t]*=(?!=)", re.M)
 
 Places = Mapping[str, list[tuple[int, str]]]
@@ -35,10 +37,28 @@ class Poses:
         self._changed = {match[1] for match in CHANGED.finditer(text)}
         ways = (1, -1, 0)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
-        self._tool = InForce(control, [match.start() for match in START.finditer(text)])
-        for match in SET_TCP.finditer(text):
-            self._tool.set(match.start(), self._frame(match[1]))
+        calls = [(at, 0) for at in calls_of_own(text, OWN)]
+        starts, owners = _parts(text)
+        self._tool = InForce(sorted([*control, *calls]), starts, owners)
+        for at, tool in sorted(self._tools(text, dict(zip(starts, owners, strict=True))), key=lambda one: one[0]):
+            self._tool.set(at, tool)
         self.last: tuple[int, JointTarget | PoseTarget] | None = None
+
+    def _tools(self, text: str, parts: Mapping[int, int]) -> list[tuple[int, Frame | str]]:
+        """The tools that the program sets, and the calls of subprograms that set another."""
+        found: list[tuple[int, Frame | str]] = []
+        for match in SET_TCP.finditer(text):
+            _, said = next(arguments(_inside(text, match.end())))
+            found.append((match.start(), self._frame(said)))
+        if len({tool for _, tool in found}) > 1:
+            heads = {match.start(): match for match in OWN.finditer(text)}
+            setting = {max((at for at in parts if at < place), default=-1) for place, _ in found}
+            own = {heads[at][1] for at in setting if at in heads}
+            for at in calls_of_own(text, OWN):
+                name = re.match(r"\w+", text[at : at + 64])
+                if name and name[0] in own:
+                    found.append((at, f"{name[0]}() sets the tool"))
+        return found
 
     def _frame(self, said: str) -> Frame | str:
         places = self._declared.get(said, [])
@@ -95,6 +115,26 @@ class Poses:
             found.problem = "the program changes it" if said in self._changed else ""
             self._taken[one.start()] = self._program.add_pose(found, counted=False)
         return found
+
+
+def _parts(text: str) -> tuple[list[int], list[int]]:
+    """Where subprograms begin, and where what surrounds them goes on behind them; and the number of each."""
+    starts: list[int] = []
+    owners: list[int] = []
+    opened: list[tuple[str, int]] = []
+    for match in CONTROL.finditer(text):
+        word = next(part for part in match.groups() if part)
+        if word in OPENS:
+            number = len(starts) + 1 if word in PARTS else 0
+            opened.append((word, number))
+        elif word != "end" or not opened or opened.pop()[0] not in PARTS:
+            continue
+        else:
+            number = next((number for kind, number in reversed(opened) if kind in PARTS), 0)
+        if word in PARTS or word == "end":
+            starts.append(match.start())
+            owners.append(number)
+    return starts, owners
 
 
 def _inside(text: str, at: int) -> str:
