@@ -50,7 +50,7 @@ class World:
         self.known = {
             "robot": ["arm", "arm", "empty"], "campaign": campaigns, "version": versions, "job": jobs,
             "a": [*versions, "nominal"], "b": [*versions, "nominal"], "token": [token], "fleet_job": fleets,
-            "link": ["base", "1", "2"],
+            "link": ["base", "1", "2"], "bridge": ["rsi", "egm", "fci"],
             "reference": [*campaigns, *versions, *jobs, "latest"],
         }  # fmt: skip
 

@@ -38,8 +38,10 @@ class BridgeNews(Strict):
     late: Count = Field(description="Of these, answered later than a cycle.")
     lost: Count = Field(description="Cycles for which no request came.")
     refused: Count = Field(description="Cycles whose joints could not be corrected.")
-    offset_deg: float = Field(ge=0.0, le=180.0, description="Largest offset of a joint now, deg.")
-    largest_offset_deg: float = Field(ge=0.0, le=180.0, description="Largest offset of a joint since it began, deg.")
+    offset_deg: float = Field(ge=0.0, le=180.0, description="Largest offset of a joint now, degrees.")
+    largest_offset_deg: float = Field(
+        ge=0.0, le=180.0, description="Largest offset of a joint since it began, degrees."
+    )
 
 
 class Bridge(BridgeNews):

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.observations.repeats import numbered_poses
+from kilter_files.ground.later import parquet
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.db import Database
+from kilter_service.tables.assemble import observations
 from kilter_service.tables.reading import PARQUET
 from kilter_service.versions import service
 
@@ -111,9 +114,7 @@ def chance(better: int, worse: int) -> float:
 
 def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
     """Return what a version leaves of every row, as columns of the file that the interface gives."""
-    import pyarrow.parquet
-
-    table = pyarrow.parquet.read_table(io.BytesIO(service.residuals(database, version, chosen, PARQUET)))
+    table = parquet.read_table(io.BytesIO(service.residuals(database, version, chosen, PARQUET)))
     return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
 
 
@@ -134,9 +135,6 @@ def _interval(means: Floats) -> tuple[float, float | None, float | None]:
 
 def _poses(database: Database, table: Mapping[str, Any]) -> Ints:
     """Number the poses of all rows, those of each campaign apart."""
-    from kilter_core.observations.repeats import numbered_poses
-    from kilter_service.tables.assemble import observations
-
     found, last = [], 0
     for campaign in dict.fromkeys(table["campaign"]):
         rows = looking.stored(database, campaign)

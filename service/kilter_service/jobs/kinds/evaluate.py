@@ -41,7 +41,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     metrics, rows, warnings = {}, {}, []
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
-        calibration = job.applied_to(campaign) or Calibration.nominal(job.robot)
+        calibration = _calibration(job, campaign)
         metrics[campaign] = evaluate(calibration, seen, options.refit, known)
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
@@ -53,10 +53,11 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(result | {"warnings": warnings})
 
 
-def _calibration(job: JobInput) -> Calibration:
+def _calibration(job: JobInput, campaign: str | None = None) -> Calibration:
+    """The version, as it predicts the rows of a campaign; else the nominal robot."""
     from kilter_core.model import Calibration
 
-    return job.calibration or Calibration.nominal(job.robot)
+    return (job.calibration if campaign is None else job.applied_to(campaign)) or Calibration.nominal(job.robot)
 
 
 def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[str, Any]:
