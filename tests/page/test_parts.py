@@ -11,12 +11,13 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
+from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.db.row import now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today
-from kilter_service.page.shared.correcting import Correcting
+from kilter_service.page.shared.correcting import Correcting, Corrector
 from kilter_service.page.shared.state import state_of
 from kilter_service.page.words import beside, sigma_of
 
@@ -74,6 +75,33 @@ def of_today(source: str = "held_out", changed: bool = False, version: str | Non
 )
 def test_the_state_says_what_is_worst(today: Today, seen: Correcting, word: str) -> None:
     assert state_of(today, accuracy_today(today), None, seen).word == word
+
+
+def bridge_that_is(state: str, active: str | None) -> Bridge:
+    return Bridge(
+        kind="rsi", state=state, version_id="ver_1", cycle_ms=4.0, cycles=1, late=0, lost=0, refused=0, offset_deg=0.1,
+        largest_offset_deg=0.1, id="run_1", robot="arm", since=now(), heard_at=now(), silent_s=0.0, gone=False,
+        other_version=active != "ver_1", sentence="The rsi bridge corrects.",
+    )  # type: ignore[arg-type] # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("state", "active", "word", "tile"),
+    [
+        ("correcting", None, "By a bridge", "by a bridge"),
+        ("ramping in", None, "By a bridge", "by a bridge"),
+        ("waiting", None, "Not corrected", "bridge waiting"),
+        ("correcting", "ver_1", "Good", "by a bridge"),
+    ],
+)
+def test_state_and_tile_agree_on_a_bridge_that_was_told_its_version(
+    state: str, active: str | None, word: str, tile: str
+) -> None:
+    seen = Corrector(True, "alive", [], {"arm": [bridge_that_is(state, active)]}).of("arm", active)
+    found = state_of(of_today(version=active), accuracy_today(of_today()), None, seen)
+    assert (found.word, seen.word) == (word, tile)
+    if active is None and word == "By a bridge":
+        assert (found.sentence, found.look) == (seen.sentence, "warn")
 
 
 def test_lengths_beside_each_other_have_the_unit_of_the_largest() -> None:

@@ -134,7 +134,7 @@ def test_the_report_says_what_the_interface_says(server: httpx.Client, version: 
     assert told["robot_sha256"] in text
     assert re.search(rf"{JOB}, identify; asked for [-0-9: ]+ UTC by anna, finished", text)
     assert "AP 0.123 mm 30 30" in text
-    assert "RP 45.0 µm 5 30 (too few: only a guideline)" in text
+    assert "RP 0.0450 mm 5 30 (too few: only a guideline)" in text
     for effect in told["effects"]:
         assert effect in text
     assert "<script>" not in html
@@ -145,7 +145,9 @@ def test_the_report_says_what_the_interface_says(server: httpx.Client, version: 
 def test_the_report_says_which_share_has_which_error(server: httpx.Client, version: str) -> None:
     html = server.get(f"/versions/{version}/report").raise_for_status().text
     text = plain(html)
-    assert "nominal robot 3.00 mm 3.00 mm base and tool fitted only 1.00 mm 3.00 mm calibrated 20.0 µm 50.0 µm" in text
+    assert (
+        "nominal robot 3.00 mm 3.00 mm base and tool fitted only 1.00 mm 3.00 mm calibrated 0.0200 mm 0.0500 mm" in text
+    )
     drawn = html.partition("Share of held-out rows with at most an error")[2].partition("</svg>")[0]
     lines = re.findall(r"<polyline [^>]*>", drawn)
     assert len(lines) == 3

@@ -53,7 +53,7 @@ def test_the_history_says_lineage_and_who_activated_what(there: Made) -> None:
     assert f'href="/versions/{there.poor}">version 1</a></td>' in text  # where the good one started
     said = words(text)
     assert "nominal robot" in said
-    assert "20.0 µm held out" in said  # of the good version
+    assert "0.0200 mm held out" in said  # of the good version, in the unit of the other
     assert "0.900 mm held out" in said
     assert said.count("admin activated version ") == 2
     assert f"corrected with version 2 {there.good} , since" in said

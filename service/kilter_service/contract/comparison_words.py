@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import math
 
+DIGITS = 3  # of the largest of several lengths
+
+
+def unit_of_length(length_mm: float) -> tuple[str, float]:
+    """The unit in which people read a length, and how many there are in a millimetre."""
+    return ("µm", 1e3) if abs(length_mm) < 0.1 else ("mm", 1.0)
+
 
 def said_of_lengths(largest_mm: float, *lengths_mm: float) -> list[str]:
-    """Write lengths in µm where the largest is below a tenth of a millimetre, else in mm, with its digits."""
-    unit, scale = ("µm", 1e3) if abs(largest_mm) < 0.1 else ("mm", 1.0)
-    digits = max(2 - math.floor(math.log10(scale * abs(largest_mm))), 0) if largest_mm else 0
+    """Write lengths in the unit of the largest, as finely as three digits of it."""
+    unit, scale = unit_of_length(largest_mm)
+    digits = max(DIGITS - 1 - math.floor(math.log10(scale * abs(largest_mm))), 0) if largest_mm else 0
     return [f"{round(scale * one, digits) + 0.0:.{digits}f} {unit}" for one in lengths_mm]
 
 

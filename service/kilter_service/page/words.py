@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
 from markupsafe import Markup, escape
 
-from kilter_service.contract.comparison_words import said_of_chance
+from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.db.row import now
 from kilter_service.texts import plural
@@ -67,11 +67,6 @@ def _rounded(value: float, decimals: int) -> str:
     return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # no -0.0
 
 
-def _unit_of(length_mm: float) -> tuple[str, float]:
-    """The unit in which people read a length, and how many there are in a millimetre."""
-    return ("µm", 1e3) if abs(length_mm) < 0.1 else ("mm", 1.0)
-
-
 def mm(value: float | None) -> str:
     """Write a length in mm, below a tenth of one in µm: nobody counts zeros in front of an arm."""
     if value is None or not math.isfinite(value):
@@ -85,17 +80,26 @@ def like(value: float | None, largest: float | None) -> str:
     """Write a length in mm in the unit of another one: numbers that are compared share it."""
     if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
         return NONE
-    unit, scale = _unit_of(largest)
-    digits = max(DIGITS - 1 - math.floor(math.log10(scale * abs(largest))), 0) if largest else 0
-    return f"{_rounded(scale * value, digits)} {unit}"
+    return said_of_lengths(largest, value)[0]
 
 
 def beside(value: float | None, largest: float | None) -> str:
     """Write a length in mm in the unit of the largest one it stands beside, with digits of its own."""
     if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
         return mm(value)
-    unit, scale = _unit_of(largest)
+    unit, scale = unit_of_length(largest)
     return f"{number(scale * value)} {unit}"
+
+
+def largest(lengths: Iterable[float | None]) -> float | None:
+    """Return the largest size of those that are known; None: none is."""
+    return max((abs(one) for one in lengths if one is not None and math.isfinite(one)), default=None)
+
+
+def in_one_unit(rows: Sequence[Sequence[float | None]]) -> list[list[str]]:
+    """Write a table of lengths in mm, all in the unit of the largest of them."""
+    most = largest(one for row in rows for one in row)
+    return [[beside(one, most) for one in row] for row in rows]
 
 
 def sigma_of(found: Parameter) -> float | None:
@@ -114,7 +118,7 @@ def within(value: float, low: float | None, high: float | None) -> str:
     """Write a length in mm with its interval, all three in the unit of the largest and to the second digit of the width."""
     if low is None or high is None or not high > low:
         return mm(value)
-    unit, scale = _unit_of(max(abs(value), abs(low), abs(high)))
+    unit, scale = unit_of_length(max(abs(value), abs(low), abs(high)))
     decimals = max(1 - math.floor(math.log10(scale * (high - low))), 0)
     one, first, last = (_rounded(scale * end, decimals) for end in (value, low, high))
     return f"{one} {unit} ({first} to {last})"
@@ -174,8 +178,8 @@ def of_joints(numbers: Sequence[int]) -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "sigma_of": sigma_of, "chance": chance,
-    "age": age, "moment": moment, "percent": percent, "count": count,
+    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "largest": largest,
+    "sigma_of": sigma_of, "chance": chance, "age": age, "moment": moment, "percent": percent, "count": count,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
     "left_out": left_out,
 }  # fmt: skip

@@ -40,15 +40,16 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
 
     named = {one.id: one for one in (search.effects if search is not None else None) or []}
     moved = contributions.moved_by_each(database, version.id)
-    sizes = {one.effect: (words.mm(one.rms_mm), words.mm(one.largest_mm)) for one in moved.effects}
+    sizes = {one.effect: [one.rms_mm, one.largest_mm] for one in moved.effects}
+    searched = [named[one].moves_mm if one in named else None for one in version.effects]
+    lengths = [[*sizes.get(effect, [None, None]), here] for effect, here in zip(version.effects, searched, strict=True)]
     shown = []
-    for effect in version.effects:
+    for effect, (rms, largest, here) in zip(version.effects, words.in_one_unit(lengths), strict=True):
         found = named.get(effect)
         joints = words.of_joints(found.joints) if found is not None and found.joints else ""
-        here = words.mm(found.moves_mm) if found is not None else words.NONE
         kind = EFFECTS.get(effect)
         what = kind.summary if kind is not None else ""
-        shown.append(Effect(effect, joints, what, *sizes.get(effect, (words.NONE, words.NONE)), here))
+        shown.append(Effect(effect, joints, what, rms, largest, here))
     return Contributions(moved.poses, shown, moved.plot(SHADES[1:], 620.0) if moved.effects else None)
 
 

@@ -37,6 +37,7 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
         there = [(place, value) for place, value in enumerate(sizes) if value is not None]
         places = [place + 0.1 + (k + 0.5) * width for place, _ in there]
         plot.bars(places, [value for _, value in there], width * 0.92, label, colour=shades[k])
-    rows = [[label, *(words.mm(getattr(one, size)) for size, _ in SIZES)] for label, one in found]
+    lengths = words.in_one_unit([[getattr(one, size) for size, _ in SIZES] for _, one in found])
+    rows = [[label, *sizes] for (label, _), sizes in zip(found, lengths, strict=True)]
     plot.table = (["Model", *(label for _, label in SIZES)], rows)
     return plot

@@ -67,34 +67,29 @@ def first_sheet(database: Database, robot: str, wish: Wish) -> First:
 
 
 def _merits(found: Acceptance) -> list[list[str]]:
-    out = []
-    for one in found.campaigns[:MOST_CAMPAIGNS]:
-        for label, errors in (("base and tool fitted only", one.before), ("calibrated", one.after)):
-            sizes = [words.mm(getattr(errors, size)) for size, _ in SIZES]
-            out.append([f"{one.name} ({one.rows} rows), {label}", *sizes])
-    return out
+    judged = [
+        (f"{one.name} ({one.rows} rows), {label}", errors)
+        for one in found.campaigns[:MOST_CAMPAIGNS]
+        for label, errors in (("base and tool fitted only", one.before), ("calibrated", one.after))
+    ]
+    lengths = words.in_one_unit([[getattr(errors, size) for size, _ in SIZES] for _, errors in judged])
+    return [[label, *sizes] for (label, _), sizes in zip(judged, lengths, strict=True)]
 
 
 def _budget(budget: Budget) -> list[list[str]]:
+    widths = words.in_one_unit([[one.half_width_mm, one.standard_mm] for one in budget.contributions])
     return [
-        [
-            SOURCES.get(one.source, one.source), one.type, one.distribution, words.mm(one.half_width_mm),
-            words.mm(one.standard_mm), "yes" if one.of_measured else "no",
-        ]
-        for one in budget.contributions
-    ]  # fmt: skip
+        [SOURCES.get(one.source, one.source), one.type, one.distribution, *sizes, "yes" if one.of_measured else "no"]
+        for one, sizes in zip(budget.contributions, widths, strict=True)
+    ]
 
 
 def _sums(budget: Budget) -> list[list[str]]:
     k = words.number(budget.k, 2)
-    return [
-        [
-            "of a measured error",
-            words.mm(budget.measured_standard_mm),
-            f"{words.mm(budget.measured_expanded_mm)} (k = {k})",
-        ],
-        ["of a prediction", words.mm(budget.standard_mm), f"{words.mm(budget.expanded_mm)} (k = {k})"],
-    ]
+    sizes = [[budget.measured_standard_mm, budget.measured_expanded_mm], [budget.standard_mm, budget.expanded_mm]]
+    labels = ("of a measured error", "of a prediction")
+    found = zip(labels, words.in_one_unit(sizes), strict=True)
+    return [[label, standard, f"{expanded} (k = {k})"] for label, (standard, expanded) in found]
 
 
 def _views(found: Acceptance, worst: JudgedCampaign) -> list[Plot]:

@@ -192,9 +192,9 @@ def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judge
 
 def _errors(errors: StageErrors, title: str, on: str) -> Judged:
     found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
+    lengths = words.in_one_unit([[getattr(one, size) for size, _ in SIZES] for _, one in found])
     rows = [
-        [label, *(words.mm(getattr(one, size)) for size, _ in SIZES), words.number(one.orientation_deg)]
-        for label, one in found
+        [label, *sizes, words.number(one.orientation_deg)] for (label, one), sizes in zip(found, lengths, strict=True)
     ]
     if errors.place_mm is not None:
         rows[0][0] = PLACE

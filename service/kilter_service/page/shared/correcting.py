@@ -15,6 +15,7 @@ from kilter_service.robots.compensation import CORRECTS, WORDS
 from kilter_service.settings import Settings
 
 OFF = "Not corrected"
+BRIDGED = "By a bridge"
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Correcting:
     word: str
     look: str
     sentence: str
-    instead: str = ""  # the state of a robot that Kilter does not correct though it has a version
+    instead: str = ""  # the state of a robot whose active version is not what its setpoints are corrected with
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Corrector:
             return Correcting("by the controller", "faint", said, "By its controller")
         running = [one for one in self.bridges.get(robot, ()) if not one.gone]
         if running:  # it corrects by itself, whether or not the corrector runs
-            return _of_bridge(running[0])
+            return _of_bridge(running[0], active)
         lost = next((one for one in self.bridges.get(robot, ()) if one.state != "ended"), None)
         if lost is not None and not any(one["robot"] == robot for one in self.streams):
             return Correcting("bridge gone", "bad", lost.sentence, OFF)
@@ -80,8 +81,9 @@ def corrector(database: Database, settings: Settings) -> Corrector:
     )
 
 
-def _of_bridge(bridge: Bridge) -> Correcting:
-    """What a bridge does, which runs."""
+def _of_bridge(bridge: Bridge, active: str | None) -> Correcting:
+    """What a bridge does, which runs; it may be told a version, and then corrects without an active one."""
     if bridge.state in ("correcting", "ramping in"):
-        return Correcting("by a bridge", "warn" if bridge.other_version else "good", bridge.sentence)
+        look, instead = "warn" if bridge.other_version else "good", "" if active else BRIDGED
+        return Correcting("by a bridge", look, bridge.sentence, instead)
     return Correcting("bridge " + bridge.state, "faint" if bridge.state == "waiting" else "warn", bridge.sentence)

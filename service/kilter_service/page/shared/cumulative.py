@@ -8,7 +8,7 @@ from itertools import accumulate
 from kilter_service.contract.figures import PlaneFigure, Scatter
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.words import mm
+from kilter_service.page.words import in_one_unit
 
 
 def cumulative(
@@ -24,12 +24,13 @@ def cumulative(
     traces = [one for one in traces if one[1]]
     if not traces:
         return None
+    errors = in_one_unit([[_at(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
     plot = Plot(
         f"Share of {where} with at most an error", around("error, mm", [x for one in traces for x in one[1]], log=True),
         around("share of rows, %", [0.0, 100.0], zero=True), height=height,
         description="The further left a curve rises, the smaller the errors.",
         table=(["Model", "Half of the rows are below", "All are below"],
-               [[name, mm(_at(xs, ys, 50.0)), mm(xs[-1])] for name, xs, ys in traces]),
+               [[one[0], *row] for one, row in zip(traces, errors, strict=True)]),
     )  # fmt: skip
     for place, (name, xs, ys) in enumerate(traces):
         plot.line(xs, ys, name, len(traces) - 1 - place, colour)

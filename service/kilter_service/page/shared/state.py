@@ -23,7 +23,9 @@ class State:
 def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary | None, seen: Correcting) -> State:
     """Say how a robot stands; what is worst is said."""
     if today is None or today.version_id is None:
-        return State(OFF, "warn", today.sentences[0] if today is not None else "")
+        if seen.instead in ("", OFF):
+            return State(OFF, "warn", today.sentences[0] if today is not None else "")
+        return State(seen.instead, seen.look, seen.sentence)
     if seen.instead:
         return State(seen.instead, seen.look, seen.sentence)
     if drift is not None and drift.state in ("moved", "cannot_tell"):

@@ -11,7 +11,7 @@ from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.words import mm
+from kilter_service.page.words import beside, largest, mm
 from kilter_service.versions import service
 from kilter_service.versions.paired import Pairs
 from kilter_service.wire import to_mm
@@ -86,6 +86,9 @@ def _map(
                 [rows[int(k)] for k in part],
             )
     worst = np.argsort(gain)[:10]
-    numbers = [[rows[int(k)].rpartition("/")[2], *(f"{v:.0f}" for v in at[k]), mm(-gain[k])] for k in worst]
+    most = largest(-gain[worst])
+    numbers = [
+        [rows[int(k)].rpartition("/")[2], *(f"{v:.0f}" for v in at[k]), beside(float(-gain[k]), most)] for k in worst
+    ]
     plot.table = (["Row", "x, mm", "y, mm", "z, mm", f"More left by {names[1]}"], numbers)
     return plot
