@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.compare import elsewhere
+from kilter_core.identify.elsewhere import elsewhere
 from kilter_core.identify.estimate import new_frames, refitted
 from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive

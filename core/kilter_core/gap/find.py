@@ -65,7 +65,7 @@ from kilter_core.gap.search.renewed_search import rejudged
 from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.wanted import wanted
-from kilter_core.identify.compare import CONFIRM, elsewhere
+from kilter_core.identify.elsewhere import CONFIRM, elsewhere
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.model_comparison import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
 from kilter_core.identify.plausibility.another_arm import another_arm

@@ -105,6 +105,11 @@ class PoseErrors:
                 yield worse_warning(code, words, told, Difference.of(after, before).worse)
 
 
+def mean_mm(errors: Floats) -> float:
+    """Mean of errors (P,) m, in mm for a report."""
+    return MM * float(np.mean(errors))
+
+
 def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit: str = "mm") -> dict[str, Any]:
     """Warn that held-out poses are predicted worse than by something simpler; beyond chance, activation is refused."""
     advice = (

@@ -19,7 +19,7 @@ from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.cameras import Cameras, rig_of
-from kilter_core.identify.compare import elsewhere
+from kilter_core.identify.elsewhere import elsewhere
 from kilter_core.identify.errors_by_kind import KindErrors, errors_of, pooled
 from kilter_core.identify.estimate import bounded, frames_alone
 from kilter_core.identify.least_squares import Fit

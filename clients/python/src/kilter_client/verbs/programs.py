@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
@@ -82,12 +82,8 @@ def filter(  # noqa: A001 - a verb, as the command is called
         _refuse([(one, line, what) for one in programs for line, what in one.left], programs, "is not rewritten")
     done = yield from _done(programs, understood, joints, name, version)
     wanted = {"OK"} if strict else ANSWERED
-    wrong = [one for one in done if one.status not in wanted]
-    _refuse(
-        [(one.program, one.target.line, f"{one.target.name}: {one.status}") for one in wrong],
-        programs,
-        "is not corrected",
-    )
+    wrong = [(d.program, d.target.line, f"{d.target.name}: {d.status}") for d in done if d.status not in wanted]
+    _refuse(wrong, programs, "is not corrected")
     done = yield from _kept(programs, done, understood, joints, name, strict=strict)
     texts = yield from _texts(programs, done, joints, name)
     return FilteredProgram.read(_report(programs, done, texts))
@@ -206,9 +202,7 @@ def _kept(
     strict: bool,
 ) -> Steps[AllDone]:
     """Leave the poses that would no longer be reached in their configuration, each named with its line."""
-    from kilter_files.formats.programs.one_target import PoseTarget
-
-    poses = [(one.target, one.joints_deg) for one in done if isinstance(one.target, PoseTarget)]
+    poses = [(one.target, one.joints_deg) for one in done if _is_pose(one.target)]
     lost = yield from not_kept(robot, poses, understood, joints)
     for one in programs:
         one.leave_poses(lost)
@@ -220,17 +214,19 @@ def _kept(
     return kept
 
 
-def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:
+def _is_pose(target: JointTarget | PoseTarget) -> TypeGuard[PoseTarget]:
     from kilter_files.formats.programs.one_target import PoseTarget
 
-    return not isinstance(target, PoseTarget) or target in understood.joints_deg
+    return isinstance(target, PoseTarget)
+
+
+def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:
+    return not _is_pose(target) or target in understood.joints_deg
 
 
 def _texts(programs: Sequence[Program], done: AllDone, joints: ProgramJoints, robot: str) -> Steps[dict[str, str]]:
     """Write the targets into their programs: the texts by name of file."""
-    from kilter_files.formats.programs.one_target import PoseTarget
-
-    poses = [(one.program, one.target, one.joints_deg) for one in done if isinstance(one.target, PoseTarget)]
+    poses = [(one.program, one.target, one.joints_deg) for one in done if _is_pose(one.target)]
     placed = [(program, target) for program, target, _ in poses]
     edits = yield from rewritten(robot, placed, [q for _, _, q in poses], joints)
     row = {id(one.target): joints.of_program(one.joints_deg) for one in done}
