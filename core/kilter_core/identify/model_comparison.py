@@ -14,7 +14,7 @@ from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
-from kilter_core.parameters import DEG, MM
+from kilter_core.parameters import DEG, MM, mm
 from kilter_core.types import Floats
 
 BY_CHANCE = 1.0  # standard errors of the mean difference of poses
@@ -107,7 +107,7 @@ class PoseErrors:
 
 def mean_mm(errors: Floats) -> float:
     """Mean of errors (P,) m, in mm for a report."""
-    return MM * float(np.mean(errors))
+    return mm(float(np.mean(errors)))
 
 
 def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit: str = "mm") -> dict[str, Any]:

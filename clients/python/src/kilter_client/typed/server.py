@@ -218,13 +218,13 @@ class Bridge(Record):
     kind: str
     """Controller: `rsi` KUKA, `egm` ABB, `fci` Franka."""
     largest_offset_deg: float
-    """Largest offset of a joint since it began, deg."""
+    """Largest offset of a joint since it began, degrees."""
     late: int
     """Of these, answered later than a cycle."""
     lost: int
     """Cycles for which no request came."""
     offset_deg: float
-    """Largest offset of a joint now, deg."""
+    """Largest offset of a joint now, degrees."""
     other_version: bool
     """Whether it corrects with a version that is not the active one."""
     refused: int
