@@ -79,6 +79,9 @@ def truth(stream: CorrectedStream) -> np.ndarray:
 
 
 # What a cycle is answered whose frame, or the one before, a busy machine kept for too long or lost.
+# rad: an iteration that begins anew, after a frame that was late, ends a little elsewhere than one that goes on: 1.2e-9 seen.
+# What is forged differs by a million times that.
+SAME = 1e-8
 KEPT_BACK = (None, Status.STALE.name, Status.SEQ_GAP.name, Status.OVERLOAD.name)
 
 
@@ -86,10 +89,10 @@ def is_right(setpoint: Setpoint, right: np.ndarray) -> bool:
     """Whether a setpoint has the correction, or some of it where a busy machine itself kept a frame or its answer back."""
     delta = np.array(setpoint.delta)
     if setpoint.source == "corrected":
-        return bool(np.abs(delta - right).max() < 1e-9)
+        return bool(np.abs(delta - right).max() < SAME)
     share = delta @ right / (right @ right)
     late = setpoint.source == "slowed" or setpoint.status in KEPT_BACK
-    return late and -1e-9 <= share <= 1.0 + 1e-9 and bool(np.abs(delta - share * right).max() < 1e-9)
+    return late and -1e-6 <= share <= 1.0 + 1e-6 and bool(np.abs(delta - share * right).max() < SAME)
 
 
 def stray(stream: CorrectedStream) -> int:
@@ -168,7 +171,7 @@ def test_somebody_who_sees_the_setpoints_moves_the_arm_within_bounds(
                 assert np.abs(delta).max() <= most + 1e-8
                 assert np.abs(delta - before.delta).max() <= most * max(now - last, LEAST_PAUSE_S) / 0.2 + 1e-8
                 if not offset < most:
-                    assert np.abs(delta - right).max() < 1e-9
+                    assert np.abs(delta - right).max() < SAME
                 before, last = setpoint, asked
 
 
@@ -214,7 +217,8 @@ def test_a_forged_queryable_does_not_end_the_stream(
 
         def insist() -> bool:
             said.put(b"{}")
-            assert is_right(stream.correct(Q), right)
+            found = stream.correct(Q)
+            assert is_right(found, right), (found.source, found.status, found.delta, stream.statistics)
             time.sleep(0.01)
             return len(asked) > 20
 

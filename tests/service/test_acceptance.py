@@ -149,9 +149,11 @@ def test_the_first_page_of_the_report_has_the_numbers_of_the_interface(
     pages = [re.sub(r"\s+", " ", one.get_textpage().get_text_bounded()) for one in document]
     document.close()
     budget = one["budget"]
+    # One table is written in one unit, that of its largest length.
+    most = max(part[size] or 0.0 for part in budget["contributions"] for size in ("half_width_mm", "standard_mm"))
     numbers = [
         *(words.mm(one[stage][size]) for stage in ("before", "after") for size in ("mean_mm", "rms_mm", "p95_mm", "max_mm")),
-        *(words.mm(part["standard_mm"]) for part in budget["contributions"]),
+        *(words.beside(part["standard_mm"], most) for part in budget["contributions"]),
         words.mm(budget["expanded_mm"]), words.mm(budget["measured_expanded_mm"]), words.mm(found["provable_mm"]),
         found["sentence"], "ISO 14253-1", "Katana".lower(), "with tracker",
     ]  # fmt: skip
