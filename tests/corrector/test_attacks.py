@@ -78,10 +78,10 @@ def truth(stream: CorrectedStream) -> np.ndarray:
     return np.array(last.delta)
 
 
-# What a cycle is answered whose frame, or the one before, a busy machine kept for too long or lost.
 # rad: an iteration that begins anew, after a frame that was late, ends a little elsewhere than one that goes on: 1.2e-9 seen.
-# What is forged differs by a million times that.
+# What is forged here differs by far more.
 SAME = 1e-8
+# What a cycle is answered whose frame, or the one before, a busy machine kept for too long or lost.
 KEPT_BACK = (None, Status.STALE.name, Status.SEQ_GAP.name, Status.OVERLOAD.name)
 
 
