@@ -102,25 +102,54 @@ def point(q: np.ndarray) -> np.ndarray:
     return (T @ [10.0, 5.0, 30.0, 1.0])[:3]
 
 
-def test_from_measured_poses_to_ticks(k: Kilter, command: Command, tmp_path: Path) -> None:
-    k.add_robot({**ARM, "name": "servos"})
-    q = np.random.default_rng(1).uniform(-1.4, 1.4, (40, 3))
-    seen = np.array([point(row + np.radians(ZEROS_DEG)) for row in q])
-    data = tmp_path / "measured.csv"
+def measured(k: Kilter, folder: Path, name: str, rows: int, noise_mm: float = 0.05) -> str:
+    """A version of the arm, from points of a tracker that scatters."""
+    k.add_robot({**ARM, "name": name})
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-1.4, 1.4, (rows, 3))
+    seen = np.array([point(row + np.radians(ZEROS_DEG)) for row in q]) + rng.normal(0.0, noise_mm, (rows, 3))
+    data = folder / "measured.csv"
     head = "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm"
     np.savetxt(data, np.hstack([np.degrees(q), seen]), delimiter=",", header=head, comments="", fmt="%.12g")
-    sent = k.upload("servos", data, progress=False)
-    fit = k.identify("servos", sent, progress=False)
+    return str(k.identify(name, k.upload(name, data, progress=False), progress=False).version_id)
+
+
+def test_from_measured_poses_to_ticks(k: Kilter, command: Command, tmp_path: Path) -> None:
+    version = measured(k, tmp_path, "servos", 40)
     path, copy = calibration(tmp_path), tmp_path / "trued.json"
-    asked = ("homing", path, fit.version_id, "-o", copy, "--servos", "feetech", "--norm-mode", "DEGREES")
+    asked = ("homing", path, version, "-o", copy, "--servos", "feetech", "--norm-mode", "DEGREES")
     found = command.json(*asked)
     assert path.read_text() == calibration(tmp_path).read_text()
     after = {one["servo"]: one for one in found["servos"]}
-    assert (
-        json.loads(copy.read_text())["j2"]["homing_offset"] == after["j2"]["after"] == 10 + 10
-    )  # -0.9 deg are -10 ticks
+    # A zero of the version is within its interval of the arm's, and of one that is shared with the base nothing is written.
+    assert (after["j2"]["state"], after["j1"]["state"]) == ("known", "held")
+    assert abs(after["j2"]["offset_deg"] - ZEROS_DEG[1]) < after["j2"]["half_width_deg"] < 0.2
+    assert after["j2"]["half_width_ticks"] == pytest.approx(after["j2"]["half_width_deg"] / TICK)
+    assert after["j1"]["before"] == after["j1"]["after"] == 30
+    ticks = round(after["j2"]["offset_deg"] / TICK)
+    assert json.loads(copy.read_text())["j2"]["homing_offset"] == after["j2"]["after"] == 10 - ticks
     assert any(line == '-        "homing_offset": 10,' for line in found["diff"])
-    assert any(line == '+        "homing_offset": 20,' for line in found["diff"])
+    assert any(line == f'+        "homing_offset": {10 - ticks},' for line in found["diff"])
     text = command(*asked)
     assert "It is another calibration" in text
+    assert "not told: shared with base or tool" in text
     assert "is the calibration itself" in command.json(*asked[:4], path, *asked[5:], code=2)["detail"]
+    told = command.json("export", version, "--format", "mdh-csv", "-o", tmp_path / "table.csv")["zero_offsets"]
+    assert [one["state"] for one in told] == [after[name]["state"] for name in JOINTS]
+
+
+def test_a_zero_that_the_poses_do_not_tell_is_not_written(k: Kilter, command: Command, tmp_path: Path) -> None:
+    """Readings that scatter by centimetres: what is off by less than its interval stays, unless it is asked for."""
+    version = measured(k, tmp_path, "few", 12, 15.0)
+    path, copy = calibration(tmp_path), tmp_path / "trued.json"
+    asked = ("homing", path, version, "-o", copy, "--servos", "feetech", "--norm-mode", "DEGREES")
+    refused = command.json(*asked, code=2)["detail"]
+    assert f"Version {version} tells no zero by a tick or more" in refused
+    assert "j2 not told apart from 0" in refused
+    assert not copy.exists()
+    after = {one["servo"]: one for one in command.json(*asked, "--uncertain")["servos"]}
+    assert after["j2"]["state"] == "uncertain"
+    assert abs(after["j2"]["offset_deg"]) < after["j2"]["half_width_deg"]
+    assert abs(after["j2"]["offset_deg"] - ZEROS_DEG[1]) < after["j2"]["half_width_deg"]
+    assert after["j2"]["after"] != after["j2"]["before"]
+    assert after["j1"]["after"] == after["j1"]["before"]

@@ -18,7 +18,7 @@ from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.model.geometry import arm_screws, flange_frames
 from kilter_core.observations import Observations
 from kilter_core.transforms import inverse, rotation_log
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 FREE_SHIFT_M = 0.5  # workspace of a prismatic joint without limits
 NOTHING_M = 1e-10
@@ -29,6 +29,7 @@ LEVER_M = 0.1  # at which orientation counts as length
 FIT_STEPS = 12
 SETTLED = 1e-12  # of AWAY_M
 UNSEEN = 1e-3  # of LEVER_M: a unit of a parameter counts as moving the tool at least so far
+TOLD = 0.9  # part of its variance about the start that poses take off a zero which they tell
 WORSE = 1.5  # times as far off as rows of another form, which are taken then
 AT_REST = frozenset({"moments", "direction"})  # what an effect may need and still act on an arm at rest without load
 
@@ -48,6 +49,7 @@ class ClosestTable:
 
     ``nominal``, ``nominal_base`` and ``nominal_tool`` are the same of the nominal arm: what poses do not tell stays there.
     ``links`` are the robot's bodies in the frames of the rows (``element`` counts joints), ``gravity (3,)`` is in ``base``.
+    ``zeros`` says how the joints' zeros in it follow the parameters; None where the rows have another form than nominal.
     """
 
     rows: tuple[Row, ...]
@@ -59,6 +61,66 @@ class ClosestTable:
     nominal: tuple[Row, ...]
     nominal_base: Floats
     nominal_tool: Floats
+    zeros: ZerosOfTable | None = None
+
+
+@dataclass(frozen=True)
+class ZerosOfTable:
+    """How the zeros of a closest table follow the parameters of the calibration, to first order about the fit."""
+
+    model: RobotModel
+    values: Floats
+    free: Ints
+    follows: bool  # the fit began at the calibration's own parameters, not at nominal
+
+    def derivatives(self, calibration: Calibration, names: Sequence[str]) -> Floats:
+        """Derivative (n, K) of each joint's zero (rad; m of a prismatic joint) with respect to parameters ``names``, SI.
+
+        The table minimises |W (Y(p) - f(x))|² + |(x - start) / scale|² over its own parameters x, so that
+        (Aᵀ A + S) dx = Aᵀ W dY + S dstart, with A = W df/dx and S = 1 / scale². It does so twice: for the geometry, and from
+        there for the arm with its effects.
+        """
+        rows = workspace(calibration.robot)
+        wanted = [names.index(name) if name in names else -1 for name in self.model.names]
+        start = np.zeros((len(self.free), len(names)))
+        for at, k in enumerate(self.free.tolist()):
+            if self.follows and wanted[k] >= 0:
+                start[at, wanted[k]] = 1.0
+        moved = start
+        bare = calibration.with_effects([])
+        for arm in (bare, calibration.with_effects([e for e in calibration.model.effects if at_rest(e)])):
+            if arm is bare or arm.model.effects:
+                moved = self._moved(_arm_derivatives(calibration, arm, rows, names), moved, rows)
+        return np.asarray(moved[self._own_zeros(calibration.robot)])
+
+    def told(self, calibration: Calibration) -> Bools:
+        """Which zeros (n,) follow from the arm and not from where the fit begins: others share what they are with a frame."""
+        if self.follows:
+            return np.ones(calibration.robot.n_joints, dtype=bool)
+        stacked, _ = self._stacked(workspace(calibration.robot))
+        R = np.linalg.qr(stacked, mode="r")
+        own = np.sum(np.linalg.inv(R) ** 2, axis=1)
+        return np.asarray(1.0 - own[self._own_zeros(calibration.robot)] >= TOLD)
+
+    def _own_zeros(self, robot: Robot) -> list[int]:
+        """Where the zeros of the joints are among the free parameters."""
+        named = {self.model.names[k]: at for at, k in enumerate(self.free.tolist())}
+        kinds = [(k, joint.kind == "prismatic") for k, joint in enumerate(robot.joints, 1)]
+        return [named[f"d_{k}" if prismatic else f"theta_offset_{k}"] for k, prismatic in kinds]
+
+    def _stacked(self, rows: Observations) -> tuple[Floats, Floats]:
+        """The equations of the fit (6 N + F, F) in units of ``scale (F,)``."""
+        J = self.model.jacobian(Observations(rows.q), self.values, self.free)[1]
+        A = (J * _weights(FIT_SIGMA_M)[None, :, None]).reshape(-1, len(self.free))
+        scale = _scale(A, len(rows.q), FIT_SIGMA_M)
+        return np.vstack([A * scale, np.eye(len(self.free))]), scale
+
+    def _moved(self, dY: Floats, dstart: Floats, rows: Observations) -> Floats:
+        """How the table's free parameters (F, K) follow the poses (6 N, K) and where the fit begins."""
+        stacked, scale = self._stacked(rows)
+        weight = np.tile(_weights(FIT_SIGMA_M), len(rows.q))
+        aimed = np.vstack([weight[:, None] * dY, dstart / scale[:, None]])
+        return np.asarray(np.linalg.lstsq(stacked, aimed, rcond=None)[0] * scale[:, None])
 
 
 @dataclass(frozen=True)
@@ -120,16 +182,17 @@ def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
     conditions = workspace(calibration.robot)
     wanted, plain = arm_poses(calibration, conditions), Observations(conditions.q)
     nominal = _nominal_table(calibration, convention)
-    table, loss = _nearest(calibration, nominal, convention, plain, wanted)
+    zeros: ZerosOfTable | None
+    table, loss, zeros = _nearest(calibration, nominal, convention, plain, wanted)
     if loss.max_m > NOTHING_M:
         other, closer = _other_rows(calibration, convention, plain, wanted)
         if WORSE * closer.rms_m < loss.rms_m:  # too far from nominal for rows of its form
-            table, loss = other, closer
+            table, loss, zeros = other, closer, None
     frames = flange_frames(calibration).elements
     gravity = table.base[:3, :3].T @ frames[0][:3, :3] @ calibration.robot.gravity
     links = _links(calibration.robot, frames, table.rows, convention, table.base)
     here = (table.rows, table.base, table.tool, loss, links, gravity)
-    return ClosestTable(*here, nominal.rows, nominal.base, nominal.tool)
+    return ClosestTable(*here, nominal.rows, nominal.base, nominal.tool, zeros)
 
 
 def _nominal_table(calibration: Calibration, convention: str) -> _Table:
@@ -167,13 +230,14 @@ def _own_rows(robot: Robot, convention: str) -> tuple[Row, ...] | None:
 
 def _nearest(
     calibration: Calibration, nominal: _Table, convention: str, rows: Observations, wanted: Prediction
-) -> tuple[_Table, Loss]:
+) -> tuple[_Table, Loss, ZerosOfTable]:
     """Table of the nominal form nearest to nominal: first of the geometry alone, then of what effects add."""
     model, values = _model(calibration.robot, nominal, convention), None
     found = calibration.model.absorb_frame_increments(calibration.values)
     start = model.values0()
     free = _free(model, nominal.rows)
-    if _own_rows(calibration.robot, convention) is not None:
+    follows = _own_rows(calibration.robot, convention) is not None
+    if follows:
         base = inverse(np.asarray(calibration.wanted().model.T_base)) @ np.asarray(found[0].T_base)
         model = replace(model, T_base=base, T_tool=np.asarray(found[0].T_tool))
         named = dict(zip(found[0].names, found[1].tolist(), strict=True))
@@ -186,7 +250,18 @@ def _nearest(
     if loss.max_m > NOTHING_M:
         values = _fitted(model, rows, wanted, values, free, FIT_SIGMA_M)
         loss = distance(wanted, model.predict(rows, values))
-    return _read(model, values, nominal.rows), loss
+    return _read(model, values, nominal.rows), loss, ZerosOfTable(model, values, free, follows)
+
+
+def _arm_derivatives(calibration: Calibration, arm: Calibration, rows: Observations, names: Sequence[str]) -> Floats:
+    """Derivatives (6 N, K) of the arm's tool poses by parameters, seen from the wanted base; 0 for those it does not have."""
+    turn = np.asarray(inverse(np.asarray(calibration.wanted().model.T_base)))[:3, :3]
+    known = [k for k, name in enumerate(names) if name in arm.names]
+    free = np.array([arm.names.index(names[k]) for k in known], dtype=np.int64)
+    J = arm.model.jacobian(rows, arm.values, free)[1]
+    out = np.zeros((len(rows.q), 6, len(names)))
+    out[:, :3, known], out[:, 3:, known] = turn @ J[:, :3], turn @ J[:, 3:]
+    return out.reshape(-1, len(names))
 
 
 def _other_rows(
@@ -238,15 +313,14 @@ def _fitted(
 ) -> Floats:
     """Gauss-Newton; what poses do not tell stays at ``start``, by what it would move at the tool."""
     values, scale = start.copy(), np.zeros(0)
-    weight = np.array([1.0] * 3 + [LEVER_M] * 3) / sigma
+    weight = _weights(sigma)
     for _ in range(FIT_STEPS):
         found, J = model.jacobian(rows, values, free)
         turn = rotation_log(wanted.rotation @ found.rotation.transpose(0, 2, 1))
         error = (np.hstack([wanted.position - found.position, turn]) * weight).ravel()
         A = (J * weight[None, :, None]).reshape(len(error), -1)
         if not len(scale):
-            size = np.sqrt(np.sum(A**2, axis=0) / len(rows)) * sigma
-            scale = AWAY_M / np.maximum(size, LEVER_M * UNSEEN)
+            scale = _scale(A, len(rows), sigma)
         away = (values - start)[free] / scale
         # Stacked, not as normal equations: a million million lies between what poses tell and what they do not.
         step = np.linalg.lstsq(np.vstack([A * scale, np.eye(len(free))]), np.append(error, -away), rcond=None)[0]
@@ -254,6 +328,16 @@ def _fitted(
         if float(np.abs(step).max()) < SETTLED:
             break
     return values
+
+
+def _weights(sigma: float) -> Floats:
+    return np.array([1.0] * 3 + [LEVER_M] * 3) / sigma
+
+
+def _scale(A: Floats, count: int, sigma: float) -> Floats:
+    """How far a parameter goes that moves the tool by ``AWAY_M``."""
+    size = np.sqrt(np.sum(A**2, axis=0) / count) * sigma
+    return np.asarray(AWAY_M / np.maximum(size, LEVER_M * UNSEEN))
 
 
 def _rows(rows: Sequence[Row], named: dict[str, float]) -> tuple[Row, ...]:

@@ -16,12 +16,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.arm.robot import Joint
+    from kilter_core.identify.uncertainty.zero_offsets import KnownZeros
     from kilter_core.model.closest_table import ClosestTable
 
 ZERO_SIGN = (
     "Zero offsets: what a joint really has beyond its reading (real = reading + offset). A controller that adds its offset "
     "takes the number as it is, one that subtracts it the negative. Enter either these and the table's nominal "
     "theta_offset_deg (d_mm of a prismatic joint), or the table as it is, never both."
+)
+
+
+ZERO_STATES = (
+    "States of zeros: known, the 95 % interval leaves 0 out; uncertain, it does not; held, the zero was not identified "
+    "or is shared with base or tool; unstated, the version does not say how well it is known."
 )
 
 
@@ -51,23 +58,48 @@ def changes(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[Change]:
     yield from _of_frame("tool", table.nominal_tool, table.tool)
 
 
-def zero_offsets(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[tuple[str, str, float]]:
-    """Joint, unit and how far its zero is off."""
+class ZeroOffset(NamedTuple):
+    """How far a joint's zero is off, in ``unit``, with the half width of its 95 % interval; NaN where nobody knows it."""
+
+    joint: str
+    unit: str
+    offset: float
+    half_width: float
+    held: bool
+
+    @property
+    def state(self) -> str:
+        """``known``: the interval leaves 0 out; ``uncertain``; ``held``: it was not identified; ``unstated``."""
+        if self.held:
+            return "held"
+        if math.isnan(self.half_width):
+            return "unstated"
+        return "known" if abs(self.offset) > self.half_width else "uncertain"
+
+
+def zero_offsets(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[ZeroOffset]:
+    """How far each joint's zero is off, and how well that is known."""
+    numbers = {joint.name: k for k, joint in enumerate(joints)}
     wanted = {joint.name: "d_mm" if joint.kind == "prismatic" else "theta_offset_deg" for joint in joints}
     for change in changes(table, joints):
         if wanted.get(change.where) == change.name:
-            yield change.where, change.name.rpartition("_")[2], change.difference
+            k, unit = numbers[change.where], change.name.rpartition("_")[2]
+            half = math.nan if known is None else float(known.half_width[k])
+            half = 1e3 * half if unit == "mm" else math.degrees(half)
+            yield ZeroOffset(change.where, unit, change.difference, half, known is not None and bool(known.held[k]))
 
 
-def change_comments(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[str]:
+def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[str]:
     """Both as comments of a table."""
     yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
     for change in changes(table, joints):
         numbers = f"nominal={_plain(change.nominal)} exported={_plain(change.exported)}"
         yield f"number {_word(change.where)} {change.name} {numbers} difference={_plain(change.difference)}"
     yield ZERO_SIGN
-    for joint, unit, offset in zero_offsets(table, joints):
-        yield f"zero_offset {_word(joint)} {unit}={_plain(offset)}"
+    yield ZERO_STATES
+    for one in zero_offsets(table, joints, known):
+        half = "" if math.isnan(one.half_width) else f" half_width_{one.unit}={_plain(one.half_width)}"
+        yield f"zero_offset {_word(one.joint)} {one.unit}={_plain(one.offset)}{half} state={one.state}"
 
 
 def _of_frame(where: str, nominal: NDArray[np.float64], exported: NDArray[np.float64]) -> Iterator[Change]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.conversions.tables import angles_and_lengths
 from kilter_core.arm.robot import STANDARD_GRAVITY
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.uncertainty.zero_offsets import known_zeros
 from kilter_core.model.closest_table import ClosestTable, closest_table
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.exporters.changes import change_comments
@@ -43,6 +45,8 @@ def mdh_csv(version: Exportable) -> Written:
 def _table(version: Exportable, convention: str) -> Written:
     calibration = version.calibration
     table = closest_table(calibration, convention)
+    stated = Predictive.from_document(version.version.covariance.model_dump())
+    known = None if stated is None else known_zeros(calibration, table, stated)
     notes = (*left_out(calibration), *masses_as_stated(calibration.robot), distance(table.loss))
     columns = ["theta_offset_deg", "d_mm", "a_mm", "alpha_deg", *(["beta_deg"] if convention == "mdh" else [])]
     out = io.StringIO(newline="")
@@ -56,7 +60,7 @@ def _table(version: Exportable, convention: str) -> Written:
     if (load := calibration.robot.load) is not None:
         place = " ".join(f"{axis}_mm={1e3 * value!r}" for axis, value in zip("xyz", load.com, strict=True))
         out.write(f"# load payload_kg={load.mass!r} {place}\n")
-    out.writelines(f"# {note}\n" for note in (*notes, *change_comments(table, calibration.robot.joints)))
+    out.writelines(f"# {note}\n" for note in (*notes, *change_comments(table, calibration.robot.joints, known)))
     writer = csv.writer(out, lineterminator="\n")
     limits = _limit_columns(calibration.robot.joints)
     weights = _weight_columns(table.links)

@@ -68,6 +68,16 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     for j in (2, 3, 4):
         assert np.degrees(1.0) / found[f"compliance_{j}"] == pytest.approx(STIFFNESS[j - 1], rel=0.15)
     assert kilter.campaigns.list("so101")[0]["conditions"]["calibration_sha256"]
+    # The first joint's zero is shared with where the camera stands, the last one's with the board: no tick of theirs is told.
+    zeros = {one["joint"]: one for one in document["zero_offsets"]}
+    assert [one["state"] for one in zeros.values()].count("held") == 2
+    assert (
+        "the zeros of joints 1 and 5 cannot be told: shared with base or tool, or not identified" in document["lines"]
+    )
+    lift = next(line for line in document["lines"] if "the zero of joint 2" in line)
+    assert f"off by {zeros['shoulder_lift']['offset_deg']:+.1f} deg (95 %: " in lift
+    assert "its sag at rest included" in lift
+    assert "joint 1" not in " ".join(document["lines"])
     command("activate", document["version_id"], "--robot", "so101", "--force")
     assert_grasps(kilter)
 

@@ -9,7 +9,13 @@ from kilter_client.cli.output import say
 from kilter_client.cli.tables import show_rows
 
 NUMBER = re.compile(r"^# number (\S+) (\S+) nominal=(\S+) exported=(\S+) difference=(\S+)$", re.MULTILINE)
-ZERO = re.compile(r"^# zero_offset (\S+) (deg|mm)=(\S+)$", re.MULTILINE)
+ZERO = re.compile(
+    r"^# zero_offset (\S+) (deg|mm)=(\S+)(?: half_width_(?:deg|mm)=(\S+))?(?: state=(\S+))?$", re.MULTILINE
+)
+STATES = {
+    "known": "known", "uncertain": "not told apart from 0", "held": "not told: shared with base or tool, or not identified",
+    "unstated": "nobody says how well it is known",
+}  # fmt: skip
 SIGN = re.compile(r"^# (Zero offsets: .*)$", re.MULTILINE)
 
 
@@ -20,11 +26,16 @@ def lists_of_export(content: bytes) -> dict[str, Any]:
         {"where": where, "name": name, "nominal": float(a), "exported": float(b), "difference": float(c)}
         for where, name, a, b, c in NUMBER.findall(text)
     ]
-    offsets = [{"joint": joint, f"offset_{unit}": float(value)} for joint, unit, value in ZERO.findall(text)]
+    offsets = [_offset(*found) for found in ZERO.findall(text)]
     sign = SIGN.search(text)
     if sign is None:
         return {}
     return {"numbers": numbers, "zero_offsets": offsets, "zero_offsets_sign": sign[1]}
+
+
+def _offset(joint: str, unit: str, value: str, half_width: str, state: str) -> dict[str, Any]:
+    half = float(half_width) if half_width else None
+    return {"joint": joint, f"offset_{unit}": float(value), f"half_width_{unit}": half, "state": state or "unstated"}
 
 
 def show(document: dict[str, Any]) -> None:
@@ -39,6 +50,8 @@ def show(document: dict[str, Any]) -> None:
     offsets = []
     for one in document["zero_offsets"]:
         unit = "deg" if "offset_deg" in one else "mm"
-        offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}"))
-    show_rows(("joint", "zero offset"), offsets)
+        half = one[f"half_width_{unit}"]
+        within = "–" if half is None or one["state"] == "held" else f"± {half:.2g} {unit}"
+        offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}", within, STATES[one["state"]]))
+    show_rows(("joint", "zero offset", "95 %", "how well it is known"), offsets)
     say(document["zero_offsets_sign"])

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import exported
 from kilter_client.cli.arguments import Json, VersionId
+from kilter_client.cli.camera.kit_words import TICK_DEG
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
@@ -19,9 +20,17 @@ from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 
+if TYPE_CHECKING:
+    from kilter_files.formats.lerobot.homing import Homed
+
 WRITE = (
     "Start the arm with the copy and let LeRobot write it into the servos. It is another calibration: what is measured with "
     "it belongs to a robot of its own."
+)
+
+_NOTHING = (
+    "Version {version} tells no zero by a tick or more ({states}): the homing offsets stay as they are. Measure the arm with "
+    "more poses or with points in its own base, or write what is uncertain too with --uncertain."
 )
 
 
@@ -50,10 +59,16 @@ def homing(
         Literal["RANGE_M100_100", "DEGREES"],
         typer.Option("--norm-mode", help="In which norm mode the arm was measured."),
     ],
+    uncertain: Annotated[
+        bool, typer.Option("--uncertain", help="Write zeros too that the version does not tell apart from 0.")
+    ] = False,
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:  # fmt: skip
-    """Put a version's zero offsets into a copy of LeRobot's calibration, to the tick, and show what changes."""
+    """Put a version's zero offsets into a copy of LeRobot's calibration, to the tick, and show what changes.
+
+    Only zeros that the version tells are written: those whose 95 % interval leaves 0 out.
+    """
     check_numpy()
     from kilter_files.formats.lerobot.calibration import read_calibration
     from kilter_files.formats.lerobot.homing import with_zero_offsets
@@ -64,27 +79,55 @@ def homing(
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
         told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
-    offsets = {one["joint"]: one["offset_deg"] for one in told["zero_offsets"]}
+    zeros = told.get("zero_offsets", [])
+    offsets = _to_write(zeros, uncertain)
     text, changes = with_zero_offsets(found, offsets, norm_mode, servos)
+    if all(one.before == one.after for one in changes):
+        raise UsageError(_NOTHING.format(version=version, states=", ".join(_state(one) for one in zeros)))
     write(output, text.encode())
     before = calibration.read_text(encoding="utf-8").splitlines()
     diff = list(difflib.unified_diff(before, text.splitlines(), str(calibration), str(output), lineterm="", n=0))
-    document = {"version_id": version, "output": str(output), "servos": [vars(one) for one in changes], "diff": diff}
+    document = {"version_id": version, "output": str(output), "servos": _rows(changes, zeros), "diff": diff}
     emit(document, as_json, _show)
 
 
-def _show(document: Mapping[str, Any]) -> None:
-    rows = [
-        (
-            one["servo"],
-            str(one["before"]),
-            str(one["after"]),
-            f"{one['after'] - one['before']:+d}",
-            f"{one['left_deg']:+.4f}",
+def _to_write(zeros: Sequence[Mapping[str, Any]], uncertain: bool) -> dict[str, float]:
+    """Offset of each joint in degrees, 0 where the servo keeps its own."""
+    if not zeros:
+        raise UsageError("This version's table has no zero offsets: its robot has no joints that servos turn.")
+    if slides := [one["joint"] for one in zeros if "offset_deg" not in one]:
+        raise UsageError(
+            f"Joint {slides[0]} slides: a homing offset is an angle of a servo. Name a version of a servo arm."
         )
-        for one in document["servos"]
-    ]
-    show_rows(("servo", "homing offset", "now", "ticks", "left deg"), rows, numbers=True)
+    states = {"known", "uncertain", "unstated"} if uncertain else {"known"}
+    return {one["joint"]: one["offset_deg"] if one["state"] in states else 0.0 for one in zeros}
+
+
+def _rows(changes: Sequence[Homed], zeros: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Each servo: its homing offset before and after, and the zero offset with its interval, whether written or not."""
+    rows = []
+    for change, one in zip(changes, zeros, strict=True):
+        half = one["half_width_deg"]
+        rows.append(
+            {**vars(change), "offset_deg": one["offset_deg"], "half_width_deg": half,
+             "half_width_ticks": None if half is None else half / TICK_DEG, "state": one["state"]}
+        )  # fmt: skip
+    return rows
+
+
+def _state(one: Mapping[str, Any]) -> str:
+    return f"{one['joint']} {exported.STATES[one['state']]}"
+
+
+def _show(document: Mapping[str, Any]) -> None:
+    rows = []
+    for one in document["servos"]:
+        half = "–" if one["half_width_ticks"] is None or one["state"] == "held" else f"±{one['half_width_ticks']:.0f}"
+        rows.append(
+            (one["servo"], str(one["before"]), str(one["after"]), f"{one['after'] - one['before']:+d}", half,
+             f"{one['left_deg']:+.4f}", exported.STATES[one["state"]])
+        )  # fmt: skip
+    show_rows(("servo", "homing offset", "now", "ticks", "95 %", "left deg", "its zero is"), rows, numbers=True)
     for line in document["diff"]:
         say(line)
     say(WRITE)

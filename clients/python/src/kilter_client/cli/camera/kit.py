@@ -108,10 +108,10 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
     told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
-    offsets = {one["joint"]: one["offset_deg"] for one in told.get("zero_offsets", []) if "offset_deg" in one}
-    lines = lines_of(result, arm["joints"], offsets, REACH_M)
+    zeros = told.get("zero_offsets", [])
+    lines = lines_of(result, arm["joints"], zeros, REACH_M)
     warnings = [str(one["message"]) for one in result.get("warnings") or []]
-    return {"version_id": version, "lines": lines, **errors_of(result), "warnings": warnings}
+    return {"version_id": version, "lines": lines, "zero_offsets": zeros, **errors_of(result), "warnings": warnings}
 
 
 def _steps(robot: str) -> list[str]:

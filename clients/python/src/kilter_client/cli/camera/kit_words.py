@@ -14,12 +14,19 @@ HELD_KG = 0.2  # of which the words speak
 
 
 def lines_of(
-    result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets_deg: Mapping[str, float], reach_m: float
+    result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets: Sequence[Mapping[str, Any]], reach_m: float
 ) -> list[str]:
-    """Sentences, the largest first; ``offsets_deg`` are real less reading of each joint, ``reach_m`` where a load may be."""
+    """Sentences, the largest first, then which zeros are not told.
+
+    ``offsets`` are the zero offsets of an exported table (real less reading), ``reach_m`` where a load may be.
+    """
     parameters = {str(one["name"]): one for one in result.get("parameters") or []}
-    found = [*_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(offsets_deg, joints)]
-    return [text for _, text in sorted(found, key=lambda one: -one[0])]
+    numbers = {str(joint["name"]): j for j, joint in enumerate(joints, 1)}
+    zeros = [one for one in offsets if "offset_deg" in one and one["joint"] in numbers]
+    found = [
+        *_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(zeros, numbers, parameters)
+    ]  # fmt: skip
+    return [*(text for _, text in sorted(found, key=lambda one: -one[0])), *_not_told(zeros, numbers)]
 
 
 def errors_of(result: Mapping[str, Any]) -> dict[str, float | None]:
@@ -58,10 +65,40 @@ def _sag(
             yield sag, f"joint {j} ({joint['name']}) sags by {sag:.1f} deg more with {held}"
 
 
-def _zeros(offsets_deg: Mapping[str, float], joints: Sequence[Mapping[str, Any]]) -> Iterator[tuple[float, str]]:
-    numbers = {str(joint["name"]): j for j, joint in enumerate(joints, 1)}
-    for name, offset in offsets_deg.items():
+def _zeros(
+    zeros: Sequence[Mapping[str, Any]], numbers: Mapping[str, int], parameters: Mapping[str, Any]
+) -> Iterator[tuple[float, str]]:
+    """Those whose interval leaves 0 out, with it."""
+    for one in zeros:
+        name, offset = str(one["joint"]), float(one["offset_deg"])
         ticks = round(offset / TICK_DEG)
-        if abs(ticks) >= LEAST_TICKS and name in numbers:
-            held = f"{abs(ticks)} ticks of its homing offset (kilter homing)"
-            yield abs(offset), f"the zero of joint {numbers[name]} ({name}) is off by {offset:+.1f} deg: {held}"
+        if one["state"] != "known" or abs(ticks) < LEAST_TICKS:
+            continue
+        half = float(one["half_width_deg"])
+        low, high = abs(offset) - half, abs(offset) + half
+        held = ", its sag at rest included" if f"compliance_{numbers[name]}" in parameters else ""
+        steps = (
+            f"{abs(ticks)} ticks ({low / TICK_DEG:.0f} to {high / TICK_DEG:.0f}) of its homing offset (kilter homing)"
+        )
+        within = f"95 %: {offset - half:+.1f} to {offset + half:+.1f}"
+        yield (
+            abs(offset),
+            f"the zero of joint {numbers[name]} ({name}) is off by {offset:+.1f} deg ({within}){held}: {steps}",
+        )
+
+
+def _not_told(zeros: Sequence[Mapping[str, Any]], numbers: Mapping[str, int]) -> Iterator[str]:
+    """What nobody should write into a servo."""
+    for one in zeros:
+        number, name = numbers[str(one["joint"])], one["joint"]
+        if one["state"] == "uncertain":
+            half = float(one["half_width_deg"])
+            within = f"known to ±{half:.1f} deg, {half / TICK_DEG:.0f} ticks"
+            yield f"the zero of joint {number} ({name}) cannot be told apart from 0: {within}"
+        elif one["state"] == "unstated":
+            yield f"how well the zero of joint {number} ({name}) is known cannot be said"
+    held = [numbers[str(one["joint"])] for one in zeros if one["state"] == "held"]
+    if held:
+        which = "the zero of joint" if len(held) == 1 else "the zeros of joints"
+        listed = " and ".join(filter(None, (", ".join(map(str, held[:-1])), str(held[-1]))))
+        yield f"{which} {listed} cannot be told: shared with base or tool, or not identified"
