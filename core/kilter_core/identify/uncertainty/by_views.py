@@ -1,7 +1,9 @@
 """What an identification from pixels alone knows: of its parameters, of the tool where a camera sees it, and of its cameras.
 
 Corners of one view share what the model gets wrong there, blur and a bent board. So the covariance is scaled by how much
-views scatter beyond what the corners within them do, never below it.
+views scatter beyond what the corners within them do, never below it. And views of one pose share what the model gets wrong of
+the arm there, which is of millimetres and not of pixels: what each pose says counts as far as it differs from that by more
+than chance, as in :mod:`~kilter_core.identify.uncertainty.clustered`.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import numpy as np
 from kilter_core.identify.cameras import rig_of, unknown_rig
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES
-from kilter_core.identify.uncertainty.clustered import as_normal
+from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, scores_by_pose
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
@@ -36,11 +38,15 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     assert views is not None
     taken = float(np.mean(problem.weights.points)) / views.metres_per_px
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
-    scaled = fit.J * problem.prior_sigma
-    H = scaled.T @ scaled / max(factor, 1e-12) + problem.prior_information()
+    A, r = problem.by_row(problem.linearised(fit.values, fit.residual))
+    total, known = products(A, A), problem.prior_information()
+    bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
+    poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
+    rest = np.eye(len(total)) - bread @ total
+    spread = rest if problem.prior_precision is None else rest @ np.linalg.inv(known)
+    around = bread @ mixed(factor * total, *poses) @ bread + spread @ rest.T
     scale = as_normal(problem.prior_sigma, found.freedom)
-    inverse_ = np.asarray(np.linalg.inv(H), dtype=np.float64)
-    return replace(fit, covariance=inverse_ * np.outer(scale, scale), freedom=found.freedom)
+    return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)
 
 
 def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:

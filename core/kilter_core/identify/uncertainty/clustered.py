@@ -43,7 +43,7 @@ def clustered(fit: Fit) -> Fit:
     A, r = problem.by_row(problem.linearised(fit.values, fit.residual))
     if len(fit.J) > A.shape[0] * A.shape[1]:
         return fit  # a filter goes on from what it knew, and takes the noise it is given
-    total = _products(A, A)
+    total = products(A, A)
     eye, known = np.eye(len(total)), problem.prior_information()
     held = eye[:0] if problem.held is None else problem.held
     bend = bend_of(fit)
@@ -51,7 +51,7 @@ def clustered(fit: Fit) -> Fit:
     numbers = problem.measurement.numbers()
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     shared = _shared(A, r, levers(fit), groups, numbers / left, _seen(fit))
-    meat = _mixed(shared, *_by_pose(A, r, groups, bread))
+    meat = mixed(shared, *scores_by_pose(A, r, groups, bread))
     rest = eye - bread @ (bend * total)
     spread = rest if problem.prior_precision is None else rest @ np.linalg.inv(known)
     around = bread @ meat @ bread + spread @ rest.T
@@ -106,15 +106,15 @@ def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float, seen: Fl
     lever = np.add.reduceat(L[order], start) / count[:, None, None]
     # The fit takes its share of the scatter; what rows have of their own is known already.
     each = scatter_of_poses(np.sqrt(lost) * mean, lever, common, own / count[:, None, None])
-    return _products(whole, each @ whole) + _products(A, own @ A)
+    return products(whole, each @ whole) + products(A, own @ A)
 
 
-def _products(a: Floats, b: Floats) -> Floats:
+def products(a: Floats, b: Floats) -> Floats:
     """Sum over the first two axes of (N, R, F) times (N, R, F): (F, F)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
-def _by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats, Floats]:
+def scores_by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats, Floats]:
     """Scores (G, F) of the poses, corrected for what the fit took from them; and of what it took wholly, (F, F)."""
     scores, unseen = [], np.zeros_like(bread)
     for J, e in _batches(A, r, groups):
@@ -128,7 +128,7 @@ def _by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats,
     return np.concatenate(scores), unseen
 
 
-def _mixed(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
+def mixed(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
     """The middle of the sandwich (F, F).
 
     What the poses say by themselves counts as far as it differs from what they share by more than chance makes it.

@@ -26,7 +26,7 @@ class KnownZeros(NamedTuple):
 def known_zeros(calibration: Calibration, table: ClosestTable, known: Predictive) -> KnownZeros | None:
     """Propagate a version's covariance to the zeros of its closest table, to first order.
 
-    A zero of the table is not the parameter of that name alone: links whose lengths are not known either turn it, which a
+    A zero of the table is not the parameter of that name alone: links whose lengths are not known either rotate it, which a
     covariance of all of them has. Parameters that were not identified count as exact. None where the table has rows of
     another form than the nominal ones, whose zeros then mean something else.
     """

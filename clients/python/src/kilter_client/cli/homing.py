@@ -94,7 +94,7 @@ def homing(
 def _to_write(zeros: Sequence[Mapping[str, Any]], uncertain: bool) -> dict[str, float]:
     """Offset of each joint in degrees, 0 where the servo keeps its own."""
     if not zeros:
-        raise UsageError("This version's table has no zero offsets: its robot has no joints that servos turn.")
+        raise UsageError("This version's table has no zero offsets: its robot has no joints with a zero.")
     if slides := [one["joint"] for one in zeros if "offset_deg" not in one]:
         raise UsageError(
             f"Joint {slides[0]} slides: a homing offset is an angle of a servo. Name a version of a servo arm."
