@@ -332,3 +332,15 @@ def test_axes_that_turn_the_other_way_and_actual_joints() -> None:
 @pytest.mark.parametrize(("apart", "cycles"), [(4, 1), (12, 3), (1, None), (6, None)])
 def test_stamps_tell_the_cycles_where_they_count_milliseconds(apart: int, cycles: int | None) -> None:
     assert RsiWire([1.0]).cycles(apart) == cycles
+
+
+def test_who_makes_lost_cycles_up_may_change_the_offset_by_what_they_allow() -> None:
+    """A bridge that smooths what comes after a loss: bounded by the time that passed, one that does not by a cycle."""
+    slow, fast = (Guard(2, LARGEST_RAD, RATE_RAD_S, CYCLE_S, CYCLE_S) for _ in range(2))
+    wanted = (0.9 * LARGEST_RAD, -0.4 * LARGEST_RAD)
+    one, ten = np.array(slow.follow(wanted)), np.array(fast.follow(wanted, 10))
+    assert np.abs(one).max() == pytest.approx(RATE_RAD_S * CYCLE_S)
+    assert ten == pytest.approx(10.0 * one)
+    ramped = Guard(2, LARGEST_RAD, 100.0, 10 * CYCLE_S, CYCLE_S)
+    ramped.follow(wanted, 5)
+    assert ramped.share == pytest.approx(0.5)

@@ -23,10 +23,13 @@ ROBOT_BYTES = 48  # of a robot's name in a program
 
 
 class Correction:
-    """The offsets of one arm. ``off`` says why there are none; empty while it corrects."""
+    """The offsets of one arm. ``off`` says why there are none; empty while it corrects.
 
-    def __init__(self, stored: Stored, robot: str, guard: Guard, cycle_s: float) -> None:
-        self._robot, self._guard, self._cycle_s = robot, guard, cycle_s
+    ``makes_up``: whoever sends the offsets takes up what changed in lost cycles smoothly, so that the time lost counts.
+    """
+
+    def __init__(self, stored: Stored, robot: str, guard: Guard, cycle_s: float, makes_up: bool = False) -> None:
+        self._robot, self._guard, self._cycle_s, self._makes_up = robot, guard, cycle_s, makes_up
         self._stored = stored
         self._track = Track(stored.program, settled=True)
         self._since_s = 0.0  # since the last setpoint that was answered
@@ -97,19 +100,20 @@ class Correction:
 
     def _next(self, q: Sequence[float] | None, cycles: int) -> tuple[float, ...]:
         self._since_s += cycles * self._cycle_s
+        passed = cycles if self._makes_up else 1
         if self.off:
-            return self._guard.follow(None)
+            return self._guard.follow(None, passed)
         if q is None:
             self._note("BAD_FRAME")
-            return self._guard.follow(None)
+            return self._guard.follow(None, passed)
         status = self._track.step(np.array(q, dtype=np.float64), 1, self._since_s)
         if status != layout.OK:
             self._note(REFUSED.get(status, str(status)))
             if status == layout.RATE_LIMIT:  # its past is the reason: begin anew, at the guard's pace
                 self._track.restart(settled=True)
-            return self._guard.follow(None)
+            return self._guard.follow(None, passed)
         self._since_s, self.last = 0.0, "OK"
-        return self._guard.follow([new - old for new, old in zip(self._track.out.tolist(), q, strict=True)])
+        return self._guard.follow([new - old for new, old in zip(self._track.out.tolist(), q, strict=True)], passed)
 
     def _note(self, status: str) -> None:
         self.last = status

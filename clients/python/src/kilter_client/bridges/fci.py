@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import math
+from collections import Counter, deque
+from operator import add
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.bridges.loop import without_collections
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
 
 CYCLE_S = 0.001
 JOINTS = 7
-REJOIN_S = 0.1
+REJOIN_S = 0.1  # at least, and longer where the way back would take more than this of the limits (FR3: 10 and 5000):
+MOST_RAD_S2, MOST_RAD_S3 = 3.0, 1500.0
+FORGETS = 0.98  # by each command, how long the last pauses were
 Joints = tuple[float, ...]
 BRAKE_S = 1.0  # in which the plan is brought to rest when the bridge is ended
 
@@ -30,48 +34,111 @@ class FrankaError(KilterError):
 class Rejoined:
     """Commands that go on smoothly where cycles were lost.
 
-    The robot extrapolates what it misses. What it is off from the intended joints then, in position and speed, fades out
-    over ``REJOIN_S``; without losses the command is what was intended.
+    The robot extrapolates what it misses with constant acceleration. From the position, speed and acceleration it then has,
+    a polynomial of the fifth degree takes the command back to what is intended, slowly enough for the limits of the
+    interface. It is planned anew until three intended setpoints in a row are known, so that speed and acceleration of what is
+    intended are, and whenever a cycle is lost again: the command never runs away, however many are. Without losses
+    the command is what was intended.
     """
 
     def __init__(self) -> None:
-        self._intended: Joints = ()
-        self._off: Joints = ()
-        self._off_rad_s: Joints = ()
-        self._speed: Joints = ()  # to go on with; that of what is intended is known at the next cycle
-        self._since_s = REJOIN_S
+        self._times_s: deque[float] = deque(maxlen=3)
+        self._intended: deque[Joints] = deque(maxlen=3)
+        self._off: tuple[Joints, Joints, Joints] = (
+            (),
+            (),
+            (),
+        )  # and its first two derivatives where the way back began
+        self._over_s = self._since_s = 0.0  # how long the way back takes, and how long it has taken
+        self._fresh = 0  # cycles for which it is planned anew
+        self._pause = 1.0  # cycles that may go by until the next command, by those that lately did
 
     def command(self, intended: Joints, cycles: int, state: Any) -> Joints:
         """Return the joints (n,) rad to send for those intended, ``cycles`` after the last ones."""
-        before, self._intended = self._intended, intended
-        if cycles > 1 and before:
-            return self._go_on(intended, state)
-        if self._speed:
-            step_s = cycles * CYCLE_S
-            aims = [(new - old) / step_s for new, old in zip(intended, before, strict=True)]
-            self._off_rad_s = tuple(now - aim for now, aim in zip(self._speed, aims, strict=True))
-            self._speed = ()
+        now_s = (self._times_s[-1] if self._times_s else 0.0) + cycles * CYCLE_S
+        self._times_s.append(now_s)
+        self._intended.append(intended)
+        if len(self._intended) < 3:
+            self._fresh = 3 if cycles > 1 or self._fresh else 0
+            return self._extrapolated(state) if self._fresh else intended
+        self._pause = max(float(cycles), FORGETS * self._pause)
+        if cycles > 1:
+            self._fresh = 3
         self._since_s += cycles * CYCLE_S
-        if self._since_s >= REJOIN_S:
+        if self._fresh:
+            self._fresh -= 1
+            self._plan(state)
+            if self._fresh:
+                return self._first_step(state)
+        if self._since_s >= self._over_s:
             return intended
-        u = self._since_s / REJOIN_S
-        place = 1.0 - smooth(u)
-        slope = REJOIN_S * (u + u**3 * (-6.0 + u * (8.0 - 3.0 * u)))  # from slope 1 to 0; all else is 0 at both ends
+        return tuple(map(add, intended, self._left()))
+
+    @property
+    def back(self) -> bool:
+        """Whether the robot is where it is intended to be."""
+        return not self._fresh and self._since_s >= self._over_s
+
+    def _motion(self) -> tuple[Joints, Joints]:
+        """Speed and acceleration of what is intended, by the parabola through the last three setpoints."""
+        t0, t1, t2 = self._times_s
+        first, second = t1 - t0, t2 - t1
+        speeds, curves = [], []
+        for q0, q1, q2 in zip(*self._intended, strict=True):
+            before, last = (q1 - q0) / first, (q2 - q1) / second
+            curve = 2.0 * (last - before) / (t2 - t0)
+            speeds.append(last + 0.5 * curve * second)
+            curves.append(curve)
+        return tuple(speeds), tuple(curves)
+
+    def _extrapolated(self, state: Any) -> Joints:
+        """Where the robot would go by itself."""
         return tuple(
-            aim + place * off + slope * off_rad_s
-            for aim, off, off_rad_s in zip(intended, self._off, self._off_rad_s, strict=True)
+            q + CYCLE_S * (dq + CYCLE_S * ddq) for q, dq, ddq in zip(state.q_d, state.dq_d, state.ddq_d, strict=True)
         )
 
-    def _go_on(self, intended: Joints, state: Any) -> Joints:
-        """Go on from where the robot extrapolated to, as it moves there."""
-        speed, self._speed = (
-            tuple(dq + cycles * CYCLE_S * ddq for dq, ddq in zip(state.dq_d, state.ddq_d, strict=True))
-            for cycles in (1, 2)
+    def _plan(self, state: Any) -> None:
+        """Begin the way back one cycle ago, where the robot was told to be, as it moves there."""
+        speeds, curves = self._motion()
+        place = [
+            q - (aim - CYCLE_S * (speed - 0.5 * CYCLE_S * curve))
+            for q, aim, speed, curve in zip(state.q_d, self._intended[-1], speeds, curves, strict=True)
+        ]
+        # The robot's speed is that of the last cycle on average: half a cycle before where it is.
+        speed = [
+            dq + 0.5 * CYCLE_S * ddq - (v - CYCLE_S * a)
+            for dq, ddq, v, a in zip(state.dq_d, state.ddq_d, speeds, curves, strict=True)
+        ]
+        curve = [ddq - a for ddq, a in zip(state.ddq_d, curves, strict=True)]
+        self._off, self._since_s = (tuple(place), tuple(speed), tuple(curve)), CYCLE_S
+        d, w, a = (max(map(abs, one)) for one in (place, speed, curve))
+        self._over_s = max(
+            REJOIN_S, math.sqrt(2.0 * 5.78 * d / MOST_RAD_S2), 2.0 * 4.0 * w / MOST_RAD_S2,
+            (180.0 * d / MOST_RAD_S3) ** (1.0 / 3.0), math.sqrt(108.0 * w / MOST_RAD_S3), 27.0 * a / MOST_RAD_S3,
+        )  # fmt: skip
+
+    def _first_step(self, state: Any) -> Joints:
+        """One cycle further along the way back, by its acceleration: planned anew each time, by its place alone it would
+        change the robot's acceleration by a sixth of what it should, and swing.
+
+        The robot may keep that acceleration for as many cycles as it has missed lately: it is that of their middle.
+        """
+        T, ahead_s = self._over_s, 0.5 * CYCLE_S * (1.0 + self._pause)
+        curves = [
+            aim + a - ahead_s * (60.0 * d / T**3 + 36.0 * w / T**2 + 9.0 * a / T)
+            for aim, d, w, a in zip(self._motion()[1], *self._off, strict=True)
+        ]
+        return tuple(
+            q + CYCLE_S * (dq + CYCLE_S * curve) for q, dq, curve in zip(state.q_d, state.dq_d, curves, strict=True)
         )
-        command = tuple(q + CYCLE_S * dq for q, dq in zip(state.q_d, speed, strict=True))
-        self._off = tuple(q - aim for q, aim in zip(command, intended, strict=True))
-        self._since_s = 0.0
-        return command
+
+    def _left(self) -> Joints:
+        """What is left of the way back now: from the start with all its derivatives to zero with all of them."""
+        T, u = self._over_s, self._since_s / self._over_s
+        of_place = 1.0 - smooth(u)
+        of_speed = T * (u + u**3 * (-6.0 + u * (8.0 - 3.0 * u)))
+        of_curve = 0.5 * T * T * u * u * (1.0 + u * (-3.0 + u * (3.0 - u)))
+        return tuple(of_place * d + of_speed * w + of_curve * a for d, w, a in zip(*self._off, strict=True))
 
 
 class Fci:
@@ -133,7 +200,7 @@ class Fci:
         at_rest = self._setpoints.ended or self._pace == 0.0
         if at_rest:
             self._correction.off = "the motion is over"
-        command.motion_finished = over = at_rest and self._correction.out
+        command.motion_finished = over = at_rest and self._correction.out and self._rejoined.back
         control.writeOnce(command)
         self.counts["answered"] += 1
         if self._leaving:

@@ -19,7 +19,7 @@ class Guard:
         rate_rad_s: how fast an offset changes at most.
         ramp_s: over which offsets come in from zero, and go out.
         cycle_s: of the controller. An offset changes by no more than that allows with each answer, however long the pause
-            before it was: the controller carries it out within one cycle.
+            before it was: most controllers carry it out within one cycle.
 
     """
 
@@ -38,19 +38,22 @@ class Guard:
         """Whether nothing is offset."""
         return self.share == 0.0 and not any(self.offset)
 
-    def follow(self, wanted: Sequence[float] | None) -> tuple[float, ...]:
-        """Return the next offset on the way to ``wanted``; None: the last one is to go out."""
+    def follow(self, wanted: Sequence[float] | None, cycles: int = 1) -> tuple[float, ...]:
+        """Return the next offset on the way to ``wanted``; None: the last one is to go out.
+
+        It may change as much as ``cycles`` allow: more than one only for who takes what was lost up over several cycles.
+        """
         if wanted is not None and all(map(math.isfinite, wanted)):
             self._wanted = tuple(wanted)
-            self.share = min(1.0, self.share + self._part)
+            self.share = min(1.0, self.share + cycles * self._part)
         else:
-            self.share = max(0.0, self.share - self._part)
+            self.share = max(0.0, self.share - cycles * self._part)
         smooth = self.share * self.share * (3.0 - 2.0 * self.share)
         # One scale for all joints. Near a stretched elbow large offsets of two joints make up for each other: one that
         # went ahead of the other would take the tool further off than no correction does.
         scale = smooth * _fitting(self._largest, self._wanted)
         steps = [scale * one - now for one, now in zip(self._wanted, self.offset, strict=True)]
-        part = _fitting(self._most, steps)
+        part = _fitting(cycles * self._most, steps)
         self.offset = tuple(
             min(max(now + part * step, -self._largest), self._largest)  # which rounding may pass
             for now, step in zip(self.offset, steps, strict=True)

@@ -75,7 +75,7 @@ def prepared(robot: str, bridge: str, version: str | None, force: bool, quiet: b
     return Start(robot, bridge, found, Task(robot, bridge, pinned, found.number, force, quiet, publish))
 
 
-def correction_of(start: Start, bounds: Bounds) -> Correction:
+def correction_of(start: Start, bounds: Bounds, makes_up: bool = False) -> Correction:
     """Make what offsets the joints, with its kernels compiled.
 
     Raises:
@@ -89,7 +89,7 @@ def correction_of(start: Start, bounds: Bounds) -> Correction:
     guard = Guard(
         start.joints, math.radians(bounds.largest_deg), math.radians(bounds.rate_deg_s), bounds.ramp_s, bounds.cycle_s
     )
-    return Correction(stored, start.robot, guard, bounds.cycle_s)
+    return Correction(stored, start.robot, guard, bounds.cycle_s, makes_up)
 
 
 def axes_of(text: str | None, joints: int, most: int) -> list[float]:
@@ -140,7 +140,7 @@ def move_by_fci(start: Start, setpoints: Setpoints, bounds: Bounds, address: str
         import pylibfranka
     except ImportError as error:
         raise MissingPackageError("This bridge needs pylibfranka: `pip install pylibfranka==0.21.3`.") from error
-    correction = correction_of(start, bounds)
+    correction = correction_of(start, bounds, makes_up=True)
     with beside(start) as line:
         fci = Fci(pylibfranka, address, setpoints, correction, line, realtime)
         with _ended_by_signals(fci):
