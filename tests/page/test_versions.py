@@ -164,7 +164,7 @@ def test_a_version_is_activated_through_the_dialog_that_says_what_changes(there:
     assert active(there) == there.good
     page.get_by_role("button", name="Go back to the version before…").click()
     page.get_by_role("button", name="Go back now").click()
-    page.get_by_text("The robot is corrected with version 1").wait_for()
+    page.get_by_text("Version version 1 is active").wait_for()
     assert active(there) == there.poor
 
 

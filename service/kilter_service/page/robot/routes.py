@@ -45,6 +45,12 @@ def overview(
     return render(request, "robot/overview.html", shown=shown)
 
 
+@router.get("/robots/{robot}/state")
+def state(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+    """Show how a robot stands, on each of its views."""
+    return render(request, "robot/state.html", stands=service.standing(database, settings, robot))
+
+
 @router.get("/robots/{robot}/settings")
 def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show what is rarely changed of a robot."""

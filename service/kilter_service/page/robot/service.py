@@ -97,6 +97,26 @@ def shown_robot(
     )
 
 
+@dataclass(frozen=True)
+class Standing:
+    """What every view of a robot says first: its state, and today's number with where it is from."""
+
+    robot: RobotReport
+    state: State
+    accuracy: Accuracy | None
+    seen_on: str  # campaign and date of the number
+
+
+def standing(database: Database, settings: Settings, name: str) -> Standing:
+    """Return how a robot stands, from what its overview says."""
+    robot, now = robots.get(database, name), today.of_robot(database, name)
+    accuracy = accuracy_today(now)
+    correcting = corrector(database, settings).of(name, robot.active_version, robot.controller_compensation)
+    measured = [] if now.newest is None else now.newest.campaigns
+    seen_on = ", ".join(f"{one.name}, {one.when}" for one in measured)
+    return Standing(robot, state_of(now, accuracy, drift.of_robot(database, name), correcting), accuracy, seen_on)
+
+
 def _campaign(
     database: Database, measured: Sequence[Campaign], version: VersionSummary | None, wanted: str | None, now: Today
 ) -> Campaign | None:

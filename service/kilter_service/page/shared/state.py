@@ -30,11 +30,13 @@ def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary
         return State(seen.instead, seen.look, seen.sentence)
     if drift is not None and drift.state in ("moved", "cannot_tell"):
         return State("Has moved", "bad", _without_word(drift.sentence))
-    if drift is not None and drift.state == "creeping":
-        return State("Drifting", "warn", _without_word(drift.sentence))
     if today.changed:
         said = f"Its error is {mm(today.larger_by_mm)} larger than at the fit, more than chance explains."
         return State("Has changed", "bad", said)
+    if seen.look in ("warn", "bad"):  # setpoints go on, but not as the active version has them
+        return State(seen.word.capitalize(), seen.look, seen.sentence)
+    if drift is not None and drift.state == "creeping":
+        return State("Drifting", "warn", _without_word(drift.sentence))
     if accuracy is None:
         return State("Not known", "warn", "The active version was made without measurements of the tool.")
     if not accuracy.held_out:

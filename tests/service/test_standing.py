@@ -1,0 +1,77 @@
+"""How a robot stands is said first on each of its views, and follows what its stream does, not its numbers alone."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Callable
+
+import httpx
+import pytest
+
+from kilter_service.contract.today import Today
+from kilter_service.page.shared.accuracy import Accuracy
+from kilter_service.page.shared.correcting import Corrector
+from kilter_service.page.shared.state import state_of
+from tests.service.conftest import Katana, WorkerProcess
+
+Until = Callable[..., None]
+
+
+def words(text: str) -> str:
+    return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", text))).strip()
+
+
+def test_each_view_of_a_robot_says_how_it_stands(
+    client: httpx.Client, katana: Katana, worker: WorkerProcess, until: Until
+) -> None:
+    name = katana.name
+    client.post("/v1/robots", json=katana.document).raise_for_status()
+    assert "Not corrected" in words(client.get(f"/robots/{name}/state", headers={"hx-request": "true"}).text)
+    worker.start()
+    made = client.post(f"/v1/robots/{name}/campaigns", json={"name": "monday"}).raise_for_status().json()["id"]
+    client.post(f"/v1/campaigns/{made}/observations", json=katana.columns(40, 1)).raise_for_status()
+    asked = {"kind": "identify", "robot": name, "campaigns": [made], "validation": 0.3, "options": {"level": 1}}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] == "succeeded")
+    version = client.get(f"/v1/jobs/{job}").json()["result"]["version_id"]
+    client.post(f"/v1/versions/{version}/activate", json={"force": True}).raise_for_status()
+    loads = f'hx-get="/robots/{name}/state" hx-trigger="load"'
+    views = (
+        *(f"/robots/{name}/{view}" for view in ("campaigns", "jobs", "versions", "correct", "stream", "settings")),
+        f"/versions/{version}", f"/jobs/{job}", f"/campaigns/{made}",
+    )  # fmt: skip
+    for view in views:
+        assert client.get(view).raise_for_status().text.count(loads) == 1, view
+    assert loads not in client.get(f"/robots/{name}").text  # which says it at length
+    part = client.get(f"/robots/{name}/state", headers={"hx-request": "true"}).raise_for_status().text
+    assert not part.lstrip().lower().startswith("<!doctype")
+    # The same state, number and sentence as on the overview; alone it is a page.
+    overview = words(client.get(f"/robots/{name}").text)
+    stated = re.search(r'<strong class="state-word">([^<]*)</strong>\s*<strong>([^<]*)</strong>', part)
+    assert stated is not None
+    assert all(html.unescape(one) in overview for one in stated.groups())
+    assert "The corrector does not run" in words(part)
+    assert client.get(f"/robots/{name}/state").text.lstrip().lower().startswith("<!doctype")
+    assert client.get("/robots/nobody/state").status_code == 404
+
+
+GOOD = Accuracy(True, 40, 0.05, 0.04, 0.06, 0.09, 0.1, 2.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("streams", "word"),
+    [
+        ((), "Good"),
+        (({"robot": "arm", "version_id": "ver_1", "stream": "a"},), "Good"),
+        (({"robot": "arm", "version_id": "ver_0", "stream": "a"},), "Other version"),
+        (({"robot": "arm", "version_id": None, "stream": "a"},), "Other version"),
+        (({"robot": "other", "version_id": "ver_0", "stream": "a"},), "Good"),
+    ],
+)
+def test_a_good_number_does_not_hide_a_stream_that_is_not_corrected_with_it(
+    streams: tuple[dict[str, object], ...], word: str
+) -> None:
+    today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
+    seen = Corrector(True, "alive", streams).of("arm", "ver_1")
+    assert state_of(today, GOOD, None, seen).word == word
