@@ -147,6 +147,7 @@ RULES = (
         "", "The center is linearized.", "The centre is linearised.", areas=("docs",),
     ),
 )  # fmt: skip
+ANY_RULE = re.compile("|".join(f"(?:{rule.refused})" for rule in RULES), re.IGNORECASE)
 
 
 def files(area: str) -> Iterator[Path]:
@@ -231,8 +232,14 @@ def said_in(area: str) -> tuple[tuple[str, str], ...]:
     )
 
 
+@cache
+def suspected_in(area: str) -> tuple[tuple[str, str], ...]:
+    """The passages in which some rule finds something: few, so that not every rule has to read them all."""
+    return tuple((place, said) for place, said in said_in(area) if ANY_RULE.search(said))
+
+
 def refused(rule: Rule, area: str) -> list[str]:
-    return [f"{place}: {word!r}" for place, said in said_in(area) for word in rule.found(said)]
+    return [f"{place}: {word!r}" for place, said in suspected_in(area) for word in rule.found(said)]
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.wrong)
@@ -254,7 +261,11 @@ def names_in_code() -> tuple[tuple[str, str], ...]:
 
 def test_few_names_have_a_word_that_a_term_replaces() -> None:
     rules = [rule for rule in RULES if rule.areas == MENDED]
-    found = [(place, name) for place, name in names_in_code() if any(rule.found(name) for rule in rules)]
+    found = [
+        (place, name)
+        for place, name in names_in_code()
+        if ANY_RULE.search(name) and any(rule.found(name) for rule in rules)
+    ]
     known = {still: [place for place, name in found if still in name] for still in NAMES_STILL}
     assert not {still: places for still, places in known.items() if len(places) > NAMES_STILL[still]}
     assert not [place for place, name in found if not any(still in name for still in NAMES_STILL)]
