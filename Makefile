@@ -61,6 +61,9 @@ test-stream: $(KERNELS) ## of the tests, those of the corrector and what streams
 test-clients: $(KERNELS) ## of the tests, those of the command, the library, the file readers, the contract and the docs
 	$(BIN)/python -m pytest -q $(SHARED) $(CLIENTS_TESTS)
 
+test-cpu: $(KERNELS) ## print the processor time that each module of tests takes, whatever else the machine does (TESTS="tests/core ...")
+	$(BIN)/python -m pytest -q --cpu $(SHARED) $(TESTS)
+
 test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
 	$(BIN)/python -m tests.core.processors.compared --n $(or $(N),1000)
 

@@ -45,6 +45,17 @@ LONG = (
 )
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cpu", action="store_true", help="print the processor time that each module of tests took")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--cpu"):
+        from tests.cpu_seconds import CpuSeconds
+
+        config.pluginmanager.register(CpuSeconds(), "cpu-seconds")
+
+
 COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10
 
 
