@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cache
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kilter_core.types import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
-
-@cache
-def _rotation() -> type[Rotation]:
-    # Its import takes nearly as long as the compiler's, and the processes that correct setpoints do without it.
-    found: type[Rotation] = import_module("scipy.spatial.transform").Rotation
-    return found
 
 
 def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:
     """T (4, 4) = Trans(xyz) Rz(rz) Ry(ry) Rx(rx), the convention of URDF; ``rpy_rad`` is (rx, ry, rz)."""
     T = np.eye(4)
-    T[:3, :3] = _rotation().from_euler("xyz", rpy_rad).as_matrix()
+    T[:3, :3] = Rotation.from_euler("xyz", rpy_rad).as_matrix()
     T[:3, 3] = xyz_m
     return T
 
@@ -95,12 +82,12 @@ def rotations_about(axis: Floats, angles: Floats) -> Floats:
 
 def rotation_log(R: Floats) -> Floats:
     """Rotation vectors (N, 3) of rotations (N, 3, 3)."""
-    return np.asarray(_rotation().from_matrix(R).as_rotvec())
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
 def rotation_exp(w: Floats) -> Floats:
     """Rotation (3, 3) by a rotation vector."""
-    return np.asarray(_rotation().from_rotvec(w).as_matrix())
+    return np.asarray(Rotation.from_rotvec(w).as_matrix())
 
 
 def twisted(v: Floats, w: Floats) -> Floats:
