@@ -40,7 +40,7 @@ OTHER_CORE_TESTS := tests/core/identify/test_identify.py tests/core/identify/tes
 	tests/core/measurement/test_contacts.py tests/core/measurement/test_distances.py tests/core/procedures
 
 test: $(KERNELS) ## run the tests, the numeric part first under another kind of processor (OTHER_CORE=Sandybridge)
-	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(SHARED) $(OTHER_CORE_TESTS)
+	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(subst -n $(TESTERS),-n 2,$(SHARED)) $(OTHER_CORE_TESTS)
 	$(BIN)/python -m pytest $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
 
 # While one area changes: its own tests. Each folder of tests is in one of these or in test-page.
@@ -60,6 +60,9 @@ test-stream: $(KERNELS) ## of the tests, those of the corrector and what streams
 
 test-clients: $(KERNELS) ## of the tests, those of the command, the library, the file readers, the contract and the docs
 	$(BIN)/python -m pytest -q $(SHARED) $(CLIENTS_TESTS)
+
+test-cpu: $(KERNELS) ## print the processor time that each module of tests takes, whatever else the machine does (TESTS="tests/core ...")
+	$(BIN)/python -m pytest -q --cpu $(SHARED) $(TESTS)
 
 test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
 	$(BIN)/python -m tests.core.processors.compared --n $(or $(N),1000)
@@ -208,7 +211,8 @@ test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, 
 	$(BIN)/python -m pytest -m "slow or not slow" -q tests/corrector/test_faults.py tests/corrector/test_process.py
 
 test-durability: $(KERNELS) ## set clocks, make disks read-only and freeze processes under a running server, slow cases too
-	$(BIN)/python -m pytest -m "slow or not slow" -q tests/service/test_clock_jumps.py tests/service/test_read_only_disk.py tests/service/test_frozen.py tests/service/test_failing_disk.py
+	$(BIN)/python -m pytest -m "slow or not slow" -q tests/service/test_clock_jumps.py tests/service/test_read_only_disk.py tests/service/test_frozen.py tests/service/test_failing_disk.py \
+		tests/service/test_bad_starts.py
 
 alterations: $(KERNELS) ## flip 200 bits of a backup, alter a data folder 200 times, and print what is noticed and named
 	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/service/test_seals.py tests/service/test_backup.py -k "alterations or flipped"

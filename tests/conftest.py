@@ -23,26 +23,43 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 # Modules that take long, on a quiet machine 15 s or more. A module is one process's: begun last, the others would wait for it.
 LONG = (
     "contract/test_doc_examples.py",
-    "service/test_degraded_starts.py",
-    "service/test_workers.py",
-    "contract/test_systemd.py",
     "corrector/test_c_controller.py",
+    "service/test_degraded_starts.py",
+    "service/test_activation_guard.py",
+    "contract/test_systemd.py",
+    "service/test_workers.py",
     "clients/test_lost_connections.py",
     "core/identify/test_plausibility.py",
-    "service/test_kills.py",
-    "contract/test_demo.py",
-    "corrector/test_kill_every.py",
-    "service/test_gap.py",
-    "service/test_bad_starts.py",
-    "blind/test_gap_blind.py",
-    "core/arm/test_compiled.py",
-    "contract/test_contributing.py",
-    "service/test_activation_guard.py",
-    "service/test_seals.py",
     "core/gap/test_find_gap.py",
+    "clients/files/match/test_silent_rows.py",
     "clients/files/rig/sheet/test_points_order.py",
+    "service/test_clock_jumps.py",
+    "service/test_kills.py",
+    "service/test_gap.py",
+    "corrector/test_kill_every.py",
+    "core/arm/test_compiled.py",
+    "blind/test_gap_blind.py",
+    "core/gap/test_drift.py",
+    "contract/test_demo.py",
     "mix_ups/test_mix_ups.py",
+    "clients/test_filter_many.py",
+    "core/gap/test_claims.py",
+    "contract/test_contributing.py",
+    "service/test_bad_starts.py",
+    "service/test_seals.py",
+    "contract/test_words.py",
 )
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cpu", action="store_true", help="print the processor time that each module of tests took")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--cpu"):
+        from tests.cpu_seconds import CpuSeconds
+
+        config.pluginmanager.register(CpuSeconds(), "cpu-seconds")
 
 
 COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -10,8 +11,13 @@ PRODUCT = ("core/kilter_core", "service/kilter_service", "clients/files", "clien
 MOST = 425  # import statements inside functions; only ever fewer
 
 
+INDENTED = re.compile(r"^[ \t]+(?:import|from)\s", re.MULTILINE)
+
+
 def deferred(text: str) -> set[tuple[int, str]]:
     """Line and text of each import statement that runs when a function is called."""
+    if not INDENTED.search(text):  # most modules: it takes a tenth of the time
+        return set()
     functions = (ast.FunctionDef, ast.AsyncFunctionDef)
     return {
         (node.lineno, ast.unparse(node))

@@ -147,6 +147,7 @@ RULES = (
         "", "The center is linearized.", "The centre is linearised.", areas=("docs",),
     ),
 )  # fmt: skip
+ANY_RULE = re.compile("|".join(f"(?:{rule.refused})" for rule in RULES), re.IGNORECASE)
 
 
 def files(area: str) -> Iterator[Path]:
@@ -175,9 +176,24 @@ def prose_of_code(text: str) -> Iterator[tuple[int, str]]:
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip():
             yield node.lineno, re.sub(r"``?[^`]*``?|'turn'|--[\w-]+|^ +\w+: ", " x ", node.value, flags=re.M)
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.COMMENT:
-            yield token.start[0], re.sub(r"`[^`]*`", " x ", token.string)
+    for line, comment in comments(text):
+        yield line, re.sub(r"`[^`]*`", " x ", comment)
+
+
+# A string, in which a # begins no comment, or a comment: Python's own tokenizer takes 20 times as long.
+STRING_OR_COMMENT = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*"""' r"|'''(?:[^'\\]|\\.|'(?!''))*'''"
+    r'|"(?:[^"\\\n]|\\.)*"' r"|'(?:[^'\\\n]|\\.)*'|#[^\n]*", re.DOTALL
+)  # fmt: skip
+
+
+def comments(text: str) -> Iterator[tuple[int, str]]:
+    """The comments of a Python source, with their lines."""
+    line = at = 0
+    for match in STRING_OR_COMMENT.finditer(text):
+        if match.group().startswith("#"):
+            line, at = line + text.count("\n", at, match.start()), match.start()
+            yield line + 1, match.group()
 
 
 def passages(path: Path) -> Iterator[tuple[int, str]]:
@@ -231,8 +247,14 @@ def said_in(area: str) -> tuple[tuple[str, str], ...]:
     )
 
 
+@cache
+def suspected_in(area: str) -> tuple[tuple[str, str], ...]:
+    """The passages in which some rule finds something: few, so that not every rule has to read them all."""
+    return tuple((place, said) for place, said in said_in(area) if ANY_RULE.search(said))
+
+
 def refused(rule: Rule, area: str) -> list[str]:
-    return [f"{place}: {word!r}" for place, said in said_in(area) for word in rule.found(said)]
+    return [f"{place}: {word!r}" for place, said in suspected_in(area) for word in rule.found(said)]
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.wrong)
@@ -254,7 +276,11 @@ def names_in_code() -> tuple[tuple[str, str], ...]:
 
 def test_few_names_have_a_word_that_a_term_replaces() -> None:
     rules = [rule for rule in RULES if rule.areas == MENDED]
-    found = [(place, name) for place, name in names_in_code() if any(rule.found(name) for rule in rules)]
+    found = [
+        (place, name)
+        for place, name in names_in_code()
+        if ANY_RULE.search(name) and any(rule.found(name) for rule in rules)
+    ]
     known = {still: [place for place, name in found if still in name] for still in NAMES_STILL}
     assert not {still: places for still, places in known.items() if len(places) > NAMES_STILL[still]}
     assert not [place for place, name in found if not any(still in name for still in NAMES_STILL)]
@@ -272,6 +298,16 @@ def test_templates_and_scripts_are_read_without_their_code() -> None:
     page = '<p title="a">The joint {{ leans }} leans</p>\n<script>turned</script>{% if turn %}'
     assert prose_of_template(page).split() == ["The", "joint", "leans"]
     assert PROSE_OF_SCRIPT.findall('turn("the joint leans") // and turns') == ['"the joint leans"', "// and turns"]
+
+
+def test_comments_are_those_of_python() -> None:
+    sources = [Path(__file__), *(REPOSITORY / "core/kilter_core/gap").rglob("*.py")]
+    texts = [source.read_text(encoding="utf-8") for source in sources]
+    texts.append('a = "#" # b\nc = \'\\\'#\'; d = """\n# "\n\\"""# """  # e\nf = r"\\"  # g\n')
+    for text in texts:
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        wanted = [(token.start[0], token.string) for token in tokens if token.type == tokenize.COMMENT]
+        assert list(comments(text)) == wanted
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.wrong)

@@ -31,7 +31,8 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("build", BUILDS)
+# What the joints are like and how many: `make mix-ups` draws from all builds.
+@pytest.mark.parametrize("build", [pytest.param(b, marks=[pytest.mark.slow] * (b in ("5R", "7R"))) for b in BUILDS])
 def test_mix_ups_are_refused(build: str) -> None:
     g = genuine(list(BUILDS).index(build) + 50, build)
     assert said(g) == ""

@@ -94,7 +94,7 @@ if 'api' in sys.orig_argv:
 """
 
 
-@pytest.mark.parametrize("corrector_first", [False, True])
+@pytest.mark.parametrize("corrector_first", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_an_api_that_ends_at_every_start_ends_the_server(corrector_first: bool, tmp_path: Path) -> None:
     """Nobody could ask what is wrong, so the last line says it; with a corrector that stood first it took 300 s."""
     (tmp_path / "sitecustomize.py").write_text(NO_API)

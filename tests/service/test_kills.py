@@ -8,7 +8,7 @@ import pytest
 
 from tests.service.kill_campaign import campaign
 
-KILLS, SEED = 6, 20261122  # make kills has hundreds
+KILLS, SEED = 4, 20261122  # make kills has hundreds
 
 
 @pytest.mark.timeout(900)  # a machine with other work restarts processes slowly

@@ -43,8 +43,8 @@ def campaign(make: Callable[[np.random.Generator], tuple[Arm, Floats]], see: str
 @pytest.mark.parametrize(
     ("make", "see"),
     [
-        (grid, "position"),
         (column, "pose"),
+        pytest.param(grid, "position", marks=pytest.mark.slow),
         pytest.param(grid, "pose", marks=pytest.mark.slow),
         pytest.param(column, "position", marks=pytest.mark.slow),
     ],

@@ -329,7 +329,7 @@ def blind(robot: str) -> tuple[Robot, Observations]:
 
 
 @pytest.mark.parametrize("all_pairs", [False, pytest.param(True, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("robot", ["katana", "elbow", "seven"])
+@pytest.mark.parametrize("robot", [pytest.param("katana", marks=pytest.mark.slow), "elbow", "seven"])
 def test_campaigns_of_the_blind_benchmark(all_pairs: bool, robot: str) -> None:
     drawn, rows = blind(robot)
     n = drawn.n_joints
