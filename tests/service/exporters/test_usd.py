@@ -134,7 +134,7 @@ class Read:
         g = np.array(scene.GetGravityDirectionAttr().Get()) * scene.GetGravityMagnitudeAttr().Get()
         total = 0.0
         for path, T in self.bodies(q).items():
-            if path is not None:
+            if path is not None and self.stage.GetPrimAtPath(path).HasAPI(UsdPhysics.MassAPI):
                 mass = UsdPhysics.MassAPI(self.stage.GetPrimAtPath(path))
                 com = T[:3, :3] @ (self.unit * np.array(mass.GetCenterOfMassAttr().Get(), dtype=np.float64)) + T[:3, 3]
                 total -= mass.GetMassAttr().Get() * float(g @ com)

@@ -6,6 +6,7 @@ where its own joint and where the next one is, only the difference counts: one t
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from kilter_files.ground.errors import MissingPackageError
@@ -28,13 +29,11 @@ def usd_package() -> Any:
 
     """
     try:
-        import pxr.Sdf  # not an empty folder of that name
-        import pxr.Usd
-        import pxr.UsdGeom
-        import pxr.UsdPhysics
+        for part in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics"):
+            import_module(f"pxr.{part}")
     except ImportError as error:
         raise MissingPackageError("USD needs its package: pip install usd-core.", package="usd-core") from error
-    return pxr
+    return import_module("pxr")
 
 
 def matrix_of(place: Any, turn: Any) -> Floats:

@@ -12,8 +12,8 @@ from kilter_service.exporters.mjcf.notes import notes
 from kilter_service.exporters.usd.stage import LEAST_MASS, Stage
 
 _KNOWN = (
-    "Lengths in m, masses in kg, z up; angles of UsdPhysics in degrees: drives in N m/deg (N/m of a slide), limits in deg (m). "
-    "Attributes of Kilter have their unit in their name. Targets of the drives are the readings of the controller.",
+    "Lengths in m, masses in kg, z up; angles of UsdPhysics in degrees: drives in N m/deg (of a prismatic joint N/m), limits "
+    "in deg (m). Attributes of Kilter have their unit in their name. Targets of the drives are the readings of the controller.",
     "Local poses of joints are in single precision. What rounding leaves of each is in the other local pose of the body: "
     "read in double precision the joints are exactly those of the version.",
     "Not calibrated: inertia and damping of the drives, speed and torque limits. The twin is true where it has settled.",

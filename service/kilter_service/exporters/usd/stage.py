@@ -71,7 +71,7 @@ class Stage:
         self.stage.SetDefaultPrim(arm)
         pxr.UsdPhysics.ArticulationRootAPI.Apply(arm)
         self._attributes(arm)
-        # The world holds the base where single precision has it, and the base takes the rest.
+        # The stage holds the base where single precision has it, and the base takes the rest.
         stand = single(self.axes.base)
         before, behind = split(inverse(self.axes.base) @ stand, inverse(self.axes.base) @ frames[0])
         pose = stand @ inverse(before)
@@ -92,11 +92,11 @@ class Stage:
         """A joint with its limits, its drive, and as attributes what no drive has."""
         UsdPhysics, Sdf = self.pxr.UsdPhysics, self.pxr.Sdf
         joint = self.calibration.robot.joints[j]
-        slides = joint.kind == "prismatic"
-        kind, token = (UsdPhysics.PrismaticJoint, "linear") if slides else (UsdPhysics.RevoluteJoint, "angular")
+        prismatic = joint.kind == "prismatic"
+        kind, token = (UsdPhysics.PrismaticJoint, "linear") if prismatic else (UsdPhysics.RevoluteJoint, "angular")
         made = kind.Define(self.stage, f"{self.root}/joints/{self._names[j]}")
         made.CreateAxisAttr("Z")
-        per = 1.0 if slides else float(np.degrees(1.0))  # degrees of a radian
+        per = 1.0 if prismatic else float(np.degrees(1.0))  # degrees of a radian
         if np.isfinite(joint.lower):
             made.CreateLowerLimitAttr(joint.lower * per)
         if np.isfinite(joint.upper):
@@ -106,7 +106,7 @@ class Stage:
         own.CreateStiffnessAttr(drive.gain / per)
         own.CreateDampingAttr(drive.gain / per * SETTLES_S)
         own.CreateTargetPositionAttr(0.0)
-        length, force = ("M", "N") if slides else ("Rad", "Nm")
+        length, force = ("M", "N") if prismatic else ("Rad", "Nm")
         values = {f"halfBacklash{length}": drive.backlash, f"friction{force}": drive.friction}
         for name, value in values.items():
             if value > 0.0:
