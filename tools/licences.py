@@ -18,8 +18,8 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "licences
 OURS = ("kilter-core", "kilter-files", "kilter-client", "kilter")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "kilter-files": ("camera", "formats", "meshes", "sheet", "tags"),
-    "kilter-client": ("camera", "files", "meshes", "notebook", "plots", "sheet", "stream", "tags"),
-    "kilter": ("cluster", "files", "pdf", "postgresql", "tracing"),
+    "kilter-client": ("camera", "files", "meshes", "notebook", "plots", "sheet", "stream", "tags", "usd"),
+    "kilter": ("cluster", "files", "pdf", "postgresql", "tracing", "usd"),
 }
 # Packages that name no licence in a form that a program reads: read in their own licence files.
 READ_BY_HAND = {

@@ -111,6 +111,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "stopping": (503, "The server is stopping"),
     "busy": (503, "The server answers as many requests as it can"),
     "pdf_unavailable": (501, "This server cannot make PDF"),
+    "usd_unavailable": (501, "This server cannot write USD"),
     "not_ready": (503, "Kilter is not ready"),
     "jobs_taken": (409, "Another worker runs the jobs of this database"),
     "cluster_away": (503, "The scheduler of the cluster cannot be reached"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 import kilter as library
 from kilter_client import Kilter
@@ -59,6 +60,24 @@ def rigid(arm: DriftingArm, drives: str = "") -> str:
     return f'<mujoco><compiler angle="radian"/><worldbody>{inner}</worldbody><actuator>{drives}</actuator></mujoco>'
 
 
+def stage_of(arm: DriftingArm, path: Path) -> Path:
+    """The same as a stage of USD."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.ArticulationRootAPI.Apply(UsdGeom.Xform.Define(stage, "/arm").GetPrim())
+    UsdGeom.Xform.Define(stage, "/arm/link0")
+    for k, (d, a, alpha) in enumerate([(0.0, 0.0, 0.0), *arm.rows[:5]]):
+        UsdGeom.Xform.Define(stage, f"/arm/link{k + 1}")
+        joint = UsdPhysics.RevoluteJoint.Define(stage, f"/arm/axis{k + 1}")
+        joint.CreateAxisAttr("Z")
+        joint.CreateBody0Rel().SetTargets([f"/arm/link{k}"])
+        joint.CreateBody1Rel().SetTargets([f"/arm/link{k + 1}"])
+        joint.CreateLocalPos0Attr(Gf.Vec3f(a, 0.0, d))
+        joint.CreateLocalRot0Attr(Gf.Quatf(np.cos(alpha / 2), np.sin(alpha / 2), 0.0, 0.0))
+    stage.GetRootLayer().Save()
+    return path
+
+
 JOINTS = ",".join(f"axis{k}" for k in range(1, 7))
 
 
@@ -105,6 +124,17 @@ def test_the_twin_is_as_good_as_the_version_and_another_model_as_bad_as_the_nomi
     assert found["errors"][str(copy)]["mean_mm"] == pytest.approx(own["mean_mm"], abs=0.002)
     same = command.json("twin", "onto", copy, fit.version_id, "-o", copy, code=2)
     assert "is the model itself" in same["detail"]
+
+    stage = stage_of(arm, tmp_path / "theirs.usda")
+    layer = tmp_path / "theirs-0042.usda"
+    over = ("twin", "onto", stage, fit.version_id, "--joints", JOINTS)
+    laid = command.json(*over, "-o", layer)
+    assert any("In the stage: axial_compliance, worth" in note for note in laid["notes"])
+    opened = Usd.Stage.Open(str(layer))
+    stiffness_nm_deg = UsdPhysics.DriveAPI(opened.GetPrimAtPath("/arm/axis2"), "angular").GetStiffnessAttr().Get()
+    assert np.radians(1.0) / arm.compliance[1] == pytest.approx(stiffness_nm_deg, rel=0.1)
+    assert "--site is of models of MuJoCo" in command.json(*over, "-o", layer, "--site", "flange", code=2)["detail"]
+    assert "name it .usda" in command.json(*over, "-o", tmp_path / "arm.xml", code=2)["detail"]
 
 
 def test_models_that_cannot_be_settled_are_refused_with_the_remedy(

@@ -20,6 +20,7 @@ AT_THE_EDGE = (
     "service/kilter_service/wire.py",
     "service/kilter_service/importers/*.py",
     "service/kilter_service/exporters/*.py",
+    "service/kilter_service/exporters/usd/*.py",
     "service/kilter_service/contract/columns.py",
     "service/kilter_service/tables/assemble.py",
     "service/kilter_service/campaigns/joint_limits.py",

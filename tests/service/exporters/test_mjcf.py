@@ -322,6 +322,20 @@ def test_the_head_says_how_good_the_twin_is_where_it_was_not_fitted() -> None:
     assert "No measured poses were held out" in str(export("mjcf", file).text)
 
 
+def test_a_soft_arm_hangs_where_its_own_loads_say() -> None:
+    """A prediction takes the loads at the readings: of an arm that sags by degrees the tool is then tenths of a mm off."""
+    soft = twin(("axial_compliance",), {f"compliance_{j}": 1.0 / 33.0 for j in range(1, 6)}, "so101")
+    assert any("a prediction of Kilter takes the loads at the readings" in note for note in soft[0].notes)
+    model, calibration = mujoco.MjModel.from_xml_string(str(soft[0].text)), soft[1]
+    rows = Observations(np.random.default_rng(2).uniform(-1.2, 1.2, (4, 5)), payload_kg=np.full(4, 0.2))
+    seen = np.array([settled(model, q, 1.0, 0.2, 2e-3, seconds=3.0)[0] for q in rows.q])
+    apart = [
+        np.linalg.norm(seen - told, axis=1).max()
+        for told in (hanging(calibration, rows), calibration.predict(rows).position)
+    ]
+    assert apart[0] * 1e6 < CLOSE_UM < 1e2 < apart[1] * 1e6
+
+
 def test_a_joint_that_drives_several_axes_is_refused() -> None:
     document: dict[str, Any] = {
         "name": "mimic", "convention": "chain",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.errors import FileError
 from kilter_client.settled import loaded, mujoco_package, named
 from kilter_client.twin import TABLE
+from kilter_client.twin_axes import base_in_model
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 NOMINAL, TOOL, BACKLASH = "kilter_nominal", "kilter_tool", "_backlash"
-NEAR_M, NEAR_RAD = 1e-3, 5e-3  # between an axis of the model and that of the robot, at zero joints
-ROUNDS = 60
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,10 @@ class _Copy:
         self.poses = [_pose(data.xpos[b], data.xmat[b]) for b in range(self.model.nbody)]
         self.sites = [_pose(data.site_xpos[k], data.site_xmat[k]) for k in range(self.model.nsite)]
         self.bodies = [int(self.model.jnt_bodyid[j]) for j in self.ids]
-        self.base = self._found(data.xanchor[self.ids], data.xaxis[self.ids])
+        self.base = base_in_model(
+            path, names, twin.nominal[:-1], data.xanchor[self.ids], data.xaxis[self.ids],
+            self.poses[int(self.model.body_parentid[self.bodies[0]])],
+        )  # fmt: skip
 
     def apply(self, site: str | None) -> None:
         """Move the bodies, set the drives, and place the tool."""
@@ -127,41 +129,6 @@ class _Copy:
         self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         self.spec.option.tolerance = 1e-14
         self._table()
-
-    def _found(self, anchors: Floats, axes: Floats) -> Floats:
-        """Pose (4, 4) of the robot's base in the source, by which its axes are the robot's.
-
-        Raises:
-            FileError: no such pose: the joint that is farthest off is named.
-
-        """
-        points, directions = self.twin.nominal[:-1, :3, 3], self.twin.nominal[:-1, :3, 2]
-        T = self.poses[int(self.model.body_parentid[self.bodies[0]])]
-        for _ in range(ROUNDS):
-            rows, left = [], []
-            for p, z, anchor, axis in zip(points, directions, anchors, axes, strict=True):
-                here, along = T[:3, :3] @ p + T[:3, 3], T[:3, :3] @ z
-                across = np.eye(3) - np.outer(axis, axis)
-                rows += [np.hstack([-across @ _skew(here), across]), np.hstack([-_skew(along), np.zeros((3, 3))])]
-                left += [across @ (anchor - here), axis - along]
-            step = np.linalg.lstsq(np.vstack(rows), np.concatenate(left), rcond=1e-9)[0]
-            T = _moved(step) @ T
-        self._refuse(T, anchors, axes)
-        return T
-
-    def _refuse(self, T: Floats, anchors: Floats, axes: Floats) -> None:
-        for k, name in enumerate(self.names):
-            here = T @ self.twin.nominal[k]
-            gap = anchors[k] - here[:3, 3]
-            off_m = float(np.linalg.norm(gap - axes[k] * (axes[k] @ gap)))
-            off_rad = float(np.arccos(np.clip(axes[k] @ here[:3, 2], -1.0, 1.0)))
-            if off_m > NEAR_M or off_rad > NEAR_RAD:
-                raise FileError(
-                    f"{self.path}: joint {name!r} is {off_m * 1e3:.1f} mm and {np.degrees(off_rad):.1f} deg from where the "
-                    "robot nominally has it: the model is of another arm, or of another zero. Take the model that the robot "
-                    "was described by.",
-                    file=str(self.path),
-                )
 
     def _drive(self, j: int) -> None:
         """Gain, friction and backlash of a joint as the twin has them."""
@@ -251,20 +218,6 @@ def _pose(place: Floats, matrix: Floats) -> Floats:
 
 def _inverse(T: Floats) -> Floats:
     return _pose(-T[:3, :3].T @ T[:3, 3], T[:3, :3].T)
-
-
-def _skew(v: Floats) -> Floats:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _moved(step: Floats) -> Floats:
-    """A small motion (w, v) as a pose."""
-    mujoco = mujoco_package()
-    angle = float(np.linalg.norm(step[:3]))
-    quat, matrix = np.empty(4), np.empty(9)
-    mujoco.mju_axisAngle2Quat(quat, step[:3] / angle if angle else np.array([1.0, 0.0, 0.0]), angle)
-    mujoco.mju_quat2Mat(matrix, quat)
-    return _pose(step[3:], matrix)
 
 
 def _place(element: Any, T: Floats) -> None:

@@ -11,7 +11,7 @@ from kilter_core.arm.run_time import Conditions, JointForm, RunTimeForm, Shape
 from kilter_core.effects import Effect
 
 if TYPE_CHECKING:
-    from kilter_core.model import Calibration, RobotModel
+    from kilter_core.model import Calibration
     from kilter_core.types import Floats
 
 BY_THE_STEP = ("tilt", "radial_compliance", "hardening", "compliance_by_direction")
@@ -27,6 +27,7 @@ class ExportedEffects:
     in_elements: tuple[Effect, ...]
     in_step: tuple[Effect, ...]
     left_out: tuple[Effect, ...]
+    beyond_drives: tuple[Effect, ...]  # of those in elements: what needs more than a frame, a mass and a gain
 
 
 def exported_effects(calibration: Calibration) -> ExportedEffects:
@@ -35,27 +36,35 @@ def exported_effects(calibration: Calibration) -> ExportedEffects:
     load = model.robot.load or Payload(0.0)
     form = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
     sorted_out: dict[str, list[Effect]] = {"elements": [], "step": [], "nowhere": []}
+    beyond = []
     for effect, at in model.placed:
         if effect.stage != "measurement":
-            sorted_out[_place(effect, values[at], model, load)].append(effect)
+            alone = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
+            place = _place(effect, values[at], load, alone)
+            sorted_out[place].append(effect)
+            if place == "elements" and _beyond_a_drive(alone):
+                beyond.append(effect)
             effect.at_run_time(form, values[at])
     weighed = model.load_robot
     if form.link_errors is not None:
         weighed = with_masses(weighed, form.link_errors.tolist())
     mass, com = with_payload(load.mass, load.com, form.payload_errors.tolist())
-    return ExportedEffects(
-        form, weighed, Payload(mass, (com[0], com[1], com[2])), *(tuple(found) for found in sorted_out.values())
-    )
+    placed = (tuple(found) for found in (*sorted_out.values(), beyond))
+    return ExportedEffects(form, weighed, Payload(mass, (com[0], com[1], com[2])), *placed)
 
 
-def _place(effect: Effect, values: Floats, model: RobotModel, load: Payload) -> str:
-    """Where an effect goes that is alone. What follows a payload follows the one that the robot carries."""
+def _place(effect: Effect, values: Floats, load: Payload, form: RunTimeForm) -> str:
+    """Where an effect goes, alone in ``form``. What follows a payload follows the one that the robot carries."""
     if "payload_kg" in effect.needs and load.mass <= 0.0:
         return "nowhere"
-    form = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
     if not effect.at_run_time(form, values) or any(curve.shape is Shape.LAG for curve in form.curves):
         return "nowhere"
     return "step" if form.curves or form.bending or any(_needs_the_step(joint) for joint in form.joints) else "elements"
+
+
+def _beyond_a_drive(form: RunTimeForm) -> bool:
+    moving = any(joint.reversal != 0.0 or joint.backlash != 0.0 for joint in form.joints)
+    return moving or any(c != 0.0 for c in form.base_compliance or ())
 
 
 def _needs_the_step(joint: JointForm) -> bool:

@@ -1,4 +1,4 @@
-"""What stands at the head of a model of MuJoCo: what each effect is worth, where it went, and how good the twin is."""
+"""What stands at the head of a twin for a simulator: what each effect is worth, where it went, and how good the twin is."""
 
 from __future__ import annotations
 
@@ -22,12 +22,25 @@ ROUNDS = 30  # until an arm hangs where its own loads say
 SAID_UM = 0.01
 
 
-def notes(version: Version, calibration: Calibration, exported: ExportedEffects) -> tuple[str, ...]:
-    """Everything to know before the twin is trusted."""
-    return (*_of_effects(calibration, exported), *_of_loads(calibration), held_out(version.metrics.validation), *_KNOWN)
+Placed = Sequence[tuple[str, Sequence["Effect"]]]  # where effects went, in words, and those that went there
 
 
-_KNOWN = (
+def notes(version: Version, calibration: Calibration, placed: Placed, known: Sequence[str]) -> tuple[str, ...]:
+    """Everything to know before the twin is trusted; ``known`` is what all twins of the format have in common."""
+    effects = _of_effects(calibration, placed)
+    return (*effects, *_of_loads(calibration), held_out(version.metrics.validation), *known)
+
+
+def in_mujoco(exported: ExportedEffects) -> Placed:
+    """Where the effects went in a model of MuJoCo."""
+    return (
+        ("In the model", exported.in_elements),
+        ("Added by the step in Python (kilter.twin.apply) only", exported.in_step),
+        ("Left out", exported.left_out),
+    )
+
+
+KNOWN_OF_MUJOCO = (
     "Controls are the readings of the controller, in rad and m. Set what the tool carries by the mass of the body payload, "
     "then call mj_setConst.",
     "A joint that nothing loads rests anywhere within its backlash, and where friction holds it depends on how it came there.",
@@ -51,11 +64,10 @@ def _mm(errors: Errors) -> str:
     return f"{errors.mean_mm:.4f} mm"
 
 
-def _of_effects(calibration: Calibration, exported: ExportedEffects) -> Iterator[str]:
+def _of_effects(calibration: Calibration, placed: Placed) -> Iterator[str]:
     sizes = displacements_mm(calibration)
-    yield from _effect_notes("In the model", exported.in_elements, sizes)
-    yield from _effect_notes("Added by the step in Python (kilter.twin.apply) only", exported.in_step, sizes)
-    yield from _effect_notes("Left out", exported.left_out, sizes)
+    for where, effects in placed:
+        yield from _effect_notes(where, effects, sizes)
 
 
 def _effect_notes(where: str, effects: Sequence[Effect], sizes: dict[str, tuple[float, float]]) -> Iterator[str]:

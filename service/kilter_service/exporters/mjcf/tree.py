@@ -85,7 +85,7 @@ def bodies(
 ) -> None:
     """Write base, joints, flange, tool and payload below ``world``; ``stepped`` joints get a body that the step moves."""
     robot, axes = calibration.robot, axes_of(calibration, exported)
-    thick = _thickness(axes)
+    thick = thickness(axes)
     body = _body(world, "base", axes.base)
     _mount(body, exported.form.base_compliance)
     _masses(body, axes, -1)
@@ -117,10 +117,14 @@ def _payload(tool: Element, exported: ExportedEffects) -> None:
 
 def nominal_frames(calibration: Calibration) -> str:
     """Where joint frames and tool nominally are at zero joints, seven numbers each: by them a model of others is found."""
+    return " ".join(f"{numbers(T[:3, 3])} {_quat(T)}" for T in nominal_poses(calibration))
+
+
+def nominal_poses(calibration: Calibration) -> list[Floats]:
+    """Nominal poses (4, 4) of the joint frames and the tool at zero joints, in the base frame."""
     nominal = flange_frames(calibration.wanted())
     tool = nominal.elements[-1] @ nominal.end @ wanted_tool(calibration)
-    frames = (*_joint_frames(calibration, nominal.elements), tool)
-    return " ".join(f"{numbers(T[:3, 3])} {_quat(T)}" for T in frames)
+    return [*_joint_frames(calibration, nominal.elements), tool]
 
 
 def _body(parent: Element, name: str, T: Floats) -> Element:
@@ -166,7 +170,7 @@ def _masses(body: Element, axes: Axes, joint: int) -> None:
         at = body if body.find("inertial") is None else SubElement(body, "body", name=f"mass_{place + 1}")
         own = {"pos": numbers(link.com), "mass": repr(float(link.mass))}
         if np.any(link.inertia):
-            inertia = _possible(link.inertia)
+            inertia = possible(link.inertia)
             tensor = [inertia[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
             own["fullinertia"] = numbers(np.array(tensor))
         else:
@@ -174,13 +178,14 @@ def _masses(body: Element, axes: Axes, joint: int) -> None:
         at.insert(0, Element("inertial", own))
 
 
-def _possible(inertia: Floats) -> Floats:
+def possible(inertia: Floats) -> Floats:
     """An inertia (3, 3) that MuJoCo takes: masses with errors may have made one about an axis negative."""
     sizes, axes = np.linalg.eigh(inertia)
     return np.asarray((axes * np.maximum(sizes, LEAST_INERTIA)) @ axes.T)
 
 
-def _thickness(axes: Axes) -> float:
+def thickness(axes: Axes) -> float:
+    """Radius (m) of the rods that are drawn."""
     places = np.array([T[:3, 3] for T in (axes.base, *axes.joints, axes.flange)])
     return max(THINNEST_M, 0.5 * THIN * float(np.linalg.norm(np.diff(places, axis=0), axis=1).max()))
 

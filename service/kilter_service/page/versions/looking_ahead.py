@@ -23,6 +23,7 @@ NAMES = {
     "json": "Kilter's own document",
     "urdf": "URDF",
     "mjcf": "calibrated twin for MuJoCo",
+    "usd": "calibrated twin for simulators of USD",
     "dh-csv": "table of DH parameters",
     "mdh-csv": "table of modified DH parameters",
     "ur-yaml": "calibration of the Universal Robots driver",

@@ -22,6 +22,7 @@ from kilter_client.errors import UsageError
 from kilter_client.settled import Settings, errors_of, loaded, rows_of
 from kilter_client.twin_onto import lay_onto
 from kilter_client.twin_read import read_drives
+from kilter_client.twin_usd import USD_SUFFIXES, lay_over
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
@@ -91,13 +92,21 @@ def onto(
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
-    """Write a copy of a model with a version's poses and drives; the model and its meshes stay as they are."""
+    """Write a copy of a model, or a layer over a stage of USD, with a version's poses and drives; the model stays as it is."""
     if output.resolve() == model.resolve():
         raise UsageError(f"{output} is the model itself, which stays as it is: name another file.")
+    usd = model.suffix.lower() in USD_SUFFIXES
+    if usd and site is not None:
+        raise UsageError(
+            "--site is of models of MuJoCo: leave it out, in a stage of USD the tool is the frame kilter_tool."
+        )
+    if usd and output.suffix.lower() not in (".usda", ".usd"):
+        raise UsageError(f"{output} is to be a layer of USD, as text: name it .usda.")
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
-        twin = kilter.versions.export(version, "mjcf").decode()
-    laid = lay_onto(model, twin, split_names(joints), site)
+        twin = kilter.versions.export(version, "usd" if usd else "mjcf").decode()
+    names = split_names(joints)
+    laid = lay_over(model, twin, output, names) if usd else lay_onto(model, twin, names, site)
     write(output, laid.text.encode())
     emit({"version_id": version, "output": str(output), "notes": list(laid.notes)}, as_json, _show_laid)
 
@@ -172,7 +181,7 @@ def _show_read(document: Mapping[str, Any]) -> None:
 def _show_laid(document: Mapping[str, Any]) -> None:
     for note in document["notes"]:
         say(f"  {note}")
-    say(f"{document['output']}: the tool is at the site kilter_tool")
+    say(f"{document['output']}: the tool is at kilter_tool")
 
 
 def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, as_json: bool) -> dict[str, Any]:

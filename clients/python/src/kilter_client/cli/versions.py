@@ -108,7 +108,7 @@ def diff(
 
 def export(
     version: VersionId,
-    form: Annotated[str, typer.Option("--format", help="json, urdf, dh-csv, ...")] = "json",
+    form: Annotated[str, typer.Option("--format", help="json, urdf, mjcf, usd, dh-csv, ...")] = "json",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
     robot: OfRobot = None,
     as_json: Json = False,

@@ -210,6 +210,7 @@ EXPORTS: list[dict[str, str]] = [
     {"id": "json", "ending": ".json"},
     {"id": "urdf", "ending": ".urdf"},
     {"id": "mjcf", "ending": ".mjcf.xml"},
+    {"id": "usd", "ending": ".usda"},
     {"id": "dh-csv", "ending": ".dh.csv"},
     {"id": "mdh-csv", "ending": ".mdh.csv"},
     {"id": "ur-yaml", "ending": ".yaml"},
