@@ -183,6 +183,9 @@ bench-watched: $(KERNELS) ## measure the stream with and without an open page, i
 bench-drift: $(KERNELS) ## watch simulated arms day after day and print one page: false alarms, steps, causes, ramps, seasons (ROBOTS=1000 DAYS=250)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift --robots $(or $(ROBOTS),1000) --days $(or $(DAYS),250)
 
+bench-drift-sums: ## draw a million checks of arms that do not move and print how rarely the sums begin to alarm
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift_sums
+
 bench-fleet: $(KERNELS) ## identify simulated arms of a type from a few poses with the prior of the others, each left out once (TYPES=4 ROBOTS=12)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fleet --types $(or $(TYPES),4) --robots $(or $(ROBOTS),12)
 

@@ -81,7 +81,7 @@ def columns_of(
     innovation: Innovation, calibration: Calibration, new_setup: tuple[Frame, ...] = ()
 ) -> tuple[Floats, list[Column]]:
     """What frames that were set up anew take up, an orthonormal basis (R, r), and the other causes beside it."""
-    caused = derivatives(calibration, innovation.measurement.observations, innovation.prediction)
+    caused = derivatives(calibration, innovation.measurement.observations, innovation.prediction, innovation.places)
     made = [(cause, innovation.white(J)) for cause, J in caused]
     anew = [white for cause, white in made if cause.kind in new_setup]
     nuisance = _span(np.hstack(anew), None) if anew else np.zeros((len(innovation.r), 0))
@@ -120,8 +120,13 @@ def after(
     return replace(calibration, model=model.in_frames(frames["base"], frames["tool"])), rows, 1.0
 
 
-def derivatives(calibration: Calibration, rows: Observations, prediction: Prediction) -> Iterator[tuple[Cause, Floats]]:
-    """Every cause with the displacement (N, 6, K) of the tool, position and rotation vector, by its numbers."""
+def derivatives(
+    calibration: Calibration, rows: Observations, prediction: Prediction, places: Floats | None = None
+) -> Iterator[tuple[Cause, Floats]]:
+    """Every cause with the displacement (N, 6, K) of the tool, position and rotation vector, by its numbers.
+
+    An instrument whose unit is wrong puts ``places (N, 3)`` off, the predicted ones when None.
+    """
     model = calibration.model
     motions = model.joint_jacobian(rows, calibration.values)[1]
     loads = _loads(calibration, rows)
@@ -136,7 +141,7 @@ def derivatives(calibration: Calibration, rows: Observations, prediction: Predic
     yield Cause("base"), _twists(np.broadcast_to(T[:3, :3], rotation.shape), position - T[:3, 3])
     yield Cause("tool"), _twists(rotation, np.zeros_like(position))
     larger = np.zeros((len(position), 6, 1))
-    larger[:, :3, 0] = position
+    larger[:, :3, 0] = position if places is None else places
     yield Cause("scale"), larger
 
 

@@ -24,6 +24,7 @@ from kilter_core.parameters import mm
 from kilter_core.types import Floats
 from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
+from kilter_core.watch.sockets import held_by_sockets, noise_of_seating, placed
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
 POWER = 0.95  # with which the smallest change is seen
@@ -126,6 +127,7 @@ def check(
     Nothing of the arm is refitted. Only what ``new_setup`` says was set up anew, [], ["base"] or ["base", "tool"], may take
     any value: then a cause that looks like it, as the zero of the first joint does, is not seen. ``fitted_c`` are the lowest
     and highest temperature of the rows that the version was fitted to: what the arm expands beyond them has not moved it.
+    Rows with ``socket`` alone, a joint log of a ball that was seated, are compared with each other within each socket.
 
     Raises:
         OptionError: another set-up, or no noise known.
@@ -136,9 +138,14 @@ def check(
     anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
     rows, seen = as_seen_places(calibration, rows)
-    noise = seen if noise is None else noise
-    innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
-    if anew:
+    noise, sockets = seen if noise is None else noise, None
+    if held_by_sockets(rows):
+        rows, sockets = placed(calibration, rows)
+        noise = noise_of_seating(known) if noise is None else noise
+    innovation = Innovation.of(calibration, rows, known, noise, fitted_c, sockets)
+    if (
+        anew and sockets is None
+    ):  # where base and instrument stand makes no difference in a socket; a new tool is projected off
         calibration = absorbed(refitted(calibration, innovation.measurement, anew))
         innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     linear = _Linear.of(innovation, calibration, anew)

@@ -17,6 +17,9 @@ from scipy.special import ndtri, stdtr
 from kilter_core.types import Floats
 
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
+RECROSSED = (
+    1.4  # times that a sum beyond its limit goes beyond it anew before it is back near zero (benchmarks/drift_sums.py)
+)
 ALLOWANCE = 0.5  # standard deviations of a check that a sum forgets each time
 CORRECTION = 1.166  # of the boundary for sums that are looked at check by check (Siegmund)
 LARGEST = 8.0  # standard deviations that a single check may count
@@ -54,6 +57,15 @@ def limit_of(charts: int, run_length: float = RUN_LENGTH) -> float:
         return float(np.log((np.exp(b) - b - 1.0) / (2.0 * ALLOWANCE**2)) - np.log(one_sided))
 
     return float(brentq(apart, 0.1, 60.0))
+
+
+def alarm_limit(charts: int, checks: float = RUN_LENGTH) -> float:
+    """Limit of sums of which so many together *begin* to alarm once in so many ``checks``.
+
+    Siegmund's run length counts from one alarm to the next of sums that are then set to zero. These go on: a sum that is
+    beyond its limit falls below and rises again, and each time is an alarm that somebody reads.
+    """
+    return limit_of(charts, RECROSSED * checks)
 
 
 def chart(values: Floats, limit: float, temperature_c: Floats | None = None) -> Chart:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.errors import CoreError, OptionError
+from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
@@ -22,6 +22,7 @@ from kilter_core.types import Floats, Ints
 from kilter_core.watch.causes import Cause
 from kilter_core.watch.check import Check, absorbed, check
 from kilter_core.watch.innovation import Innovation
+from kilter_core.watch.sockets import held_by_sockets
 
 PASSES = 5
 SETTLED = 1e-3  # of its standard deviation that a change may still move by
@@ -65,6 +66,12 @@ def rezero(
 
     """
     calibration = absorbed(calibration)
+    if held_by_sockets(rows):
+        raise ObservationError(
+            "A ball in sockets shows that an arm has moved, and by how much only beside what it does not see: re-zero from "
+            "rows that measure the tool (x_mm, y_mm, z_mm), or identify a version anew from the sockets.",
+            code=CODE,
+        )
     rows, seen = as_seen_places(calibration, rows)
     noise = seen if noise is None else noise
     before = check(calibration, rows, known, noise=noise, fitted_c=fitted_c)

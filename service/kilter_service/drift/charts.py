@@ -29,9 +29,9 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
     names = sorted(set.intersection(*map(set, numbers))) if numbers else []
     if not names:
         return []
-    from kilter_core.watch.history import chart, limit_of
+    from kilter_core.watch.history import alarm_limit, chart
 
-    limit = limit_of(len(names), RUN_LENGTH)
+    limit = alarm_limit(len(names), RUN_LENGTH)
     summed = [k for k, one in enumerate(made) if one.result["verdict"] == "ok"]
     felt = [made[k].result.get("temperature_c") for k in summed]
     known = None if not felt or any(value is None for value in felt) else np.array(felt, dtype=np.float64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from datetime import datetime
+from typing import Any
 
 from sqlalchemy import func, select
 
@@ -34,7 +35,7 @@ def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int,
         .where(newest.c.place <= most)
         .order_by(row.created_at, row.id)
     )
-    found = [one for one in session.execute(query) if one.result and not one.result.get("new_setup")]
+    found = [one for one in session.execute(query) if one.result and _of_all_causes(one.result)]
     at = _measured(session, {one.request["campaigns"][0] for one in found})
     out: dict[int, list[StoredCheck]] = {}
     for one in found:
@@ -83,3 +84,8 @@ def activations(session: Session, of: Collection[int]) -> dict[int, list[Activat
     for robot, version, at, action, campaign in session.execute(query):
         out.setdefault(robot, []).append(Activated(version, at, action, campaign is not None))
     return out
+
+
+def _of_all_causes(result: dict[str, Any]) -> bool:
+    """Whether nothing was fitted first, and an instrument saw the base: rows of sockets alone have other numbers to sum."""
+    return not result.get("new_setup") and "base" not in (result.get("unseen") or [])

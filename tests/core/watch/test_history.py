@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from kilter_core.watch.history import chart, limit_of, standardised
+from benchmarks.drift_sums import begun
+from kilter_core.watch.history import alarm_limit, chart, limit_of, standardised
 
 
 def test_checks_that_only_scatter_are_standard_normal_whatever_their_mean_and_scatter() -> None:
@@ -27,6 +28,12 @@ def test_false_alarms_are_as_rare_as_the_run_length_says() -> None:
     alarmed = np.mean(np.array(lengths) < 400)
     rate = alarmed * 150 / (np.sum(lengths) - 3 * 150)  # of a geometric run length, runs cut at 400 checks
     assert 1 / 300 < rate < 1 / 130
+
+
+def test_alarms_of_sums_that_go_on_begin_as_rarely_as_asked() -> None:
+    z, checks = np.random.default_rng(5).normal(size=(2000, 2, 250)), 100.0
+    assert np.mean(begun(z, alarm_limit(2, checks))) / len(z) < 1.03 / checks  # of some 5000 alarms: two deviations
+    assert np.mean(begun(z, limit_of(2, checks))) / len(z) > 1.15 / checks
 
 
 def test_limits_grow_with_the_number_of_charts() -> None:
