@@ -92,6 +92,13 @@ def bridge_that_is(state: str, active: str | None) -> Bridge:
         ("ramping in", None, "By a bridge", "by a bridge"),
         ("waiting", None, "Not corrected", "bridge waiting"),
         ("correcting", "ver_1", "Good", "by a bridge"),
+        ("waiting", "ver_1", "Good", "bridge waiting"),
+        ("correcting", "ver_2", "Other version", "by a bridge"),
+        ("ramping in", "ver_2", "Other version", "by a bridge"),
+        ("refusing", "ver_1", "Not corrected", "bridge refusing"),
+        ("holding back", "ver_1", "Not corrected", "bridge holding back"),
+        ("fading out", "ver_1", "Not corrected", "bridge fading out"),
+        ("off", "ver_1", "Not corrected", "bridge off"),
     ],
 )
 def test_state_and_tile_agree_on_a_bridge_that_was_told_its_version(
@@ -100,7 +107,7 @@ def test_state_and_tile_agree_on_a_bridge_that_was_told_its_version(
     seen = Corrector(True, "alive", [], {"arm": [bridge_that_is(state, active)]}).of("arm", active)
     found = state_of(of_today(version=active), accuracy_today(of_today()), None, seen)
     assert (found.word, seen.word) == (word, tile)
-    if active is None and word == "By a bridge":
+    if word in ("By a bridge", "Other version") or (active and word == "Not corrected"):
         assert (found.sentence, found.look) == (seen.sentence, "warn")
 
 

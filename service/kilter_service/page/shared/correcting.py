@@ -16,6 +16,8 @@ from kilter_service.settings import Settings
 
 OFF = "Not corrected"
 BRIDGED = "By a bridge"
+OTHER = "Other version"
+UNCORRECTED = ("refusing", "holding back", "fading out", "off")  # states of a bridge whose offsets go out, or are out
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,8 @@ def corrector(database: Database, settings: Settings) -> Corrector:
 def _of_bridge(bridge: Bridge, active: str | None) -> Correcting:
     """What a bridge does, which runs; it may be told a version, and then corrects without an active one."""
     if bridge.state in ("correcting", "ramping in"):
-        look, instead = "warn" if bridge.other_version else "good", "" if active else BRIDGED
-        return Correcting("by a bridge", look, bridge.sentence, instead)
-    return Correcting("bridge " + bridge.state, "faint" if bridge.state == "waiting" else "warn", bridge.sentence)
+        if bridge.other_version:
+            return Correcting("by a bridge", "warn", bridge.sentence, OTHER if active else BRIDGED)
+        return Correcting("by a bridge", "good", bridge.sentence)
+    look, instead = "faint" if bridge.state == "waiting" else "warn", OFF if bridge.state in UNCORRECTED else ""
+    return Correcting("bridge " + bridge.state, look, bridge.sentence, instead)
