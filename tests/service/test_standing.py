@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+import time
 from collections.abc import Callable
 
 import httpx
@@ -60,18 +61,19 @@ GOOD = Accuracy(True, 40, 0.05, 0.04, 0.06, 0.09, 0.1, 2.0, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("streams", "word"),
+    ("robot", "version", "ago_s", "word"),
     [
-        ((), "Good"),
-        (({"robot": "arm", "version_id": "ver_1", "stream": "a"},), "Good"),
-        (({"robot": "arm", "version_id": "ver_0", "stream": "a"},), "Other version"),
-        (({"robot": "arm", "version_id": None, "stream": "a"},), "Other version"),
-        (({"robot": "other", "version_id": "ver_0", "stream": "a"},), "Good"),
+        ("arm", "ver_1", 1.0, "Good"),
+        ("arm", "ver_0", 1.0, "Other version"),
+        ("arm", None, 1.0, "Other version"),
+        ("arm", "ver_0", 3600.0, "Good"),  # it ended long before the version was activated
+        ("other", "ver_0", 1.0, "Good"),
     ],
 )
 def test_a_good_number_does_not_hide_a_stream_that_is_not_corrected_with_it(
-    streams: tuple[dict[str, object], ...], word: str
+    robot: str, version: str | None, ago_s: float, word: str
 ) -> None:
     today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
-    seen = Corrector(True, "alive", streams).of("arm", "ver_1")
+    told = {"robot": robot, "version_id": version, "stream": "a", "at_ns": time.time_ns() - int(ago_s * 1e9)}
+    seen = Corrector(True, "alive", [told]).of("arm", "ver_1")
     assert state_of(today, GOOD, None, seen).word == word

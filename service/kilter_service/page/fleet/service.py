@@ -14,7 +14,7 @@ from kilter_service.drift import service as drift
 from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import LOOKS, standing
-from kilter_service.page.shared.correcting import BRIDGED, Correcting, corrector
+from kilter_service.page.shared.correcting import OFF, OTHER, Correcting, corrector
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.state import State, state_of
 from kilter_service.paging import Page
@@ -40,9 +40,9 @@ class Card:
 
     @property
     def state(self) -> str:
-        """Good as far as is known, changed since its fit, or not corrected."""
-        if self.version is None:
-            return "corrected" if self.correcting.instead == BRIDGED else "uncorrected"
+        """Good as far as is known, changed since its fit, or not corrected, as the card says it."""
+        if self.stands.word in (OFF, OTHER):
+            return "uncorrected"
         return "changed" if self.today is not None and self.today.changed else "corrected"
 
     @property

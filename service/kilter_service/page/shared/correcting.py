@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,6 +18,7 @@ from kilter_service.settings import Settings
 OFF = "Not corrected"
 BRIDGED = "By a bridge"
 OTHER = "Other version"
+LIVE_S = 10
 UNCORRECTED = ("refusing", "holding back", "fading out", "off")  # states of a bridge whose offsets go out, or are out
 
 
@@ -65,9 +67,10 @@ class Corrector:
         names = ", ".join(str(one["stream"]) for one in mine)
         if others:
             used = ", ".join(sorted(str(one or "no version") for one in others))
-            return Correcting(
-                "other version", "warn", f"Stream {names} last corrected with {used}, not the active one."
-            )
+            said = f"Stream {names} last corrected with {used}, not the active one."
+            # One that ended before the version was activated says nothing of the next setpoint.
+            goes_on = any(one["version_id"] in others and _just_said(one) for one in mine)
+            return Correcting("other version", "warn", said, OTHER if goes_on else "")
         return Correcting("streaming", "good", f"Stream {names} is corrected with the active version.")
 
 
@@ -81,6 +84,11 @@ def corrector(database: Database, settings: Settings) -> Corrector:
         observability.streams(database),
         known_bridges.of_robots(database),
     )
+
+
+def _just_said(stream: Mapping[str, Any]) -> bool:
+    """Whether a stream goes on: it tells each second what it does."""
+    return abs(time.time_ns() - int(stream.get("at_ns") or 0)) < LIVE_S * 1_000_000_000
 
 
 def _of_bridge(bridge: Bridge, active: str | None) -> Correcting:

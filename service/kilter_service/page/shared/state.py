@@ -33,8 +33,6 @@ def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary
     if today.changed:
         said = f"Its error is {mm(today.larger_by_mm)} larger than at the fit, more than chance explains."
         return State("Has changed", "bad", said)
-    if seen.look in ("warn", "bad"):  # setpoints go on, but not as the active version has them
-        return State(seen.word.capitalize(), seen.look, seen.sentence)
     if drift is not None and drift.state == "creeping":
         return State("Drifting", "warn", _without_word(drift.sentence))
     if accuracy is None:
