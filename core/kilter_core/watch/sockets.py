@@ -51,7 +51,7 @@ def placed(calibration: Calibration, rows: Observations) -> tuple[Observations, 
         )
     numbers, counts = np.unique(rows.socket[rows.socket > 0], return_counts=True)
     rows = rows.select(np.isin(rows.socket, numbers[counts > 1]))
-    more = len(np.unique(rows.pose_groups())) - len(np.unique(rows.socket)) if len(rows) else 0
+    more = len(np.unique(rows.pose_groups())) - int(np.sum(counts > 1)) if len(rows) else 0
     if more < FEWEST:
         raise TooFewPosesError(
             f"A check by the joint log alone needs {FEWEST} poses more than sockets, each socket in two poses or more: this "
