@@ -24,7 +24,8 @@ from kilter_core.parameters import mm
 from kilter_core.types import Floats
 from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
-from kilter_core.watch.sockets import held_by_sockets, noise_of_seating, placed
+from kilter_core.watch.sockets import held_by_sockets as held_by_sockets
+from kilter_core.watch.sockets import noise_of_seating, placed
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
 POWER = 0.95  # with which the smallest change is seen

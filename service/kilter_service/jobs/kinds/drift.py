@@ -97,8 +97,10 @@ def known_of(job: JobInput) -> Predictive:
 
 
 def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
-    from kilter_core.watch.check import FALSE_ALARM
+    from kilter_core.watch.check import FALSE_ALARM, held_by_sockets
 
+    # How far balls in a socket are from each other is no error of the tool: what moves all of them alike is not in it.
+    measured = () if held_by_sockets(rows) else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
@@ -112,7 +114,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "unseen": [wire.cause_words(one) for one in found.unseen], "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
         "fitted_c": job.fit.temperatures_c, "warnings": [], "refit": list(found.new_setup),
-        "metrics": {campaign: _errors(job, rows, known, found) for campaign in job.campaigns},
+        "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},
     }  # fmt: skip
 
 
