@@ -14,7 +14,7 @@ function job = gap(robot, campaigns, varargin)
 %                          robot's own for a frame that is fixed or found within 10 mm and 1 degree of it.
 %     prior                fleet: add what versions of at least five other robots of this type say before the rows;
 %                          left out: none of them is asked.
-%     max_effects          Most effects to name, 1 to 50.
+%     max_effects          Most effects to name, 1 to 50; an effect at several joints is one.
 %     bootstraps           Resamples behind the p-value of an effect, 1 to 20000.
 %     resamples            Resamples of poses on which a name must return, 1 to 10000.
 %     permutations         Shuffles of the negative control, 1 to 10000.

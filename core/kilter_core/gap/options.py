@@ -23,13 +23,14 @@ CHOICES = {"base": FRAME, "tool": FRAME, "reference": ("auto", "robot", "registr
 class GapOptions:
     """Options of a gap search.
 
-    ``alpha`` is the family-wise chance of any false name. ``effects`` restricts the library to these ids, or to these
-    joints of them ({"id": ..., "joints": [2]}, from 1); all when empty. ``noise_mm`` states the standard deviation of one
-    coordinate when the data have no repeats. ``free`` and ``fix`` choose the geometric parameters as in an
-    identification, ``base`` and ``tool`` are "free" or "fixed", and ``reference`` says in which frames a correction
-    works, as there ("auto", "robot", "registration"). ``next_poses`` is how many poses to propose. ``matters_um`` is the
-    movement of the tool below which a misfit or an effect is said to be too small to matter, unless the instrument
-    promises less than that. ``budget_s`` is how many seconds a search may take: it then ends with the best that it has.
+    ``alpha`` is the family-wise chance of any false name. ``effects`` restricts the library to these ids, or to
+    these joints of them ({"id": ..., "joints": [2]}, from 1); all when empty. At most ``max_effects`` are named, an
+    effect at several joints being one. ``noise_mm`` states the standard deviation of one coordinate when the data
+    have no repeats. ``free`` and ``fix`` choose the geometric parameters as in an identification, ``base`` and
+    ``tool`` are "free" or "fixed", and ``reference`` says in which frames a correction works, as there ("auto",
+    "robot", "registration"). ``next_poses`` is how many poses to propose. ``matters_um`` is the movement of the
+    tool below which a misfit or an effect is said to be too small to matter, unless the instrument promises less
+    than that. ``budget_s`` is how many seconds a search may take: it then ends with the best that it has.
     """
 
     alpha: float = 0.01

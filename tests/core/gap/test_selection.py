@@ -98,3 +98,37 @@ def test_exchanges_that_run_in_a_circle_end_where_they_would_without_doing_one_t
         end = following[end]
     assert Circling(plain.scorer, plain.rows, plain.limits).swapped(gram, states[0], CRITICAL) == end
     assert len(done) == len(set(done))
+
+
+def three_families(present, seed):
+    """Three effects of seven joints each, of which those ``present`` act, and two effects of the whole arm that do not."""
+    rng = np.random.default_rng(seed)
+    W = rng.standard_normal((300, 23))
+    W /= np.linalg.norm(W, axis=0)
+    y = W[:, present] @ (8.0 * rng.choice([-1.0, 1.0], len(present))) + rng.standard_normal(300)
+    candidates = []
+    for k, name in enumerate(("compliance", "play", "clearance")):
+        columns = range(7 * k, 7 * k + 7)
+        candidates += [candidate(name, (c,), joints=(c - 7 * k,)) for c in columns]
+        candidates.append(candidate(name, columns, FAMILY, tuple(range(7))))
+    candidates += [candidate("bending", (21,), WHOLE), candidate("growth", (22,), WHOLE)]
+    return selector(candidates, gram_of(W, y), 300, absolute=True), gram_of(W, y)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_joints_of_one_effect_are_one_name_of_those_allowed(seed):
+    present = [0, 2, 4, 5, 7, 8, 10, 14, 16, 17, 20]
+    search, gram = three_families(present, seed)
+    found = search.searched(gram, CRITICAL, 3)
+    assert search.columns(found) == present
+    assert search.names(found) == 3
+
+
+def test_a_name_beyond_those_allowed_stays_out_and_a_joint_of_one_that_is_in_does_not():
+    present = [0, 2, 7, 21, 22]
+    search, gram = three_families(present, 4)
+    assert search.columns(search.searched(gram, CRITICAL, 8)) == present
+    found = search.searched(gram, CRITICAL, 2)
+    assert search.names(found) == 2
+    everything = search.searched(gram, CRITICAL, 1)
+    assert {search.scorer.candidates[k].id for k in everything} in ({"compliance"}, {"bending"}, {"growth"}, {"play"})

@@ -48,7 +48,7 @@ def inclusion(
     own = dict.fromkeys(search.chosen, 0)
     any_ = dict.fromkeys(search.chosen, 0)
     resampled = _resampled(search, rng)
-    most = len(search.chosen) + 2
+    most = selector.names(search.chosen) + 2
     done = draws
     for b in range(draws):
         look = b and b % LOOK == 0 if rising else b == FEW

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
@@ -29,6 +31,30 @@ class CandidateSets:
     def shapes(self, chosen: Sequence[int]) -> bool:
         """Whether a set holds an empirical term."""
         return any(self.scorer.candidates[k].empirical for k in chosen)
+
+    @cached_property
+    def _shared(self) -> dict[str, frozenset[int]]:
+        """Columns of each effect that is searched for as a family, by its id."""
+        return {c.id: frozenset(c.columns) for c in self.scorer.candidates if c.level == FAMILY}
+
+    def names(self, chosen: Sequence[int]) -> int:
+        """How many names a set takes of those allowed: an effect at several joints is one, a shape each of its places."""
+        named = set()
+        for k in chosen:
+            c = self.scorer.candidates[k]
+            member = c.level in (JOINT, FAMILY) and self._shared.get(c.id, frozenset()).issuperset(c.columns)
+            named.add(c.id if member else k)
+        return len(named)
+
+    def too_many(self, chosen: Sequence[int], most: int) -> list[int]:
+        """Candidates with which a set would have more names than ``most``."""
+        if self.names(chosen) < most:
+            return []
+        return [k for k in range(len(self.scorer.candidates)) if self.names((*chosen, k)) > most]
+
+    def rounds(self, chosen: Sequence[int], most: int) -> int:
+        """Changes that a search may make on its way: names enter one by one, and so do joints."""
+        return 2 * max(most, len(chosen))
 
     def columns(self, chosen: Sequence[int]) -> list[int]:
         """Library columns of a set, each once."""

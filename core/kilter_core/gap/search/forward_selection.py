@@ -101,7 +101,9 @@ def _forward_selection(
     first: Null | None = None
     steps = [step_of(problem, selector, chosen)]
     seen = {frozenset(chosen)}
-    for round_ in range(2 * options.max_effects):
+    for round_ in itertools.count():
+        if round_ >= selector.rounds(chosen, options.max_effects):
+            break
         progress(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
         problem, selector = when(problem, selector, chosen, limits)
         scorer = selector.scorer

@@ -240,11 +240,12 @@ class Selector(CandidateSets):
 
     def _forward_selection(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
         chosen: tuple[int, ...] = ()
-        for _ in range(2 * most):
+        done = 0
+        while done < self.rounds(chosen, most):
             after = self.better(gram, chosen, critical, most)
             if after == chosen:
                 break
-            chosen = after
+            chosen, done = after, done + 1
         return chosen
 
     def better(
@@ -255,26 +256,27 @@ class Selector(CandidateSets):
         Sets only ever get better and never return to one ``seen``, so the search cannot run in circles.
         """
         banned: list[int] = []
-        while len(chosen) < most and len(banned) < TRIED:
-            k, scores = self.entry(gram, chosen, critical, banned)
+        full = self.too_many(chosen, most)
+        while len(full) < len(self.scorer.candidates) and len(banned) < TRIED:
+            k, scores = self.entry(gram, chosen, critical, [*full, *banned])
             if k is None:
                 break
             after = self.improved(gram, (*chosen, k), critical)
             undone = frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy
-            if undone or len(after) > most:
+            if undone or self.names(after) > most:
                 after = (*chosen, k)  # improved it is too many, or did not do what the linearised problem promised
             # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
             added = set(after) > set(chosen)
             if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):
                 return after
             banned.append(k)
-        pair = self.pair(gram, chosen, critical) if len(chosen) + 2 <= most else None
+        pair = self.pair(gram, chosen, critical) if self.names(chosen) + 2 <= most else None
         if pair is not None:
             after = self.improved(gram, (*chosen, *pair), critical)
-            if len(after) <= most and set(after) > set(chosen) and frozenset(after) not in seen:
+            if self.names(after) <= most and set(after) > set(chosen) and frozenset(after) not in seen:
                 return after
         after = self.improved(gram, chosen, critical)
-        if not chosen or len(after) > most or frozenset(after) in {frozenset(chosen), *seen}:
+        if not chosen or self.names(after) > most or frozenset(after) in {frozenset(chosen), *seen}:
             return chosen
         failed = max(self.tails(gram, chosen)) >= critical
         return after if failed or self.beats(gram, after, chosen) else chosen

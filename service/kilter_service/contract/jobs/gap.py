@@ -63,7 +63,9 @@ class GapOptions(Asked):
     tool: Free = Field("free", description="Whether the tool is fitted.")
     reference: ReferenceFrames = Field("auto", description=REFERENCE)
     prior: PriorName = Field(None, description=PRIOR)
-    max_effects: Annotated[int, Field(ge=1, le=50)] = Field(8, description="Most effects to name, 1 to 50.")
+    max_effects: Annotated[int, Field(ge=1, le=50)] = Field(
+        8, description="Most effects to name, 1 to 50; an effect at several joints is one."
+    )
     bootstraps: Annotated[int, Field(ge=1, le=20_000)] = Field(
         1999, description="Resamples behind the p-value of an effect, 1 to 20000."
     )

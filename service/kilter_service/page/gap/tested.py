@@ -78,11 +78,16 @@ def _candidate(
         for one in group
     )
     rest = f" beside {joined_by_and([called(effect) for effect in effects])}" if effects else ""
-    reason = f"{_why(score, options, len(effects))}{rest}; would be seen from {seen}"
+    reason = f"{_why(score, options, _names(effects))}{rest}; would be seen from {seen}"
     share = max((one.visibility or 0.0) for one in group)
     if share < MIMICKED:
         reason += f"; geometry imitates {percent(1 - share)} of it"
     return Candidate(named(name, [joint] if joint else []), "refused", "faint", reason)
+
+
+def _names(effects: Sequence[NamedEffect]) -> int:
+    """How many names those are of the number allowed: an effect at several joints is one, a shape each of its joints."""
+    return len({(one.id, tuple(one.joints or ()) if one.empirical else ()) for one in effects})
 
 
 def _why(score: Refused | None, options: GapOptions, named: int) -> str:

@@ -52,7 +52,7 @@ class GapOptions(TypedDict, total=False):
     matters_um: float
     """Movement of the tool below which nothing matters, micrometres (um), 0 or more."""
     max_effects: int
-    """Most effects to name, 1 to 50."""
+    """Most effects to name, 1 to 50; an effect at several joints is one."""
     next_poses: int
     """Poses to propose, 0 to 1000."""
     noise_mm: float | None
