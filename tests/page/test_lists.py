@@ -141,7 +141,8 @@ def test_robots_are_found_and_sorted(there: Made) -> None:
     there.client.post("/v1/robots", json={**Katana.document, "name": "a-second"}).raise_for_status()
     assert found() == ["a-second", "katana"]  # not calibrated: worst
     assert found(search="KATA") == ["katana"]
-    assert found(state="uncorrected") == ["a-second"]
+    assert found(state="uncorrected") == ["a-second", "katana"]  # as both cards say: no corrector runs
+    assert found(state="corrected") == []
     assert found(sort="-name") == ["katana", "a-second"]
 
 

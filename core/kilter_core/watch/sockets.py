@@ -55,7 +55,7 @@ def placed(calibration: Calibration, rows: Observations) -> tuple[Observations, 
     if more < FEWEST:
         raise TooFewPosesError(
             f"A check by the joint log alone needs {FEWEST} poses more than sockets, each socket in two poses or more: this "
-            f"log has {max(more, 0)} more. Seat the ball in one socket by six poses that turn the tool as far as they can.",
+            f"log has {max(more, 0)} more. Seat the ball in one socket by six poses that rotate the tool as far as they can.",
             poses=max(more, 0), needed=FEWEST,
         )  # fmt: skip
     if len(rows) > MOST:

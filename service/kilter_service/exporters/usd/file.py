@@ -32,8 +32,8 @@ def usd(version: Exportable) -> Written:
         usd_package()
     except MissingPackageError as error:
         raise ServiceError(
-            "USD needs its package, and this server lacks it: install it there with `pip install usd-core` "
-            "(or `pip install 'kilter[usd]'`), or take another format.",
+            "USD needs its package, and this server lacks it: install it there with `pip install usd-core`, or take "
+            "another format.",
             code="usd_unavailable",
         ) from error
     calibration = version.calibration

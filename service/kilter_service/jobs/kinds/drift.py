@@ -99,7 +99,7 @@ def known_of(job: JobInput) -> Predictive:
 def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
     from kilter_core.watch.check import FALSE_ALARM, held_by_sockets
 
-    # How far balls in a socket are from each other is no error of the tool: what moves all of them alike is not in it.
+    # How far balls in a socket are from each other is not an error of the tool: it lacks what moves all of them alike.
     measured = () if held_by_sockets(rows) else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
