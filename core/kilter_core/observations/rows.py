@@ -68,6 +68,8 @@ class Observations(Conditions):
     states and its place m in the frame of the link, and ``link_wrench (N, n, 6)`` a force N and moment N·m on it.
     ``pixels (N, M, 2)`` px are the corners that a camera saw of a board, NaN where it did not, with standard deviations
     ``pixel_sigma``; ``camera`` and ``board (N,)`` are places in the ``rig``, which describes them, -1 in rows of neither.
+    ``pose_weight (N, 6, 6)`` takes what is left of a position (m) and of a rotation vector (rad), in the axes of the
+    measurements, to three numbers in m and three in rad that are independent, the three of each equally well known.
     """
 
     q: Floats
@@ -79,6 +81,7 @@ class Observations(Conditions):
     payload_com: Floats | None = None
     pose_id: Ints | None = None
     sigma: Floats | None = None
+    pose_weight: Floats | None = None
     tip: Floats | None = None
     wrench: Floats | None = None
     socket: Ints | None = None
