@@ -285,6 +285,8 @@ def _any(model: RobotModel, free: Ints, prefix: str) -> bool:
 
 def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
     sigma = measurement.observations.sigma
+    if measurement.observations.pose_weight is not None:  # poses weigh themselves
+        return common
     if sigma is None or measurement.marker_points is not None or not measurement.observes_base:
         return common
     extra = max(common**2 - float(np.mean(sigma**2)), SMALLEST_SIGMA_M**2)

@@ -128,10 +128,12 @@ def fold_splits(observations: Observations, folds: int, seed: int) -> Iterator[t
 
 
 def _views_beside_contacts(observations: Observations) -> tuple[Ints, Ints]:
-    """Rows that are views, and rows beside them that contacts held; none of these where there are no views."""
+    """Rows of views and instruments, and rows beside them that contacts held; none of these where there are no views."""
     if observations.camera is None or not held(observations):
         return np.arange(len(observations)), np.zeros(0, dtype=np.int64)
     seen = observations.camera >= 0
+    if observations.position is not None or observations.markers is not None:  # rows of an instrument are held out too
+        seen |= observations.tool_seen
     return np.flatnonzero(seen), np.flatnonzero(~seen)
 
 

@@ -16,6 +16,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.run import identify
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
+from kilter_core.measurement.pose_weights import scale_of, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -44,8 +45,15 @@ def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple
     known = begin
     if begin.rig is None or not begin.rig.has(rows.rig):
         known = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin).calibration
-    return tuple(_seen(known, one) if isinstance(one, Observations) and one.pixels is not None else one
-                 for one in (rows, *others))  # fmt: skip
+    seen, covariance = _seen(known, rows)
+    scale = scale_of(covariance)
+    made: list[Any] = [replace(seen, pose_weight=weights(covariance, scale))]
+    for one in others:
+        if isinstance(one, Observations) and one.pixels is not None:
+            more, covariance = _seen(known, one)
+            one = replace(more, pose_weight=weights(covariance, scale))
+        made.append(one)
+    return tuple(made)
 
 
 def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observations, float | None]:
@@ -67,13 +75,14 @@ def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observ
             "the arm has moved. Check against a version that was identified with them.",
             code="camera_unknown",
         )
-    seen = replace(_seen(calibration, rows), rotation=None)
+    seen = replace(_seen(calibration, rows)[0], rotation=None)
     assert seen.sigma is not None
     worst = float(np.sqrt(np.mean(seen.sigma.max(axis=1) ** 2)))
     return replace(seen, sigma=None), worst
 
 
-def _seen(known: Calibration, rows: Observations) -> Observations:
+def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats]:
+    """Rows with the poses of the tool that their views show, and the covariance (N, 6, 6) of each, m and rad."""
     views = Measurement.of(rows, held=True).pixels
     assert views is not None
     errors = views.tool_errors(known)
@@ -90,7 +99,9 @@ def _seen(known: Calibration, rows: Observations) -> Observations:
     kept = told & ~np.isnan(sigma).any(axis=1)
     if not kept.any():
         raise ObservationError("No view tells a pose: measure views that show more of a board.", code="no_view")
-    return replace(rows, position=p, rotation=R, sigma=sigma, **BARE).select(kept)
+    covariance = np.full((n, 6, 6), np.nan)
+    covariance[errors.rows] = scatter.sigma_px**2 * errors.covariance
+    return replace(rows, position=p, rotation=R, sigma=sigma, **BARE).select(kept), covariance[kept]
 
 
 def _poses(rig: PlacedRig, pair: tuple[int, int], pixels: Floats) -> tuple[Floats, Floats, Bools]:

@@ -239,6 +239,9 @@ def _moved(rows: Observations, T: Floats, which: Bools) -> Observations:
     if rows.rotation is not None:
         changes["rotation"] = rows.rotation.copy()
         changes["rotation"][which] = R @ rows.rotation[which]
+    if rows.pose_weight is not None:
+        changes["pose_weight"] = rows.pose_weight.copy()
+        changes["pose_weight"][which] = rows.pose_weight[which] @ np.kron(np.eye(2), R.T)
     if rows.sigma is not None:
         changes["sigma"] = rows.sigma.copy()
         changes["sigma"][which] = np.sqrt(rows.sigma[which] ** 2 @ (R**2).T)

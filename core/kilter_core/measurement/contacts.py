@@ -66,7 +66,7 @@ class Contacts(Kind):
         o = rows.observations
         if not held(o):
             return None
-        beside = o.pixels is not None and o.rig is not None and o.position is None and o.markers is None
+        beside = o.pixels is not None and o.rig is not None
         if beside and not contacts_of(o):
             return None
         anchor = cast("Contacts | None", anchor_of(cls.name, rows))
@@ -167,6 +167,33 @@ class ContactsBeside(Contacts):
     group = "contacts"
     observes_tool = False
     follows_tool = True
+
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
+        """The same by rows (N, 3 + D, 1) m: up to three numbers of what held a row, and of each of D distances between sockets
+        one, at the first row of its socket. So what every row measured is found, as that of the kinds beside.
+        """
+        (block,) = super().blocks(prediction, J)
+        rows, slots = self._places
+        r = np.full((len(self.observations), 3 + len(self.distances), 1), np.nan)
+        r[rows, slots] = block.r[:, 0]
+        if block.J is None:
+            return (Block(self.group, r),)
+        slopes = np.zeros((*r.shape, block.J.shape[-1]))
+        slopes[rows, slots] = block.J[:, 0]
+        return (Block(self.group, r, slopes),)
+
+    @cached_property
+    def _places(self) -> tuple[Ints, Ints]:
+        """The row and the place in it of each of the residuals (S,)."""
+        rows, slots = [], []
+        for c in self.contacts:
+            each = 3 if c.kind == "socket" else 1
+            rows.append(np.repeat(c.rows, each))
+            slots.append(np.tile(np.arange(each), len(c.rows)))
+        first = {c.number: c.rows[0] for c in self.contacts if c.kind == "socket"}
+        rows.append(np.array([first[a] for a, _ in self.distances], dtype=np.int64))
+        slots.append(3 + np.arange(len(self.distances)))
+        return np.concatenate(rows), np.concatenate(slots)
 
 
 def held(observations: Observations) -> bool:

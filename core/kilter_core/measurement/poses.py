@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from kilter_core.measurement.kind import POINTS, TURNS, Block, Rows, ToolKind
-from kilter_core.model import Prediction
+from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.transforms import right_jacobian_inverse, rotation_log
 from kilter_core.types import Floats
@@ -40,12 +42,31 @@ class Poses(ToolKind):
         return 2 * super().scalars()
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
-        """Position (N, 1, 3) m and rotation vector (N, 1, 3) rad, measured minus predicted."""
+        """Position (N, 1, 3) m and rotation vector (N, 1, 3) rad, measured minus predicted.
+
+        Where rows say how position and rotation are known together, both are weighed by it: the position is that which is
+        left beside what the rotation, with its lever, explains.
+        """
         rotation = self.observations.rotation
         assert rotation is not None
-        points = (self.column - prediction.position)[:, None, :]
+        points = self.column - prediction.position
         turns = rotation_log(rotation @ prediction.rotation.transpose(0, 2, 1))
-        if J is None:
-            return Block(POINTS, points), Block(TURNS, turns[:, None], None, "rad")
-        d_turns = right_jacobian_inverse(turns) @ J[:, 3:6, :]
-        return Block(POINTS, points, J[:, None, :3, :]), Block(TURNS, turns[:, None], d_turns[:, None], "rad")
+        d_points = None if J is None else J[:, :3, :]
+        d_turns = None if J is None else right_jacobian_inverse(turns) @ J[:, 3:6, :]
+        W = self.observations.pose_weight
+        if W is not None:
+            both = (W @ np.concatenate([points, turns], axis=1)[:, :, None])[:, :, 0]
+            points, turns = both[:, :3], both[:, 3:]
+        if W is not None and d_points is not None and d_turns is not None:
+            d_both = W @ np.concatenate([d_points, d_turns], axis=1)
+            d_points, d_turns = d_both[:, :3], d_both[:, 3:]
+        return (
+            Block(POINTS, points[:, None], None if d_points is None else d_points[:, None]),
+            Block(TURNS, turns[:, None], None if d_turns is None else d_turns[:, None], "rad"),
+        )
+
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 3) m and (K,) rad of the poses, none weighed."""
+        if self.observations.pose_weight is None:
+            return super().errors(calibration)
+        return Poses(replace(self.observations, pose_weight=None)).errors(calibration)

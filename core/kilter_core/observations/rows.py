@@ -17,7 +17,8 @@ from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
 
 SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
-TOOL = ("position", "markers", "socket", "plane", "bar")  # columns that say where the tool was
+INSTRUMENT = ("position", "markers")  # columns by which an instrument says where the tool was
+TOOL = (*INSTRUMENT, "socket", "plane", "bar")  # columns that say where the tool was
 CONTACTS = ("socket", "plane", "bar", "bar_length")  # columns that say what held its ball
 
 
@@ -68,6 +69,8 @@ class Observations(Conditions):
     states and its place m in the frame of the link, and ``link_wrench (N, n, 6)`` a force N and moment N·m on it.
     ``pixels (N, M, 2)`` px are the corners that a camera saw of a board, NaN where it did not, with standard deviations
     ``pixel_sigma``; ``camera`` and ``board (N,)`` are places in the ``rig``, which describes them, -1 in rows of neither.
+    ``pose_weight (N, 6, 6)`` takes what is left of a position (m) and of a rotation vector (rad), in the axes of the
+    measurements, to three numbers in m and three in rad that are independent, the three of each equally well known.
     """
 
     q: Floats
@@ -79,6 +82,7 @@ class Observations(Conditions):
     payload_com: Floats | None = None
     pose_id: Ints | None = None
     sigma: Floats | None = None
+    pose_weight: Floats | None = None
     tip: Floats | None = None
     wrench: Floats | None = None
     socket: Ints | None = None
@@ -136,8 +140,10 @@ class Observations(Conditions):
         for part in parts[1:]:
             if set(part._present()) != names:
                 odd = sorted(set(part._present()) ^ names)
+                mixed = any(name in odd for name in CONTACTS) and any(name in odd for name in INSTRUMENT)
+                joined = " or, beside views of a camera, together" if mixed else ""
                 raise ObservationError(
-                    f"The campaigns differ in their columns ({', '.join(odd)}): identify them apart, "
+                    f"The campaigns differ in their columns ({', '.join(odd)}): identify them apart{joined}, "
                     "or upload the missing columns.",
                     columns=odd,
                 )
@@ -275,10 +281,12 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
         shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
         if shapes:
             parts = [_filled(part, name, max(shapes)) for part in parts]  # the longest has the base too
-    first = next((part for part in parts if _measured_tool(part)), None)
+    # Beside views all have the columns of contacts: there an instrument alone says who measured the tool.
+    told = TOOL if all(part.pixels is None for part in parts) else INSTRUMENT
+    first = next((part for part in parts if _measured(part, told)), None)
     if first is None:
         return parts
-    others = [not _measured_tool(part) for part in parts]
+    others = [not _measured(part, told) for part in parts]
     for name in ("position", "rotation", "markers"):
         value = getattr(first, name)
         if value is not None:
@@ -300,15 +308,15 @@ def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:
 
 
 def _unheld(part: Observations, name: str) -> Observations:
-    if getattr(part, name) is not None or part.position is not None or part.markers is not None:
+    if getattr(part, name) is not None:
         return part
     none = np.full(len(part), np.nan) if name == "bar_length" else np.zeros(len(part), dtype=np.int64)
     changes: dict[str, Any] = {name: none}
     return replace(part, **changes)
 
 
-def _measured_tool(part: Observations) -> bool:
-    return any(getattr(part, name) is not None for name in TOOL)
+def _measured(part: Observations, columns: Sequence[str]) -> bool:
+    return any(getattr(part, name) is not None for name in columns)
 
 
 def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observations:

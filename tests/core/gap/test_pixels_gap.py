@@ -1,8 +1,9 @@
-"""A gap search on views alone: a gear that yields is named, and a camera that was bumped half-way is found."""
+"""A gap search on views alone: what hides in the joints is named as surely as an identification knows it, nothing else is."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -11,13 +12,50 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap.find import GapReport, find_gap
 from kilter_core.gap.options import GapOptions
+from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.seen_poses import as_seen_poses
+from kilter_core.measurement.pose_weights import scale_of, weights
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.core.pixel_scene import Scene, eye_in_hand, eye_to_hand
+from tests.core.pixel_scene import Floats, Scene, eye_in_hand, eye_to_hand
 
 STIFF = np.zeros(6)
-LOOKED_FOR = ("axial_compliance", "base_step", "tool_step", "backlash")
+LOOKED_FOR = ("axial_compliance", "base_step", "tool_step", "backlash", "eccentricity")
+
+
+def direction(q: Floats) -> Floats:
+    """Which way each joint came, as good as drawn, yet known again from its angle."""
+    return np.where(np.sin(9973.0 * q) > 0.0, 1.0, -1.0)
+
+
+def play(q: Floats) -> Floats:
+    """Joint 2 stops a fifth of a milliradian before where it was sent, from either side."""
+    return -2e-4 * direction(q) * np.eye(6)[1]
+
+
+def off_centre(q: Floats) -> Floats:
+    """The disc of joint 3 is off its axis."""
+    return 4e-4 * np.cos(q - 0.7) * np.eye(6)[2]
+
+
+@dataclass(frozen=True)
+class Erring(Scene):
+    """A scene whose joints are not where they read."""
+
+    erring: Callable[[Floats], Floats] = np.zeros_like
+
+    def tools(self, q: Floats) -> tuple[Floats, Floats]:
+        return super().tools(q + self.erring(q))
+
+
+def erring(scene: Scene, by: Callable[[Floats], Floats]) -> Erring:
+    return Erring(scene.drawn, scene.built, scene.eyes, scene.sheets, scene.yielding, by)
+
+
+def seen_by(scene: Scene, seed: int) -> Observations:
+    rng = np.random.default_rng(seed)
+    rows = scene.observed(scene.poses(50, rng), rng, 0.1)
+    return replace(rows, direction=direction(rows.q))
 
 
 def search(scene: Scene, rows: Observations) -> GapReport:
@@ -34,6 +72,51 @@ def test_views_are_poses_of_the_tool(scene: Scene) -> None:
     assert seen.pixels is None
     assert np.sqrt(np.mean((off / seen.sigma) ** 2)) < 2.0
     assert np.sqrt(np.mean((seen.rotation - scene.tools(seen.q)[1]) ** 2)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("scene", "named"),
+    [
+        (eye_to_hand(), ("axial_compliance j2", "compliance_2")),
+        (erring(eye_in_hand({}, STIFF), play), ("backlash j2", "backlash_2")),
+        (
+            erring(eye_to_hand(yielding=STIFF), off_centre),
+            ("eccentricity j3", "eccentricity_sin_3", "eccentricity_cos_3"),
+        ),
+    ],
+    ids=["sag", "backlash", "eccentric"],
+)
+def test_a_cause_is_named_and_known_as_well_as_pixels_know_it(scene: Scene, named: tuple[str, ...]) -> None:
+    """The deviations of its parameters are those of a fit of all pixels within a tenth."""
+    label, *parameters = named
+    effect, rows = label.partition(" ")[0], seen_by(scene, 5)
+    report = search(scene, rows)
+    labels = [one.evidence.candidate.label for one in report.effects]
+    assert labels[0] == label
+    assert {one.partition(" ")[0] for one in labels} == {effect}
+    joints = [int(one[-1]) for one in labels]
+    options = IdentifyOptions(effects=({"id": effect, "joints": joints},))
+    exact = identify(robot_from_document(scene.drawn.document()), rows, None, options)
+    sigma = dict(zip(exact.fit.names, exact.fit.sigma, strict=True))
+    amplitudes = sorted(report.effects[0].evidence.amplitudes, key=lambda one: one.column)
+    assert [one.sigma for one in amplitudes] == pytest.approx([sigma[name] for name in parameters], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "scene", [eye_to_hand(yielding=STIFF), eye_in_hand(yielding=STIFF)], ids=["to_hand", "in_hand"]
+)
+def test_an_arm_without_a_hidden_cause_gets_no_name(scene: Scene) -> None:
+    assert [one for seed in (6, 7) for one in search(scene, seen_by(scene, seed)).effects] == []
+
+
+def test_weights_hold_all_that_a_covariance_says() -> None:
+    rng = np.random.default_rng(8)
+    root = rng.standard_normal((5, 6, 6)) * np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])[:, None]
+    covariance = root @ root.transpose(0, 2, 1)
+    scale = scale_of(covariance)
+    W = weights(covariance, scale)
+    own = W / np.repeat(scale, 3)[:, None]
+    np.testing.assert_allclose(own @ covariance @ own.transpose(0, 2, 1), np.tile(np.eye(6), (5, 1, 1)), atol=1e-6)
 
 
 def test_a_camera_bumped_half_way_is_found_and_not_averaged() -> None:

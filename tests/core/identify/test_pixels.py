@@ -112,7 +112,11 @@ def test_a_result_says_what_shuffled_joints_leave() -> None:
     rng = np.random.default_rng(7)
     rows = scene.observed(scene.poses(30, rng), rng)
     robot = robot_from_document(scene.drawn.document())
-    pixels = identify(robot, rows, None, ASKED).to_document()["pixels"]
+    result = identify(robot, rows, None, ASKED)
+    pixels, known = result.to_document()["pixels"], result.predictive.to_document()
+    assert (
+        6 * 30 - len(result.fit.names) - 1 <= known["freedom"] < 6 * 30
+    )  # a view tells six numbers, parameters take some
     eye, wall = scene.eyes[0].pose, scene.sheets[0].pose
     left = []
     for p, R, q in zip(*scene.tools(rows.q), rows.q, strict=True):

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.errors import ObservationError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.identify.run import Identification
 from kilter_core.identify.seen_poses import as_seen_poses
@@ -102,6 +103,46 @@ def test_a_ball_bar_settles_the_scale_and_the_hold_out_has_both() -> None:
     assert measured["contacts"]["validation"] is None  # all of them were fitted, and whole poses of views held out
     folded = identify(robot_from_document(drawn.document()), both, Folds(2), IdentifyOptions())
     assert folded.metrics["validation"]["identified"]["mean_mm"] < 0.08
+
+
+def points(scene: Scene, rng: np.random.Generator, count: int = 12) -> Observations:
+    """A tracker's points of the ball, in the tracker's own frame."""
+    q = scene.poses(count, rng)
+    place = pin.SE3(pin.exp3(np.array([0.1, 0.2, 2.0])), np.array([2.0, 1.0, 0.3]))
+    seen = scene.tools(q)[0] @ place.rotation.T + place.translation
+    return Observations(q, position=seen + PLAY * rng.standard_normal((count, 3)))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
+def test_views_a_tracker_and_contacts_are_one_fit(order: tuple[int, ...]) -> None:
+    """Each says what it brought, and how noisy it is; held out are poses of the tracker and of the views."""
+    scene, rng = scene_of(3), np.random.default_rng(3)
+    parts = [
+        scene.observed(scene.poses(40, rng), rng, 0.1, scene.rig(boards=UNSURE)),
+        points(scene, rng),
+        bar(scene, rng),
+    ]
+    both = Observations.concatenate([replace(parts[k], pose_id=None) for k in order])
+    drawn = replace(scene.drawn, tool=scene.drawn.tool * pin.SE3(np.eye(3), OFF))
+    found = identify(robot_from_document(drawn.document()), both, 0.25, IdentifyOptions())
+    assert not gauges(found)
+    assert 1e3 * registered_error(found.calibration, scene, scene.poses(60, rng)) <= 0.08
+    measured = {row["kind"]: row for row in found.to_document()["measurements"]}
+    assert list(measured) == ["points", "contacts", "pixels"]
+    assert measured["points"]["numbers"] == 27  # of nine of twelve poses
+    assert measured["contacts"]["numbers"] == 13  # sixteen lengths, less the three of the bar's foot
+    assert measured["points"]["noise"] == pytest.approx(1e3 * PLAY, rel=0.4)
+    assert measured["contacts"]["noise"] == pytest.approx(1e3 * PLAY, rel=0.5)
+    assert measured["points"]["validation"]["identified"] < 0.1
+    assert measured["contacts"]["validation"] is None
+    assert "base_x" in measured["points"]["known_because_of_it"]
+    assert "d_5" in measured["pixels"]["known_because_of_it"]
+
+
+def test_a_tracker_and_contacts_alone_are_refused_with_what_joins_them() -> None:
+    scene, rng = scene_of(3), np.random.default_rng(3)
+    with pytest.raises(ObservationError, match="beside views of a camera"):
+        Observations.concatenate([points(scene, rng), bar(scene, rng)])
 
 
 def test_a_search_takes_the_views_and_leaves_the_contacts_to_the_geometry() -> None:

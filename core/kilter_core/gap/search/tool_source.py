@@ -233,6 +233,9 @@ class ToolSource(Source):
             markers = prediction.position[:, None, :] + np.einsum("nij,mj->nmi", prediction.rotation, shape)
             return self.on(Measurement(replace(rows, markers=markers), shape))
         rotation = None if self.observations.rotation is None else prediction.rotation
+        weight = self.observations.pose_weight
+        if weight is not None and rows.pose_weight is None:  # what has no view yet is known as views are on average
+            rows = replace(rows, pose_weight=np.broadcast_to(weight.mean(axis=0), (len(rows), 6, 6)))
         return self.on(Measurement(replace(rows, position=prediction.position, rotation=rotation)))
 
     def with_effects(self, rows: Observations, effects: Sequence[Effect], fitted: Floats) -> tuple[ToolSource, Floats]:

@@ -59,7 +59,7 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     M = np.concatenate([np.eye(len(fit.names))[arm], *(block for _, block in frames)])
     names = [*np.array(fit.names)[arm].tolist(), *(f"{frame}_{k}" for frame, _ in frames for k in FRAME_NAMES)]
     noise = found.sigma_px * views.metres_per_px
-    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise, noise_of=views.name)
+    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise, found.freedom, views.name)
 
 
 def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:

@@ -100,7 +100,12 @@ class BagPictures:
         return np.array([m if name.endswith("_m") else rad for name in self.log.joints])
 
     def _nearest(self, t_s: float) -> int:
-        return int(np.abs(self._times - t_s).argmin())
+        """The row nearest in time, the first of those equally near. The times of a joint log ascend."""
+        times = self._times
+        after = int(np.searchsorted(times, t_s))  # the first at t_s or later, so the first of rows of one time
+        if after == len(times) or (after and t_s - times[after - 1] <= times[after] - t_s):
+            return int(np.searchsorted(times, times[after - 1]))
+        return after
 
 
 def pictures_of_bag(path: Path, topic: str | None, log: JointLog, every: int = 1) -> BagPictures:

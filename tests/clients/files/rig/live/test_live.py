@@ -113,8 +113,9 @@ def test_the_command_ends_by_itself_and_what_it_wrote_is_read_by_see(
         given = [address, "--board", BOARD, "--joints", str(now), "-o", str(out), "--views", "2", "--json"]
         assert run(["live", *given]) == 0
     told = capsys.readouterr()
-    assert "http://127.0.0.1:" in told.err
     document = json.loads(told.out)
+    assert document["address"].startswith("http://127.0.0.1:")
+    assert json.loads(told.err.splitlines()[0]) == {"address": document["address"]}
     assert document["views"] == ["view0001.png", "view0002.png"]
     rows = list(csv.DictReader((out / "joints.csv").read_text().splitlines()))
     assert [(row["picture"], row["q2_deg"]) for row in rows] == [("view0001.png", "21.5"), ("view0002.png", "21.5")]

@@ -15,8 +15,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from kilter_client.cli import run
-from kilter_files.rig.see.bag_pictures import _plain
+from kilter_files.rig.see.bag_pictures import BagPictures, _plain
 from kilter_files.rig.see.pictures import RefusedError
+from kilter_files.tables.joint_log import JointLog
 from tests.clients.files.rig.see.boards import CHARUCO, board, small, taken
 
 STATE, IMAGE, PACKED = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -168,3 +169,15 @@ def test_every_encoding_gives_the_same_grey() -> None:
         assert np.abs(_plain("x", message, None).astype(int) - grey).max() <= 1, encoding
     flat = np.full((64, 96), 77, dtype=np.uint8)
     assert (_plain("x", Lying(96, 64, "bayer_rggb8", 96, flat.tobytes()), None) == 77).all()
+
+
+def test_the_row_nearest_in_time_and_the_first_of_rows_equally_near() -> None:
+    times = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 4.0, 4.0])
+    log = JointLog(Path("log"), ("q1_rad",), {"t_s": times, "q1_rad": np.arange(7.0)})
+    pictures = BagPictures(Path("bag"), None, log, 0)
+    asked = {-3.0: 0, 0.0: 0, 0.5: 0, 0.75: 1, 1.0: 1, 1.25: 1, 1.5: 1, 1.75: 4, 3.0: 4, 3.5: 5, 4.0: 5, 9.0: 5}
+    assert {t: pictures._nearest(t) for t in asked} == asked
+    rng = np.random.default_rng(3)
+    times[:] = np.sort(rng.integers(0, 8, 7)) / 2.0  # exact in binary: ties are ties
+    for t in rng.integers(-4, 40, 200) / 8.0:
+        assert pictures._nearest(float(t)) == min(range(7), key=lambda k: abs(times[k] - t))

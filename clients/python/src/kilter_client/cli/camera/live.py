@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Any
@@ -63,14 +64,15 @@ def live(
         raise UsageError("--joints writes a table beside the pictures: say where they go, -o DIR.")
     session = Session(Looker(targets), Taken(output, joints), feed.name, wanted=views)
     with page_of(session, port) as address:
-        note(f"{address}  (end with Ctrl-C)")
+        # Told at once, for the document comes when the page has gone; stdout keeps to that one document.
+        note(json.dumps({"address": address}) if as_json else f"{address}  (end with Ctrl-C)")
         try:
             follow(session, newest(feed, stop))
         except KeyboardInterrupt:
             pass  # the usual end
         finally:
             stop.set()
-    emit(_told(session, output, joints, source, board), as_json, _show)
+    emit({"address": address, **_told(session, output, joints, source, board)}, as_json, _show)
 
 
 def _told(session: Any, output: Path | None, joints: Path | None, source: str, board: list[Path]) -> dict[str, Any]:
