@@ -244,7 +244,7 @@ def test_a_second_controller_gets_no_answer_until_the_first_has_gone(correction:
         assert np.abs(np.radians(offsets(answer))).max() <= RATE_RAD_S * CYCLE_S + 1e-8  # begins at nothing
 
 
-@pytest.mark.parametrize("lost", [1, 10, 50])
+@pytest.mark.parametrize("lost", [1, 10, 50, 100])
 def test_lost_cycles_are_counted_and_the_offsets_go_on_from_where_they_are(
     correction: Correction, controllers: Make, lost: int
 ) -> None:
