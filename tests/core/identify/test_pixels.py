@@ -115,7 +115,7 @@ def test_a_result_says_what_shuffled_joints_leave() -> None:
     result = identify(robot, rows, None, ASKED)
     pixels, known = result.to_document()["pixels"], result.predictive.to_document()
     assert (
-        6 * 30 - len(result.fit.names) - 1 <= known["freedom"] < 6 * 30
+        6 * 30 - len(result.fit.names) - 12 <= known["freedom"] < 6 * 30
     )  # a view tells six numbers, parameters take some
     eye, wall = scene.eyes[0].pose, scene.sheets[0].pose
     left = []
