@@ -56,7 +56,7 @@ def test_the_history_says_lineage_and_who_activated_what(there: Made) -> None:
     assert "0.0200 mm held out" in said  # of the good version, in the unit of the other
     assert "0.900 mm held out" in said
     assert said.count("admin activated version ") == 2
-    assert f"corrected with version 2 {there.good} , since" in said
+    assert f"version 2 {there.good} is active, since" in said
 
 
 def test_a_version_says_what_it_knows_and_what_it_does_not(there: Made) -> None:
@@ -164,7 +164,7 @@ def test_a_version_is_activated_through_the_dialog_that_says_what_changes(there:
     assert active(there) == there.good
     page.get_by_role("button", name="Go back to the version before…").click()
     page.get_by_role("button", name="Go back now").click()
-    page.get_by_text("Version version 1 is active").wait_for()
+    page.get_by_text(re.compile(r"version 1 .*is active, since")).wait_for()
     assert active(there) == there.poor
 
 

@@ -141,6 +141,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/settings": READ,
     "POST /robots/{robot}/remarks": ADMINISTER,
     "POST /robots/{robot}/compensation": ADMINISTER,
+    "GET /robots/{robot}/state": READ,
     "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/pose": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/arm.json": READ_COMPUTED.timed(LATER),

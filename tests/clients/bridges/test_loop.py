@@ -344,3 +344,20 @@ def test_who_makes_lost_cycles_up_may_change_the_offset_by_what_they_allow() -> 
     ramped = Guard(2, LARGEST_RAD, 100.0, 10 * CYCLE_S, CYCLE_S)
     ramped.follow(wanted, 5)
     assert ramped.share == pytest.approx(0.5)
+
+
+def test_off_is_said_once_nothing_is_offset(correction: Correction, guard: Guard) -> None:
+    """Offsets that came in over seconds go out no faster, however short the ramp is."""
+    q = np.radians(Q_DEG)
+    for _ in range(2000):
+        correction.step(q.tolist())
+    assert correction.document()["state"] == "correcting"
+    correction.hear(Kind.OFF, b"asked for")
+    states = []
+    for _ in range(2000):
+        offset = correction.step(q.tolist())
+        states.append(correction.document()["state"])
+        assert (states[-1] == "off") == (not any(offset))
+        assert guard.out == (states[-1] == "off")
+    assert states[0] == "fading out"
+    assert states[-1] == "off"

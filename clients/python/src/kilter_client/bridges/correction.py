@@ -123,7 +123,8 @@ class Correction:
         """What is to be said of it, JSON-able."""
         share = self._guard.share
         going = "off" if self.off else "holding back" if self.last != "OK" else "correcting"
-        state = going if share in (0.0, 1.0) else "fading out" if going != "correcting" else "ramping in"
+        there = share == 1.0 if going == "correcting" else self.out  # the rate may hold offsets longer than the ramp
+        state = going if there else "fading out" if going != "correcting" else "ramping in"
         return {
             "state": state,
             "why": self.off or (self.last if self.last != "OK" else ""),
