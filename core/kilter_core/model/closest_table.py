@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -90,35 +91,35 @@ class ZerosOfTable:
         bare = calibration.with_effects([])
         for arm in (bare, calibration.with_effects([e for e in calibration.model.effects if at_rest(e)])):
             if arm is bare or arm.model.effects:
-                moved = self._moved(_arm_derivatives(calibration, arm, rows, names), moved, rows)
-        return np.asarray(moved[self._own_zeros(calibration.robot)])
+                moved = self._moved(_arm_derivatives(calibration, arm, rows, names), moved)
+        return np.asarray(moved[self._own_zeros()])
 
-    def told(self, calibration: Calibration) -> Bools:
+    def told(self) -> Bools:
         """Which zeros (n,) follow from the arm and not from where the fit begins: others share what they are with a frame."""
         if self.follows:
-            return np.ones(calibration.robot.n_joints, dtype=bool)
-        stacked, _ = self._stacked(workspace(calibration.robot))
-        R = np.linalg.qr(stacked, mode="r")
+            return np.ones(self.model.robot.n_joints, dtype=bool)
+        R = np.linalg.qr(self._stacked[0], mode="r")
         own = np.sum(np.linalg.inv(R) ** 2, axis=1)
-        return np.asarray(1.0 - own[self._own_zeros(calibration.robot)] >= TOLD)
+        return np.asarray(1.0 - own[self._own_zeros()] >= TOLD)
 
-    def _own_zeros(self, robot: Robot) -> list[int]:
+    def _own_zeros(self) -> list[int]:
         """Where the zeros of the joints are among the free parameters."""
         named = {self.model.names[k]: at for at, k in enumerate(self.free.tolist())}
-        kinds = [(k, joint.kind == "prismatic") for k, joint in enumerate(robot.joints, 1)]
-        return [named[f"d_{k}" if prismatic else f"theta_offset_{k}"] for k, prismatic in kinds]
+        return [named[name] for name in zero_names(self.model.robot)]
 
-    def _stacked(self, rows: Observations) -> tuple[Floats, Floats]:
+    @cached_property
+    def _stacked(self) -> tuple[Floats, Floats]:
         """The equations of the fit (6 N + F, F) in units of ``scale (F,)``."""
-        J = self.model.jacobian(Observations(rows.q), self.values, self.free)[1]
+        rows = Observations(workspace(self.model.robot).q)
+        J = self.model.jacobian(rows, self.values, self.free)[1]
         A = (J * _weights(FIT_SIGMA_M)[None, :, None]).reshape(-1, len(self.free))
-        scale = _scale(A, len(rows.q), FIT_SIGMA_M)
+        scale = _scale(A, len(rows), FIT_SIGMA_M)
         return np.vstack([A * scale, np.eye(len(self.free))]), scale
 
-    def _moved(self, dY: Floats, dstart: Floats, rows: Observations) -> Floats:
+    def _moved(self, dY: Floats, dstart: Floats) -> Floats:
         """How the table's free parameters (F, K) follow the poses (6 N, K) and where the fit begins."""
-        stacked, scale = self._stacked(rows)
-        weight = np.tile(_weights(FIT_SIGMA_M), len(rows.q))
+        stacked, scale = self._stacked
+        weight = np.tile(_weights(FIT_SIGMA_M), len(dY) // 6)
         aimed = np.vstack([weight[:, None] * dY, dstart / scale[:, None]])
         return np.asarray(np.linalg.lstsq(stacked, aimed, rcond=None)[0] * scale[:, None])
 
@@ -251,6 +252,11 @@ def _nearest(
         values = _fitted(model, rows, wanted, values, free, FIT_SIGMA_M)
         loss = distance(wanted, model.predict(rows, values))
     return _read(model, values, nominal.rows), loss, ZerosOfTable(model, values, free, follows)
+
+
+def zero_names(robot: Robot) -> list[str]:
+    """The parameter that is each joint's zero in rows of a table."""
+    return [f"d_{k}" if joint.kind == "prismatic" else f"theta_offset_{k}" for k, joint in enumerate(robot.joints, 1)]
 
 
 def _arm_derivatives(calibration: Calibration, arm: Calibration, rows: Observations, names: Sequence[str]) -> Floats:

@@ -144,9 +144,8 @@ def check(
         rows, sockets = placed(calibration, rows)
         noise = noise_of_seating(known) if noise is None else noise
     innovation = Innovation.of(calibration, rows, known, noise, fitted_c, sockets)
-    if (
-        anew and sockets is None
-    ):  # where base and instrument stand makes no difference in a socket; a new tool is projected off
+    # In a socket it makes no difference where base and instrument stand; a new tool is projected off.
+    if anew and sockets is None:
         calibration = absorbed(refitted(calibration, innovation.measurement, anew))
         innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     linear = _Linear.of(innovation, calibration, anew)

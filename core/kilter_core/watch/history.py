@@ -17,9 +17,8 @@ from scipy.special import ndtri, stdtr
 from kilter_core.types import Floats
 
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
-RECROSSED = (
-    1.4  # times that a sum beyond its limit goes beyond it anew before it is back near zero (benchmarks/drift_sums.py)
-)
+# Times that a sum beyond its limit goes beyond it anew before it is back near zero (benchmarks/drift_sums.py).
+RECROSSED = 1.4
 ALLOWANCE = 0.5  # standard deviations of a check that a sum forgets each time
 CORRECTION = 1.166  # of the boundary for sums that are looked at check by check (Siegmund)
 LARGEST = 8.0  # standard deviations that a single check may count

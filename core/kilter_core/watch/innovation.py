@@ -109,9 +109,8 @@ class Innovation:
 
     def white(self, J: Floats) -> Floats:
         """Whitened columns (R, K) of a derivative ``J (N, 6, K)`` of the tool's position and rotation vector."""
-        if (
-            self.told is not None
-        ):  # where the socket is: what rotates about a place that rows put apart rotates them alike
+        # Where the socket is: what rotates about a place that rows put apart rotates them alike.
+        if self.told is not None:
             J = J.copy()
             J[:, :3] += np.cross(J[:, 3:], (self.places - self.prediction.position)[:, :, None], axis=1)
         found = self.measurement.residual(self.prediction, J).d_points

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
 from kilter_core.model import Calibration
-from kilter_core.model.closest_table import ClosestTable
+from kilter_core.model.closest_table import ClosestTable, zero_names
 from kilter_core.types import Bools, Floats
 
 
@@ -34,9 +34,6 @@ def known_zeros(calibration: Calibration, table: ClosestTable, known: Predictive
         return None
     J = table.zeros.derivatives(calibration, known.names)
     variance = np.einsum("jp,pq,jq->j", J, known.covariance, J)
-    own = [
-        f"d_{k}" if joint.kind == "prismatic" else f"theta_offset_{k}"
-        for k, joint in enumerate(calibration.robot.joints, 1)
-    ]
+    own = zero_names(calibration.robot)
     held = np.array([name in calibration.names and name not in known.names for name in own], dtype=bool)
-    return KnownZeros(QUANTILE * np.sqrt(np.maximum(variance, 0.0)), held | ~table.zeros.told(calibration))
+    return KnownZeros(QUANTILE * np.sqrt(np.maximum(variance, 0.0)), held | ~table.zeros.told())

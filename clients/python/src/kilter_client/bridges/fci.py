@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Iterable
 from operator import add
 from typing import TYPE_CHECKING, Any
 
@@ -44,11 +45,8 @@ class Rejoined:
     def __init__(self) -> None:
         self._times_s: deque[float] = deque(maxlen=3)
         self._intended: deque[Joints] = deque(maxlen=3)
-        self._off: tuple[Joints, Joints, Joints] = (
-            (),
-            (),
-            (),
-        )  # and its first two derivatives where the way back began
+        # What the robot was off, and the first two derivatives of that, where the way back began.
+        self._off: tuple[Joints, Joints, Joints] = ((), (), ())
         self._over_s = self._since_s = 0.0  # how long the way back takes, and how long it has taken
         self._fresh = 0  # cycles for which it is planned anew
         self._pause = 1.0  # cycles that may go by until the next command, by those that lately did
@@ -60,7 +58,7 @@ class Rejoined:
         self._intended.append(intended)
         if len(self._intended) < 3:
             self._fresh = 3 if cycles > 1 or self._fresh else 0
-            return self._extrapolated(state) if self._fresh else intended
+            return _onwards(state, state.ddq_d) if self._fresh else intended
         self._pause = max(float(cycles), FORGETS * self._pause)
         if cycles > 1:
             self._fresh = 3
@@ -90,12 +88,6 @@ class Rejoined:
             speeds.append(last + 0.5 * curve * second)
             curves.append(curve)
         return tuple(speeds), tuple(curves)
-
-    def _extrapolated(self, state: Any) -> Joints:
-        """Where the robot would go by itself."""
-        return tuple(
-            q + CYCLE_S * (dq + CYCLE_S * ddq) for q, dq, ddq in zip(state.q_d, state.dq_d, state.ddq_d, strict=True)
-        )
 
     def _plan(self, state: Any) -> None:
         """Begin the way back one cycle ago, where the robot was told to be, as it moves there."""
@@ -128,9 +120,7 @@ class Rejoined:
             aim + a - ahead_s * (60.0 * d / T**3 + 36.0 * w / T**2 + 9.0 * a / T)
             for aim, d, w, a in zip(self._motion()[1], *self._off, strict=True)
         ]
-        return tuple(
-            q + CYCLE_S * (dq + CYCLE_S * curve) for q, dq, curve in zip(state.q_d, state.dq_d, curves, strict=True)
-        )
+        return _onwards(state, curves)
 
     def _left(self) -> Joints:
         """What is left of the way back now: from the start with all its derivatives to zero with all of them."""
@@ -139,6 +129,13 @@ class Rejoined:
         of_speed = T * (u + u**3 * (-6.0 + u * (8.0 - 3.0 * u)))
         of_curve = 0.5 * T * T * u * u * (1.0 + u * (-3.0 + u * (3.0 - u)))
         return tuple(of_place * d + of_speed * w + of_curve * a for d, w, a in zip(*self._off, strict=True))
+
+
+def _onwards(state: Any, curves: Iterable[float]) -> Joints:
+    """Where the robot is a cycle later at an acceleration (n,) rad/s2; at its own it goes there by itself."""
+    return tuple(
+        q + CYCLE_S * (dq + CYCLE_S * curve) for q, dq, curve in zip(state.q_d, state.dq_d, curves, strict=True)
+    )
 
 
 class Fci:
