@@ -33,19 +33,19 @@ enum {
     LARGEST = 17, SPEED = 18, RADIAL = 19, TWISTED = 20, HARDENING = 21, SIDED = 22, CHANGE = 23, SPURT = 24,
     TILT_OWN = 25, PLAY_OWN = 26, CURVED = 0, SHAPE = 1, DRIVER = 2, AMPLITUDE_A = 3, AMPLITUDE_B = 4, FACTOR = 5,
     EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, BENDING = 0, BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40,
-    ROOTED = 41, WAY = 42, BASE_FRAME = 0, FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25, FIXED_MOMENT_X = 26,
-    FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3, WEIGHT = 10, ITERATIONS = 16, STEP = 17, SINGULAR = 18, FARTHEST = 19,
-    RAMP = 20, FILTER = 21, HYSTERESIS = 22, LOADED = 23, REACHED = 24, N = 25, M = 26, WEAK = 27, CURVES = 28,
-    BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31, FIRST = 32, LEVERAGE = 33, TURNED = 34, SATURATES = 35, ROUNDS = 36,
-    LINE = 12, SINE = 18, COSINE = 19, LOAD = 20, ON_BASE = 26, WANTED = 0, COMMAND = 1, SHIFT = 2, TILT_A = 3,
-    TILT_B = 4, SIDE = 5, MOMENT = 6, SPEED_NOW = 9, ACCEL_NOW = 10, SIGN = 11, COLUMN = 12, REVERSED_AT_NEW = 18,
-    SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20, GUESSED = 21, TWIST = 22, ROOT = 28, END = 34, STEPPED = 40, RAMPED = 41,
-    TOTAL = 42, NEXT = 43, WISH = 45, KEPT = 45, ERROR = 6, MULTIPLIER = 7, RIGHT = 8, MATRIX = 9, ADDED = 15,
-    LAST_A = 0, LAST_B = 1, LAST_SIDE = 2, LAST_Q = 3, REVERSED_AT = 4, LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7,
-    SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10, SLOPE = 11, VELOCITY = 12, TARGET = 13, AIMED = 44, STARTED = 0,
-    REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4, OK = 0, NOT_FINITE = 5, JOINT_LIMIT = 6, TOO_LARGE = 7,
-    RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512, REVERSING = 1024, DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192,
-    SLOWED = 16384, NEAR_REVERSAL = 65536
+    ROOTED = 41, WAY = 42, OF_AXIS = 43, BASE_FRAME = 0, FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25,
+    FIXED_MOMENT_X = 26, FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3, WEIGHT = 10, ITERATIONS = 16, STEP = 17,
+    SINGULAR = 18, FARTHEST = 19, RAMP = 20, FILTER = 21, HYSTERESIS = 22, LOADED = 23, REACHED = 24, N = 25, M = 26,
+    WEAK = 27, CURVES = 28, BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31, FIRST = 32, LEVERAGE = 33, TURNED = 34,
+    SATURATES = 35, ROUNDS = 36, HANGING = 37, HANGING_SIDED = 38, LINE = 12, SINE = 18, COSINE = 19, LOAD = 20,
+    ON_BASE = 26, BEHIND_TWIST = 28, WANTED = 0, COMMAND = 1, SHIFT = 2, TILT_A = 3, TILT_B = 4, SIDE = 5, MOMENT = 6,
+    SPEED_NOW = 9, ACCEL_NOW = 10, SIGN = 11, COLUMN = 12, REVERSED_AT_NEW = 18, SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20,
+    GUESSED = 21, TWIST = 22, ROOT = 28, END = 34, STEPPED = 40, RAMPED = 41, TOTAL = 42, NEXT = 43, WISH = 45,
+    KEPT = 45, ERROR = 6, MULTIPLIER = 7, RIGHT = 8, MATRIX = 9, ADDED = 15, LAST_A = 0, LAST_B = 1, LAST_SIDE = 2,
+    LAST_Q = 3, REVERSED_AT = 4, LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7, SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10,
+    SLOPE = 11, VELOCITY = 12, TARGET = 13, AIMED = 44, STARTED = 0, REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4,
+    OK = 0, NOT_FINITE = 5, JOINT_LIMIT = 6, TOO_LARGE = 7, RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512,
+    REVERSING = 1024, DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192, SLOWED = 16384, NEAR_REVERSAL = 65536
 };
 #define WAVE 0.0
 #define LINEAR 1.0
@@ -295,6 +295,59 @@ static tuple12 load_frames(rows P, matrix W, int at, int m, int oj)
     return product(T, constant(P, at + m, NOMINAL));
 }
 
+/* Write the frame T to W[k, c:c + 12]. */
+static void put_frame(matrix W, int k, int c, tuple12 T)
+{
+    W[k][c] = T.at[0];
+    W[k][c + 1] = T.at[1];
+    W[k][c + 2] = T.at[2];
+    W[k][c + 3] = T.at[3];
+    W[k][c + 4] = T.at[4];
+    W[k][c + 5] = T.at[5];
+    W[k][c + 6] = T.at[6];
+    W[k][c + 7] = T.at[7];
+    W[k][c + 8] = T.at[8];
+    W[k][c + 9] = T.at[9];
+    W[k][c + 10] = T.at[10];
+    W[k][c + 11] = T.at[11];
+}
+
+/* Frame T behind the twist of joint row j. */
+static tuple12 twisted(rows P, matrix W, int j, tuple12 T)
+{
+    if (P.at[j][TWISTED] != 0.0) {
+        double *t = W[j];
+        return product(T, exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4], t[TWIST + 5]));
+    }
+    return tilted(T, W[j][TWIST + 3], W[j][TWIST + 4]);
+}
+
+/* Frames of the load chain at the command with the local corrections in W, and those behind the twists, into W. */
+static void hanging_frames(rows P, matrix W, int at, int m, int oj)
+{
+    tuple12 T = constant(P, at, NOMINAL);
+    for (int k = 0; k < m; k++) {
+        if (k > 0) {
+            T = product(T, constant(P, at + k, NOMINAL));
+        }
+        int j = oj + (int)P.at[k][JOINT];
+        if (P.at[k][KIND] == 0.0) {
+            double shift = P.at[k][RATIO] * (W[j][COMMAND] - W[j][WANTED] + W[j][SHIFT]);
+            const tuple2 got1 = sine_cosine_near(W[k][SINE], W[k][COSINE], shift);
+            double s = got1.at[0];
+            double c = got1.at[1];
+            T = rotated_z(T, s, c);
+        } else {
+            T = shifted_z(T, P.at[k][RATIO] * (W[j][COMMAND] + W[j][SHIFT]));
+        }
+        put_frame(W, k, 0, T);
+        if (P.at[k][PRIMARY] >= 0.0) {
+            T = twisted(P, W, j, T);
+        }
+        put_frame(W, k, BEHIND_TWIST, T);
+    }
+}
+
 /* Start of the identified chain: a base mount that deflects tilts it by the load on the base. */
 static tuple12 base_frame(rows P, matrix W, int m)
 {
@@ -332,13 +385,7 @@ static tuple12 identified_tool(rows P, matrix W, int m, int oj)
         W[k][LINE + 4] = T.at[10];
         W[k][LINE + 5] = T.at[11];
         if (P.at[k][PRIMARY] >= 0.0) {
-            if (P.at[j][TWISTED] != 0.0) {
-                double *t = W[j];
-                T = product(T, exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4],
-                    t[TWIST + 5]));
-            } else {
-                T = tilted(T, W[j][TWIST + 3], W[j][TWIST + 4]);
-            }
+            T = twisted(P, W, j, T);
         }
     }
     return product(T, constant(P, m, IDENTIFIED));
@@ -357,21 +404,22 @@ static void through_linkage(rows P, matrix W, int k, int j, double x, double y, 
     }
 }
 
-/* Base coordinates of a point of frame k. */
-static tuple3 point(matrix W, int k, double x, double y, double z)
+/* Base coordinates of a point of the frame of row k from column ride on. */
+static tuple3 point(matrix W, int k, int ride, double x, double y, double z)
 {
-    return (tuple3){{W[k][0] * x + W[k][1] * y + W[k][2] * z + W[k][9],
-        W[k][3] * x + W[k][4] * y + W[k][5] * z + W[k][10], W[k][6] * x + W[k][7] * y + W[k][8] * z + W[k][11]}};
+    return (tuple3){{W[k][ride] * x + W[k][ride + 1] * y + W[k][ride + 2] * z + W[k][ride + 9],
+        W[k][ride + 3] * x + W[k][ride + 4] * y + W[k][ride + 5] * z + W[k][ride + 10],
+        W[k][ride + 6] * x + W[k][ride + 7] * y + W[k][ride + 8] * z + W[k][ride + 11]}};
 }
 
 /* Add what works on the joints through linkages from gravity alone, see `_static_moments`. */
-static void static_linkages(rows P, matrix W, int S, int m, int oj)
+static void static_linkages(rows P, matrix W, int S, int m, int oj, int ride)
 {
     double g0 = P.at[S][GRAVITY];
     double g1 = P.at[S][GRAVITY + 1];
     double g2 = P.at[S][GRAVITY + 2];
     double mass = P.at[m][MASS];
-    const tuple3 got1 = point(W, m - 1, P.at[m][COM], P.at[m][COM + 1], P.at[m][COM + 2]);
+    const tuple3 got1 = point(W, m - 1, ride, P.at[m][COM], P.at[m][COM + 1], P.at[m][COM + 2]);
     double s0 = got1.at[0];
     double s1 = got1.at[1];
     double s2 = got1.at[2];
@@ -381,7 +429,7 @@ static void static_linkages(rows P, matrix W, int S, int m, int oj)
     for (int k = m - 1; k > -1; k--) {
         double body = P.at[k][MASS];
         if (body != 0.0) {
-            const tuple3 got2 = point(W, k, P.at[k][COM], P.at[k][COM + 1], P.at[k][COM + 2]);
+            const tuple3 got2 = point(W, k, ride, P.at[k][COM], P.at[k][COM + 1], P.at[k][COM + 2]);
             double c0 = got2.at[0];
             double c1 = got2.at[1];
             double c2 = got2.at[2];
@@ -417,13 +465,13 @@ static void to_joint(rows P, matrix W, int k, int j, double x, double y, double 
 }
 
 /* Load moments in the joint frames from gravity alone: mass and first moment, from the tool inwards. */
-static void static_moments(rows P, matrix W, int S, int m, int oj)
+static void static_moments(rows P, matrix W, int S, int m, int oj, int ride)
 {
     double g0 = P.at[S][GRAVITY];
     double g1 = P.at[S][GRAVITY + 1];
     double g2 = P.at[S][GRAVITY + 2];
     double mass = P.at[m][MASS];
-    const tuple3 got1 = point(W, m - 1, P.at[m][COM], P.at[m][COM + 1], P.at[m][COM + 2]);
+    const tuple3 got1 = point(W, m - 1, ride, P.at[m][COM], P.at[m][COM + 1], P.at[m][COM + 2]);
     double s0 = got1.at[0];
     double s1 = got1.at[1];
     double s2 = got1.at[2];
@@ -433,7 +481,7 @@ static void static_moments(rows P, matrix W, int S, int m, int oj)
     for (int k = m - 1; k > -1; k--) {
         double body = P.at[k][MASS];
         if (body != 0.0) {
-            const tuple3 got2 = point(W, k, P.at[k][COM], P.at[k][COM + 1], P.at[k][COM + 2]);
+            const tuple3 got2 = point(W, k, ride, P.at[k][COM], P.at[k][COM + 1], P.at[k][COM + 2]);
             double c0 = got2.at[0];
             double c1 = got2.at[1];
             double c2 = got2.at[2];
@@ -454,7 +502,7 @@ static void static_moments(rows P, matrix W, int S, int m, int oj)
         }
     }
     if (P.at[m][CARRIED] != 0.0) {
-        static_linkages(P, W, S, m, oj);
+        static_linkages(P, W, S, m, oj, ride);
     }
 }
 
@@ -476,11 +524,12 @@ static tuple3 point_acceleration(tuple3 w, tuple3 dw, double r0, double r1, doub
     return (tuple3){{a0 + u0, a1 + u1, a2 + u2}};
 }
 
-/* A vector in base coordinates rotated into frame k. */
-static tuple3 inward(matrix W, int k, double x, double y, double z)
+/* A vector in base coordinates rotated into the frame of row k from column ride on. */
+static tuple3 inward(matrix W, int k, int ride, double x, double y, double z)
 {
-    return (tuple3){{W[k][0] * x + W[k][3] * y + W[k][6] * z, W[k][1] * x + W[k][4] * y + W[k][7] * z,
-        W[k][2] * x + W[k][5] * y + W[k][8] * z}};
+    return (tuple3){{W[k][ride] * x + W[k][ride + 3] * y + W[k][ride + 6] * z,
+        W[k][ride + 1] * x + W[k][ride + 4] * y + W[k][ride + 7] * z,
+        W[k][ride + 2] * x + W[k][ride + 5] * y + W[k][ride + 8] * z}};
 }
 
 /* Force and moment about the origin of its frame of the body in row row, in the axes of that frame (d'Alembert). w,
@@ -521,8 +570,8 @@ static tuple6 body_load(rows P, int row, tuple3 w, tuple3 dw, tuple3 a)
     return (tuple6){{f0, f1, f2, m0, m1, m2}};
 }
 
-/* Load of the body in row row that rides on frame k, about the base origin in base coordinates, into W. */
-static void body_wrench(rows P, matrix W, int row, int k, tuple3 w, tuple3 dw, tuple3 a)
+/* Load of the body in row row that rides on the frame of row k, column ride, about the base origin and in its axes. */
+static void body_wrench(rows P, matrix W, int row, int k, int ride, tuple3 w, tuple3 dw, tuple3 a)
 {
     if (P.at[row][MASS] == 0.0) {
         for (int i = 0; i < 6; i++) {
@@ -537,23 +586,23 @@ static void body_wrench(rows P, matrix W, int row, int k, tuple3 w, tuple3 dw, t
     double y0 = got1.at[3];
     double y1 = got1.at[4];
     double y2 = got1.at[5];
-    double f0 = W[k][0] * x0 + W[k][1] * x1 + W[k][2] * x2;
-    double f1 = W[k][3] * x0 + W[k][4] * x1 + W[k][5] * x2;
-    double f2 = W[k][6] * x0 + W[k][7] * x1 + W[k][8] * x2;
-    const tuple3 got2 = cross(W[k][9], W[k][10], W[k][11], f0, f1, f2);
+    double f0 = W[k][ride] * x0 + W[k][ride + 1] * x1 + W[k][ride + 2] * x2;
+    double f1 = W[k][ride + 3] * x0 + W[k][ride + 4] * x1 + W[k][ride + 5] * x2;
+    double f2 = W[k][ride + 6] * x0 + W[k][ride + 7] * x1 + W[k][ride + 8] * x2;
+    const tuple3 got2 = cross(W[k][ride + 9], W[k][ride + 10], W[k][ride + 11], f0, f1, f2);
     double t0 = got2.at[0];
     double t1 = got2.at[1];
     double t2 = got2.at[2];
     W[row][LOAD] = f0;
     W[row][LOAD + 1] = f1;
     W[row][LOAD + 2] = f2;
-    W[row][LOAD + 3] = t0 + W[k][0] * y0 + W[k][1] * y1 + W[k][2] * y2;
-    W[row][LOAD + 4] = t1 + W[k][3] * y0 + W[k][4] * y1 + W[k][5] * y2;
-    W[row][LOAD + 5] = t2 + W[k][6] * y0 + W[k][7] * y1 + W[k][8] * y2;
+    W[row][LOAD + 3] = t0 + W[k][ride] * y0 + W[k][ride + 1] * y1 + W[k][ride + 2] * y2;
+    W[row][LOAD + 4] = t1 + W[k][ride + 3] * y0 + W[k][ride + 4] * y1 + W[k][ride + 5] * y2;
+    W[row][LOAD + 5] = t2 + W[k][ride + 6] * y0 + W[k][ride + 7] * y1 + W[k][ride + 8] * y2;
 }
 
 /* Outward pass of Newton and Euler in base coordinates: load of every body into W. */
-static void moving_bodies(rows P, matrix W, int S, int m, int oj)
+static void moving_bodies(rows P, matrix W, int S, int m, int oj, int ride)
 {
     double g0 = P.at[S][GRAVITY];
     double g1 = P.at[S][GRAVITY + 1];
@@ -587,13 +636,20 @@ static void moving_bodies(rows P, matrix W, int S, int m, int oj)
             acc = (tuple3){{acc.at[0] + twice * t0 + rate * z0, acc.at[1] + twice * t1 + rate * z1,
                 acc.at[2] + twice * t2 + rate * z2}};
         }
-        p = (tuple3){{W[k][9], W[k][10], W[k][11]}};
-        tuple3 inside = inward(W, k, w.at[0], w.at[1], w.at[2]);
-        tuple3 turning = inward(W, k, dw.at[0], dw.at[1], dw.at[2]);
-        tuple3 falling = inward(W, k, g0 - acc.at[0], g1 - acc.at[1], g2 - acc.at[2]);
-        body_wrench(P, W, k, k, inside, turning, falling);
+        p = (tuple3){{W[k][ride + 9], W[k][ride + 10], W[k][ride + 11]}};
+        if (ride > 0) {
+            const tuple3 got3 = point_acceleration(w, dw, p.at[0] - W[k][9], p.at[1] - W[k][10], p.at[2] - W[k][11]);
+            s0 = got3.at[0];
+            s1 = got3.at[1];
+            s2 = got3.at[2];
+            acc = (tuple3){{acc.at[0] + s0, acc.at[1] + s1, acc.at[2] + s2}};
+        }
+        tuple3 inside = inward(W, k, ride, w.at[0], w.at[1], w.at[2]);
+        tuple3 turning = inward(W, k, ride, dw.at[0], dw.at[1], dw.at[2]);
+        tuple3 falling = inward(W, k, ride, g0 - acc.at[0], g1 - acc.at[1], g2 - acc.at[2]);
+        body_wrench(P, W, k, k, ride, inside, turning, falling);
         if (k == m - 1) {
-            body_wrench(P, W, m, k, inside, turning, falling);
+            body_wrench(P, W, m, k, ride, inside, turning, falling);
         }
     }
 }
@@ -617,25 +673,25 @@ static void dynamic_linkages(rows P, matrix W, int m, int oj)
     }
 }
 
-/* A wrench about the base origin as one about the origin and in the axes of frame k, for joint row j. */
-static void keep_wrench(matrix W, int k, int j, int column, tuple3 f, tuple3 t)
+/* A wrench about the base origin as one about and in the frame of row k from column ride on, for joint row j. */
+static void keep_wrench(matrix W, int k, int ride, int j, int column, tuple3 f, tuple3 t)
 {
-    const tuple3 got1 = cross(W[k][9], W[k][10], W[k][11], f.at[0], f.at[1], f.at[2]);
+    const tuple3 got1 = cross(W[k][ride + 9], W[k][ride + 10], W[k][ride + 11], f.at[0], f.at[1], f.at[2]);
     double s0 = got1.at[0];
     double s1 = got1.at[1];
     double s2 = got1.at[2];
-    tuple3 a = inward(W, k, f.at[0], f.at[1], f.at[2]);
-    tuple3 b = inward(W, k, t.at[0] - s0, t.at[1] - s1, t.at[2] - s2);
+    tuple3 force = inward(W, k, ride, f.at[0], f.at[1], f.at[2]);
+    tuple3 moment = inward(W, k, ride, t.at[0] - s0, t.at[1] - s1, t.at[2] - s2);
     for (int i = 0; i < 3; i++) {
-        W[j][column + i] = a.at[i];
-        W[j][column + 3 + i] = b.at[i];
+        W[j][column + i] = force.at[i];
+        W[j][column + 3 + i] = moment.at[i];
     }
 }
 
 /* Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load). */
-static void dynamic_moments(rows P, matrix W, int S, int m, int oj)
+static void dynamic_moments(rows P, matrix W, int S, int m, int oj, int ride)
 {
-    moving_bodies(P, W, S, m, oj);
+    moving_bodies(P, W, S, m, oj, ride);
     bool bending = P.at[S][BENDINGS] != 0.0;
     tuple3 f = (tuple3){{W[m][LOAD], W[m][LOAD + 1], W[m][LOAD + 2]}};
     tuple3 t = (tuple3){{W[m][LOAD + 3], W[m][LOAD + 4], W[m][LOAD + 5]}};
@@ -652,8 +708,8 @@ static void dynamic_moments(rows P, matrix W, int S, int m, int oj)
             double s2 = got1.at[2];
             to_joint(P, W, k, j, t.at[0] - s0, t.at[1] - s1, t.at[2] - s2, f.at[0], f.at[1], f.at[2]);
             if (bending) {
-                keep_wrench(W, k, j, ROOT, f, t);
-                keep_wrench(W, k, j, END, beyond, turned);
+                keep_wrench(W, k, 0, j, ROOT, f, t);
+                keep_wrench(W, k, ride, j, END, beyond, turned);
                 beyond = f;
                 turned = t;
             }
@@ -667,13 +723,14 @@ static void dynamic_moments(rows P, matrix W, int S, int m, int oj)
 }
 
 /* Load moments at the frames now in W; bending rows and the base mount need whole wrenches,
- * which the general pass has. */
-static void load_moments(rows P, matrix W, int S, int m, int oj, bool dynamic)
+ * which the general pass has. The bodies ride on the frames from column ride on: 0, those of the joints,
+ * or BEHIND_TWIST. */
+static void load_moments(rows P, matrix W, int S, int m, int oj, bool dynamic, int ride)
 {
     if (dynamic || P.at[S][BENDINGS] != 0.0 || P.at[S][MOUNT] != 0.0) {
-        dynamic_moments(P, W, S, m, oj);
+        dynamic_moments(P, W, S, m, oj, ride);
     } else {
-        static_moments(P, W, S, m, oj);
+        static_moments(P, W, S, m, oj, ride);
     }
 }
 
@@ -906,39 +963,47 @@ static void bending_rows(rows P, matrix W, int n, int m, int oj)
         double l0 = P.at[row][BENDING_LINK];
         double l1 = P.at[row][BENDING_LINK + 1];
         double l2 = P.at[row][BENDING_LINK + 2];
-        const tuple3 got1 = cross(l0, l1, l2, W[j][END], W[j][END + 1], W[j][END + 2]);
+        tuple3 f = (tuple3){{W[j][END], W[j][END + 1], W[j][END + 2]}};
+        const tuple3 got1 = cross(l0, l1, l2, f.at[0], f.at[1], f.at[2]);
         double t0 = got1.at[0];
         double t1 = got1.at[1];
         double t2 = got1.at[2];
-        const double each_t[] = {t0, t1, t2};
-        for (int i = 0; i < 3; i++) {
-            const double t = each_t[i];
-            W[j][END + 3 + i] -= t;
-        }
+        tuple3 t = (tuple3){{W[j][END + 3] - t0, W[j][END + 4] - t1, W[j][END + 5] - t2}};
         double reach = reach_of(P, W, row, j);
         for (int r = 0; r < 6; r++) {
             double total = 0.0;
-            for (int c = 0; c < 6; c++) {
-                total += P.at[row][BENDING + 6 * r + c] * W[j][ROOT + c] + P.at[row + 1][BENDING + 6 * r + c] * W[j][END
-                    + c];
+            int c = 0;
+            for (int c_at = 0; c_at < 6; c_at++) {
+                c = c_at;
+                total += P.at[row][BENDING + 6 * r + c] * W[j][ROOT + c];
             }
-            W[j][TWIST + r] += reach * total;
+            for (int c_at = 0; c_at < 3; c_at++) {
+                c = c_at;
+                total += P.at[row + 1][BENDING + 6 * r + c] * f.at[c] + P.at[row + 1][BENDING + 6 * r + 3 + c] *
+                    t.at[c];
+            }
+            int at = r + 1 == (int)P.at[row][OF_AXIS] ? SHIFT : TWIST + r;
+            W[j][at] += reach * total;
         }
     }
 }
 
-/* What every joint adds to its command, and the twist behind it, at the loads and signs now in W. */
-static void deflections(rows P, matrix W, int n, int m, int oj)
+/* What every joint adds to its command, and the twist behind it,
+ * at the loads and signs now in W. Not sided: with every play and clearance in its middle. */
+static void deflections(rows P, matrix W, int n, int m, int oj, bool sided)
 {
     for (int i = 0; i < n; i++) {
         int j = oj + i;
         double about = W[j][MOMENT + 2];
-        W[j][SHIFT] = P.at[j][DQ] + W[j][SIDE] + (P.at[j][COMPLIANCE] - P.at[j][HARDENING] * fabs(about)) * about;
+        double side = sided ? W[j][SIDE] : 0.0;
+        double a = sided ? W[j][TILT_A] : 0.0;
+        double b = sided ? W[j][TILT_B] : 0.0;
+        W[j][SHIFT] = P.at[j][DQ] + side + (P.at[j][COMPLIANCE] - P.at[j][HARDENING] * fabs(about)) * about;
         for (int k = 0; k < 6; k++) {
             W[j][TWIST + k] = P.at[j][XI + k];
         }
-        W[j][TWIST + 3] += W[j][TILT_A] + P.at[j][RADIAL] * W[j][MOMENT];
-        W[j][TWIST + 4] += W[j][TILT_B] + P.at[j][RADIAL] * W[j][MOMENT + 1];
+        W[j][TWIST + 3] += a + P.at[j][RADIAL] * W[j][MOMENT];
+        W[j][TWIST + 4] += b + P.at[j][RADIAL] * W[j][MOMENT + 1];
     }
     int S = P.count - 1;
     if (P.at[S][CURVES] != 0.0) {
@@ -1501,6 +1566,29 @@ static double command(matrix W, int n, int oj, int og, double share)
     return largest;
 }
 
+/* Load moments at the frames now in W, then where these loads leave the arm with plays and clearances in their middle.
+ * */
+static void loads_where_it_hangs(rows P, matrix W, int S, int n, int m, int oj, bool dynamic)
+{
+    load_moments(P, W, S, m, oj, dynamic, 0);
+    for (int _ = 0; _ < (int)P.at[S][HANGING]; _++) {
+        deflections(P, W, n, m, oj, false);
+        hanging_frames(P, W, (int)P.at[S][LOAD_CHAIN], m, oj);
+        load_moments(P, W, S, m, oj, dynamic, BEHIND_TWIST);
+    }
+}
+
+/* What every joint adds with the sides now in W, and the loads where that leaves the arm. */
+static void settle_on_sides(rows P, matrix W, int S, int n, int m, int oj, bool dynamic)
+{
+    deflections(P, W, n, m, oj, true);
+    for (int _ = 0; _ < (int)P.at[S][HANGING_SIDED]; _++) {
+        hanging_frames(P, W, (int)P.at[S][LOAD_CHAIN], m, oj);
+        load_moments(P, W, S, m, oj, dynamic, BEHIND_TWIST);
+        deflections(P, W, n, m, oj, true);
+    }
+}
+
 /* Start the search at the wanted joints plus the guess. */
 static void prepare(rows P, matrix W, int n, int m, int oj)
 {
@@ -1551,12 +1639,12 @@ static void left_at(rows P, matrix W, int S, double *info, int n, int m, int oj,
     int at = (int)P.at[S][LOAD_CHAIN];
     if (P.at[S][LOADED] != 0.0) {
         load_frames(P, W, at, m, oj);
-        load_moments(P, W, S, m, oj, dynamic);
+        loads_where_it_hangs(P, W, S, n, m, oj, dynamic);
     }
     if (own) {
         own_signs(P, W, n, oj);
     }
-    deflections(P, W, n, m, oj);
+    settle_on_sides(P, W, S, n, m, oj, dynamic);
     if (own) {
         kept_signs(W, n, oj);
     }
@@ -1685,14 +1773,14 @@ static int solve(rows P, matrix W, matrix state, double *info, int n, int m, boo
                 load_frames(P, W, at, m, oj);
             }
             if (loaded) {
-                load_moments(P, W, S, m, oj, dynamic);
+                loads_where_it_hangs(P, W, S, n, m, oj, dynamic);
             }
             if (it < SIGN_ROUNDS) {
                 signs = sign_effects(P, W, state, n, oj, dt);
             }
-            deflections(P, W, n, m, oj);
+            settle_on_sides(P, W, S, n, m, oj, dynamic);
         } else if (P.at[S][CURVES] != 0.0) {
-            deflections(P, W, n, m, oj);
+            deflections(P, W, n, m, oj, true);
         }
         actual = identified_tool(P, W, m, oj);
         d = residual(P, W, S, og, rows, wanted, actual);
@@ -2381,8 +2469,9 @@ static bool possible(const unsigned char *bytes, int count, int n)
     if (!whole(bytes, s, N, n, n) || !whole(bytes, s, M, 1, KC_MOST_MOVES) ||
         !whole(bytes, s, CURVES, 0, KC_MOST_ROWS) || !whole(bytes, s, BENDINGS, 0, KC_MOST_ROWS) ||
         !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
-        !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, ROWS, 5, 6) ||
-        !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
+        !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, HANGING, 0, KC_MOST_HANGING) ||
+        !whole(bytes, s, HANGING_SIDED, 0, KC_MOST_HANGING) ||
+        !whole(bytes, s, ROWS, 5, 6) || !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
         return false;
     }
     const int m = (int)number_at(bytes, s, M), curves = (int)number_at(bytes, s, CURVES);
@@ -2408,7 +2497,8 @@ static bool possible(const unsigned char *bytes, int count, int n)
         }
     }
     for (int row = m + 1 + n + curves; row < m + 1 + n + curves + 2 * bendings; row += 2) {
-        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1) || !whole(bytes, row, POWER, 0, 3)) {
+        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1) || !whole(bytes, row, POWER, 0, 3) ||
+            !whole(bytes, row, OF_AXIS, 0, 6)) {
             return false;
         }
     }

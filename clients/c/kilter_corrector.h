@@ -17,13 +17,14 @@ extern "C" {
 #endif
 
 #define KC_FORMAT 1u          /* of the program's header */
-#define KC_LAYOUT 0xac71c663u  /* of its numbers: a program for another layout is refused */
+#define KC_LAYOUT 0x50d0b6ebu  /* of its numbers: a program for another layout is refused */
 #define KC_COLUMNS 48
 #define KC_HEADER_BYTES 128
 #define KC_MOST_JOINTS 16
 #define KC_MOST_MOVES 64
 #define KC_MOST_ROWS 1024
 #define KC_MOST_ROUNDS 1000
+#define KC_MOST_HANGING 3     /* rounds of loads where the arm hangs */
 
 /* Verdict on a setpoint: the numbers of the stream. Only KC_OK leaves joints. */
 enum {

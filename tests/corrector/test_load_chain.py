@@ -17,7 +17,7 @@ from tests.corrector.test_runtime_effects import BASE_TILT, OF_ARMS, TEMPERATURE
 
 LOADS = (
     "axial_compliance", "radial_compliance", "clearance_tilt", "backlash_load", "hardening", "reading_tilt",
-    "link_bending", "base_compliance",
+    "link_bending", "base_compliance", "link_torsion", "tool_sag",
 )  # fmt: skip
 SIGNED = ("clearance_tilt", "backlash_load")
 OPTIONS = CorrectionOptions(least_softening_nm=0.0, temperature_c=TEMPERATURE_C, iterations=30)
@@ -47,6 +47,19 @@ def test_the_corrector_takes_loads_on_the_chain_of_the_version(effect: str, payl
         missed = landing(calibration, program, dynamic, payload_kg)
         # Signs stand still after a few rounds, so that one near zero cannot flip back and forth.
         assert (np.quantile(missed, 0.95) if effect in SIGNED else missed.max()) < 1e-6
+
+
+@pytest.mark.parametrize("hanging", [False, True])
+def test_links_that_bend_and_twist_share_their_loads(hanging: bool) -> None:
+    """Two effects that read the load on the end of one link, and curves, which evaluate them once more."""
+    calibration = on_its_own_chain("link_bending", "link_torsion", "eccentricity")
+    if not hanging:
+        chain = replace(calibration.model.load_chain, effects=None)
+        calibration = replace(calibration, model=replace(calibration.model, load_chain=chain))
+    options = replace(OPTIONS, payload_kg=4.0, largest_rad=0.1, farthest_m=0.1, largest_m=0.1)
+    program = compile_program(calibration, options)
+    for dynamic in (False, True):
+        assert landing(calibration, program, dynamic, 4.0).max() < 1e-7
 
 
 def test_all_effects_at_once_and_through_a_document() -> None:

@@ -24,6 +24,7 @@ extern "C" {
 #define KC_MOST_MOVES 64
 #define KC_MOST_ROWS 1024
 #define KC_MOST_ROUNDS 1000
+#define KC_MOST_HANGING 3     /* rounds of loads where the arm hangs */
 
 /* Verdict on a setpoint: the numbers of the stream. Only KC_OK leaves joints. */
 enum {

@@ -97,8 +97,9 @@ static bool possible(const unsigned char *bytes, int count, int n)
     if (!whole(bytes, s, N, n, n) || !whole(bytes, s, M, 1, KC_MOST_MOVES) ||
         !whole(bytes, s, CURVES, 0, KC_MOST_ROWS) || !whole(bytes, s, BENDINGS, 0, KC_MOST_ROWS) ||
         !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
-        !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, ROWS, 5, 6) ||
-        !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
+        !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, HANGING, 0, KC_MOST_HANGING) ||
+        !whole(bytes, s, HANGING_SIDED, 0, KC_MOST_HANGING) ||
+        !whole(bytes, s, ROWS, 5, 6) || !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
         return false;
     }
     const int m = (int)number_at(bytes, s, M), curves = (int)number_at(bytes, s, CURVES);
@@ -124,7 +125,8 @@ static bool possible(const unsigned char *bytes, int count, int n)
         }
     }
     for (int row = m + 1 + n + curves; row < m + 1 + n + curves + 2 * bendings; row += 2) {
-        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1) || !whole(bytes, row, POWER, 0, 3)) {
+        if (!whole(bytes, row, BENDING_JOINT, 0, n - 1) || !whole(bytes, row, POWER, 0, 3) ||
+            !whole(bytes, row, OF_AXIS, 0, 6)) {
             return false;
         }
     }

@@ -18,8 +18,12 @@ PARAMETERS: Mapping[str, str] = {
     "direction": "const row",
     **dict.fromkeys(("A", "B", "T", "wanted", "actual"), "tuple 12"),
     **dict.fromkeys(("w", "dw", "a", "f", "t", "d", "rotation", "none", "half", "whole"), "tuple 3"),
-    **dict.fromkeys(("lines", "dynamic", "warm", "own", "near", "fresh", "stops", "ramping", "started"), "bool"),
-    **dict.fromkeys(("m", "n", "oj", "og", "S", "k", "j", "i", "c", "at", "row", "rows", "width", "rounds"), "int"),
+    **dict.fromkeys(
+        ("lines", "dynamic", "warm", "own", "sided", "near", "fresh", "stops", "ramping", "started"), "bool"
+    ),
+    **dict.fromkeys(
+        ("m", "n", "oj", "og", "S", "k", "j", "i", "c", "at", "row", "rows", "width", "rounds", "ride"), "int"
+    ),
     **dict.fromkeys(("first", "last", "flags", "before", "aim", "column"), "int"),
 }
 # Where a name means something else: by function.

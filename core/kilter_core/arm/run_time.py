@@ -86,7 +86,7 @@ class BendingRow:
     """Twist behind a joint by matrices (6, 6) of the wrench on it, and of that on the end of its ``link (3,)``.
 
     ``reach`` (power, root, way): all of it times that power of way (q - root), which is 0 where this is below 0; power 0:
-    whatever q is.
+    whatever q is. ``of_axis``: the part along or about the joint is a motion of the joint itself, in front of the twist.
     """
 
     joint: int
@@ -94,6 +94,7 @@ class BendingRow:
     of_end: Floats
     link: Floats
     reach: tuple[int, float, float] = (0, 0.0, 1.0)
+    of_axis: bool = False
 
 
 @dataclass
@@ -162,13 +163,10 @@ class RunTimeForm:
         of_end: Floats,
         link: Floats,
         reach: tuple[int, float, float] = (0, 0.0, 1.0),
+        of_axis: bool = False,
     ) -> None:
-        """Add a twist that is linear in the wrenches.
-
-        The wrench is moved to the end of the link once for each row with a link: give zeros where no moment at the end
-        counts.
-        """
-        self.bending.append(BendingRow(joint, of_joint, of_end, link, reach))
+        """Add a twist that is linear in the wrenches, see :class:`BendingRow`."""
+        self.bending.append(BendingRow(joint, of_joint, of_end, link, reach, of_axis))
         self.twisted.add(joint)
 
     def softening(self, own: float | tuple[float, ...], joints: Sequence[int]) -> list[float]:

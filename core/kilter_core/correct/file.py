@@ -30,6 +30,7 @@ from functools import cache
 
 import numpy as np
 
+from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionProgram
 from kilter_core.errors import OptionError
@@ -134,7 +135,7 @@ def _possible(array: Floats, n: int) -> bool:
     wanted = {
         layout.N: (n, n), layout.M: (1, MOST_MOVES), layout.CURVES: (0, MOST_ROWS), layout.BENDINGS: (0, MOST_ROWS),
         layout.LOAD_CHAIN: (0, MOST_ROWS), layout.ITERATIONS: (1, MOST_ROUNDS), layout.ROUNDS: (1, MOST_ROUNDS),
-        layout.ROWS: (5, 6), layout.FIRST: (3, 6),
+        layout.ROWS: (5, 6), layout.FIRST: (3, 6), layout.HANGING: (0, HANGING_ROUNDS), layout.HANGING_SIDED: (0, SIDED_ROUNDS),
     }  # fmt: skip
     if not all(_whole(scalars[column], *bounds) for column, bounds in wanted.items()):
         return False
@@ -155,6 +156,7 @@ def _possible(array: Floats, n: int) -> bool:
         and _whole(curve_rows[:, layout.MOVED], 0, 6)
         and _whole(bending_rows[:, layout.BENDING_JOINT], 0, n - 1)
         and _whole(bending_rows[:, layout.POWER], 0, 3)
+        and _whole(bending_rows[:, layout.OF_AXIS], 0, 6)
     )
 
 

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.chain import Axis, Chain, Element
+from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS
 from kilter_core.arm.loads.slopes import with_masses, with_payload
 from kilter_core.arm.robot import Joint, Link, Payload, Robot
 from kilter_core.arm.run_time import Conditions, RunTimeForm
@@ -314,6 +315,10 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     write_bodies(head, weighed, loads, *with_payload(load.mass, load.com, form.payload_errors.tolist()))
     scalars = _scalars(weighed, options, (rows, first), m)
     scalars[layout.LOADED] = float(loaded)
+    if loaded and model.load_chain is not None and model.load_chain.effects:
+        scalars[layout.HANGING] = HANGING_ROUNDS
+        sided = any(effect.sided and np.any(values[at]) for effect, at in model.placed)
+        scalars[layout.HANGING_SIDED] = SIDED_ROUNDS if sided else 0
     scalars[layout.CURVES], scalars[layout.BENDINGS] = len(form.curves), len(form.bending)
     widths = softening(form, weighed, load, options.least_softening_nm)
     mount = write_base(head, scalars, form, chains.base, fixed_links_moment(weighed, loads))

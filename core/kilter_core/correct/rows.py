@@ -63,13 +63,17 @@ def _curve(curve: Curve) -> Floats:
 
 def bending_rows(form: RunTimeForm) -> Floats:
     """Rows (2 x bending rows, COLUMNS)."""
-    return np.array([row for bending in form.bending for row in _bending(bending)]).reshape(-1, layout.COLUMNS)
+    return np.array(
+        [row for b in form.bending for row in _bending(b, form.robot.joints[b.joint].kind == "revolute")]
+    ).reshape(-1, layout.COLUMNS)
 
 
-def _bending(bending: BendingRow) -> Floats:
+def _bending(bending: BendingRow, revolute: bool) -> Floats:
     rows = np.zeros((2, layout.COLUMNS))
     rows[0, :36], rows[1, :36] = bending.of_joint.ravel(), bending.of_end.ravel()
     rows[0, layout.BENDING_JOINT] = bending.joint
     rows[0, layout.BENDING_LINK : layout.BENDING_LINK + 3] = bending.link
+    if bending.of_axis:
+        rows[0, layout.OF_AXIS] = 6 if revolute else 3
     rows[0, layout.POWER], rows[0, layout.ROOTED], rows[0, layout.WAY] = bending.reach
     return rows

@@ -26,6 +26,7 @@ class Backlash(Effect):
     separated_by = (Separator.SIDES,)
     source = "gap-finder library; Slamani, Nubiola and Bonev 2012"
     needs = frozenset({"direction"})
+    sided = True
     aliases = ("friction_windup", "backlash_load")
     remedy = "approach the same poses from both sides with every joint: one-sided, it is an encoder offset"
 

@@ -41,6 +41,7 @@ class BacklashLoad(Effect):
     separated_by = (Separator.LOADS,)
     source = "thesis eq. 5.19"
     needs = frozenset({"moments"})
+    sided = True
     reads = (("axial", (0,)),)
     signs = "positive"
     aliases = ("axial_compliance", "eccentricity", "backlash")
@@ -85,6 +86,6 @@ class BacklashLoad(Effect):
         return tuple(Derivative(k, j, dq=values[k] * np.sqrt(share)) for k, j, share in left)
 
     def _side(self, batch: Batch, place: int, joint: int) -> Floats:
-        about = batch.axial[:, joint]
+        about = batch.sided_axial[:, joint]
         soft = soft_sign(about, width_of(self.softening_nm, place, joint, batch, about=True))
         return np.where(np.abs(about) > NO_MOMENT_NM, soft, 0.0)

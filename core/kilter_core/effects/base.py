@@ -26,6 +26,7 @@ _PRISMATIC_UNITS = {
 }  # fmt: skip
 
 WRENCH = (0, 1, 2, 3, 4, 5)
+CENTRES = {"wrench": "centre_wrench", "axial": "centre_axial"}
 ALL_LOADS = {"axial": (0,), "wrench": WRENCH, "end_wrench": WRENCH, "base_wrench": WRENCH}  # of a batch, by component
 NOT_OF_ROWS = ("link_vectors", "blur")  # arrays of a batch that have no row for each of its rows
 
@@ -40,7 +41,9 @@ class Batch(Conditions):
     ``payload_axial (N, n, 4)`` is what one more kilogram at the payload's place adds to ``axial``, and one more kg·m of
     first moment along each tool axis; it comes with ``payload_kg``. ``slopes`` say how the loads follow errors of the
     masses, where the model has such errors. ``blur (n, 2)`` N·m is how uncertain the load across and about each joint is
-    where it changes its sign: a sign is then read as its expectation.
+    where it changes its sign: a sign is then read as its expectation. ``centre_wrench`` and ``centre_axial`` are the loads
+    of the arm with every play and clearance in its middle, where those of the arm with its sides differ: what has a side
+    takes it by ``sided_moment`` and ``sided_axial``, so that a sign near zero cannot change itself.
 
     An effect declares what it reads in ``needs``: the loads as "moments", measured columns by name. ``q``,
     ``tool_point`` and ``link_vectors`` are always there; anything not measured is None.
@@ -56,6 +59,8 @@ class Batch(Conditions):
     payload_axial: Floats | None = None
     slopes: LoadSlopes | None = None
     blur: Floats | None = None
+    centre_wrench: Floats | None = None
+    centre_axial: Floats | None = None
 
     def with_loads(self, change: Floats, reads: Mapping[str, tuple[int, ...]] | None = None) -> Batch:
         """The same rows with load errors ``change (K,)`` in the order of ``slopes``.
@@ -69,6 +74,11 @@ class Batch(Conditions):
             for part, moved in zip(parts, self.slopes.changes(name, parts, change), strict=True):
                 here = loads[name] if name == "axial" else loads[name][..., part]
                 here += moved
+                centre = CENTRES.get(name, "")
+                if getattr(self, centre, None) is not None:
+                    own = loads.setdefault(centre, getattr(self, centre).copy())
+                    own = own if name == "axial" else own[..., part]
+                    own += moved
         return replace(self, **loads)
 
     def part(self, rows: slice) -> Batch:
@@ -85,6 +95,28 @@ class Batch(Conditions):
     def moment(self) -> Floats:
         """Load moments (N, n, 3) in the joint frames: x and y across the axis, z about it."""
         return self.wrench[:, :, 3:]
+
+    @property
+    def sided_moment(self) -> Floats:
+        """As ``moment``, with plays and clearances in their middle."""
+        return self.moment if self.centre_wrench is None else self.centre_wrench[:, :, 3:]
+
+    @property
+    def sided_axial(self) -> Floats:
+        """As ``axial``, with plays and clearances in their middle."""
+        return self.axial if self.centre_axial is None else self.centre_axial
+
+    def sided(self, name: str) -> Floats:
+        """The load of this name by which sides are taken."""
+        centre: Floats | None = getattr(self, CENTRES.get(name, ""), None)
+        own: Floats = getattr(self, name)
+        return own if centre is None else centre
+
+    def stepped(self, name: str, step: Floats) -> Batch:
+        """The same rows with ``step`` added to the load of this name, whoever reads it."""
+        own = [name, *([CENTRES[name]] if getattr(self, CENTRES.get(name, ""), None) is not None else [])]
+        loads: dict[str, Any] = {k: getattr(self, k) + step for k in own}
+        return replace(self, **loads)
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -172,7 +204,8 @@ class Effect(ABC):
     beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
     it leaves. ``glances`` are columns that it reads where they are there and can do without. An ``event`` is placed by the
     search itself, at the row where it explains most. ``reads`` names the loads of the batch that an effect reads and
-    their components; what it does at a joint follows that joint's loads alone.
+    their components; what it does at a joint follows that joint's loads alone. A ``sided`` one has a side, by the sign of the
+    load or of the motion.
     """
 
     id: ClassVar[str]
@@ -195,6 +228,7 @@ class Effect(ABC):
     changes_loads: ClassVar[bool] = False
     glances: ClassVar[frozenset[str]] = frozenset()
     event: ClassVar[bool] = False
+    sided: ClassVar[bool] = False
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 

@@ -34,6 +34,7 @@ class ClearanceTilt(Effect):
     separated_by = (Separator.LOADS,)
     source = "thesis eq. 5.16-5.18, 5.15 corrected"
     needs = frozenset({"moments"})
+    sided = True
     reads = (("wrench", (3, 4)),)
     signs = "positive"
     aliases = ("radial_compliance", "link_bending", "base_compliance")
@@ -113,7 +114,7 @@ class ClearanceTilt(Effect):
 
     def _directions(self, batch: Batch, place: int, joint: int) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Signed shares of the tilt about x and y, and how far each may be off; no load, no tilt."""
-        mx, my = batch.moment[:, joint, 0], batch.moment[:, joint, 1]
+        mx, my = batch.sided_moment[:, joint, 0], batch.sided_moment[:, joint, 1]
         ax, ay = np.abs(mx), np.abs(my)
         total = ax + ay
         # Rounding noise must not decide where a joint without transverse load tilts.

@@ -24,6 +24,7 @@ class DirectionCompliance(Effect):
     separated_by = (Separator.LOADS, Separator.SIDES)
     source = "hysteresis of gears, loading and unloading branch: Seyfferth et al. 1995; Tuttle 1992"
     needs = frozenset({"moments", "direction"})
+    sided = True
     reads = (("axial", (0,)),)
     aliases = ("axial_compliance", "backlash", "backlash_load")
     remedy = "approach the same poses from both sides, with two payloads"
@@ -36,7 +37,7 @@ class DirectionCompliance(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by h."""
         side = np.asarray(self.column(batch, "direction"), dtype=np.float64)
-        return self.joint_angle(batch, values, side * batch.axial)
+        return self.joint_angle(batch, values, side * batch.sided_axial)
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the values to their joints."""

@@ -26,6 +26,7 @@ class FrictionWindup(Effect):
     separated_by = (Separator.SIDES,)
     source = "Seyfferth, Maghzal and Angeles 1995; Tuttle 1992, harmonic drives"
     needs = frozenset({"direction"})
+    sided = True
     aliases = ("backlash", "backlash_load")
     remedy = "the same as backlash in positions: compare motor currents, or release the joint by dither after the stop"
 

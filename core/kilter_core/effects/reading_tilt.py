@@ -48,10 +48,10 @@ class ReadingTilt(Effect):
         return self.joint_angle(batch, values, batch.moment[:, :, 0], batch.moment[:, :, 1])
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
-        """Add what a load across the axis adds to the joint: a twist along or about z, linear in that load."""
+        """Add what a load across the axis adds to the joint itself, linear in that load."""
         joints = self.acting(len(form.joints))
         for place, j in enumerate(joints):
             rotations = np.zeros((6, 6))
             rotations[5 if form.robot.joints[j].kind == "revolute" else 2, 3:5] = values[place :: len(joints)]
-            form.bend(j, rotations, np.zeros((6, 6)), np.zeros(3))
+            form.bend(j, rotations, np.zeros((6, 6)), np.zeros(3), of_axis=True)
         return True

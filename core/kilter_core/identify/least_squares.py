@@ -214,7 +214,7 @@ class Fit:
         """What was fitted, increments absorbed in the poses of base and tool; ``base`` and ``tool`` are the wanted frames."""
         problem = self.problem
         model, values = problem.model.absorb_frame_increments(self.values)
-        return Calibration(model, values, problem.measurement.marker_points, base, tool)
+        return Calibration(model.hanging_as(values), values, problem.measurement.marker_points, base, tool)
 
 
 def solve(

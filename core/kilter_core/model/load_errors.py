@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -89,12 +89,11 @@ def _slopes(effect: Effect, batch: Batch, values: Floats) -> Iterator[Slope]:
             step = np.zeros_like(load)
             here = ... if name == "axial" else (..., part)
             step[here] = max(STEP * float(np.sqrt(np.mean(load[here] ** 2))) if load.size else 0.0, LEAST_NM)
-            ahead, behind = (effect.local(replace(batch, **{name: load + way * step}), values) for way in (1.0, -1.0))
+            ahead, behind = (effect.local(batch.stepped(name, way * step), values) for way in (1.0, -1.0))
             width = float(step[here].flat[0]) if load.size else 0.5
+            near = np.abs(batch.sided(name)[here]) <= width
             slope = _over(ahead, behind, 2.0 * width)
-            yield Slope(
-                name, part, slope if effect.smooth_over(width) else _without_steps(slope, np.abs(load[here]) <= width)
-            )
+            yield Slope(name, part, slope if effect.smooth_over(width) else _without_steps(slope, near))
 
 
 def _without_steps(slope: Local, across: Bools) -> Local:
@@ -131,8 +130,8 @@ def blur_of(effects: Iterable[Effect], batch: Batch, covariance: Floats) -> Floa
         sigma = np.sqrt(np.maximum(np.einsum("knj,knj->nj", by, np.tensordot(C, by, axes=1)), 0.0))
         return [_where_near(load[:, j], sigma[:, j]) for j in range(load.shape[1])]
 
-    across = [near("wrench", 3 + a, batch.moment[:, :, a]) for a in range(2)]
-    return np.stack([np.max(across, axis=0), near("axial", 0, batch.axial)], axis=1)
+    across = [near("wrench", 3 + a, batch.sided_moment[:, :, a]) for a in range(2)]
+    return np.stack([np.max(across, axis=0), near("axial", 0, batch.sided_axial)], axis=1)
 
 
 def _where_near(load: Floats, sigma: Floats) -> float:

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from kilter_core.arm.frames import frame_parameters, increment
 from kilter_core.arm.kernels import kinematics
 from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS, Deflection
 from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
 from kilter_core.arm.loads.wrenches import Loads, axial_loads, loads_of
 from kilter_core.arm.robot import Robot
-from kilter_core.effects import Batch, Effect, effect_from_document
-from kilter_core.effects.step import happened_before
+from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError
 from kilter_core.model.chain_rule import ToolColumns, Total
 from kilter_core.model.elements import Program, model_program
 from kilter_core.model.joint_columns import joint_rows, own_turns, turns_of
 from kilter_core.model.load_errors import Reader
-from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, instrument_of
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, TypePrior, indices, refuse_collisions
@@ -108,7 +105,7 @@ class RobotModel:
         return model_program(self.robot.chain)
 
     def batch(self, observations: Observations) -> Batch:
-        """Conditions of the rows with the load on each joint, from the load chain and the joint readings.
+        """Conditions of the rows with the load on each joint, from the load chain, and where the arm hangs if that says so.
 
         Raises:
             ObservationError: the rows do not have the robot's number of joints.
@@ -118,15 +115,50 @@ class RobotModel:
             raise ObservationError(
                 f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
             )
-        o, robot = observations, self.load_robot
-        o = o.with_tilt_as_condition() if "base_tilt_x" in self.needs else o
-        loads = self._loads(o)
+        o = observations.with_tilt_as_condition() if "base_tilt_x" in self.needs else observations
+        return self._hanging(o) if self.load_chain is not None and self.load_chain.effects else self._batch_at(o)
+
+    def _hanging(self, o: Observations) -> Batch:
+        """The rows with the loads of the arm where the effects of the load chain leave it.
+
+        Each round leaves what the sag of the one before is off times the part of its load that a lever changes by it: after
+        three, of joints that give way by 2 deg, less than a tenth of a micrometre. Sides are taken by the loads of the
+        arm with plays and clearances in their middle, and stand still while it settles with them.
+        """
+        smooth, sided = (self._held_values(sides) for sides in (False, True))
+        centre = self._batch_at(o)
+        for _ in range(HANGING_ROUNDS):
+            centre = self._batch_at(o, self._given_way(centre, smooth))
+        if not np.any(sided):
+            return centre
+        sides, whole = self._given_way(centre, sided), centre
+        for _ in range(SIDED_ROUNDS):
+            whole = self._batch_at(o, self._given_way(whole, smooth) + sides)
+        return replace(whole, centre_wrench=centre.wrench, centre_axial=centre.axial)
+
+    def _held_values(self, sided: bool) -> Floats:
+        """Values (P,) of the load chain's effects, of those with sides or of the others; the rest zero."""
+        assert self.load_chain is not None
+        held = self.load_chain.effects or {}
+        values = np.zeros(len(self.names))
+        for effect, at in self._reader:
+            if effect.stage != "measurement" and effect.sided is sided:
+                values[at] = [held.get(name, 0.0) for name in self.names[at]]
+        return values
+
+    def _given_way(self, batch: Batch, values: Floats) -> Deflection:
+        total, _ = self._local(batch, values)
+        return Deflection(total.dq, total.xi[:, : self.robot.n_joints])
+
+    def _batch_at(self, o: Observations, deflection: Deflection | None = None) -> Batch:
+        robot = self.load_robot
+        loads = self._loads(o, deflection)
         return Batch(
             q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
             link_vectors=robot.chain.link_vectors, **o.under(),
-            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self.needs else None,
-            slopes=LoadSlopes(robot, o) if any(e.changes_loads for e in self.effects) else None,
+            payload_axial=payload_sensitivity(robot, o, deflection) if "payload_kg" in self.needs else None,
+            slopes=LoadSlopes(robot, o, deflection) if any(e.changes_loads for e in self.effects) else None,
         )  # fmt: skip
 
     @cached_property
@@ -143,9 +175,9 @@ class RobotModel:
         """Columns that its effects need."""
         return frozenset[str]().union(*(effect.needs for effect in self.effects))
 
-    def _loads(self, o: Observations) -> Loads:
+    def _loads(self, o: Observations, deflection: Deflection | None) -> Loads:
         if self.effects:
-            return loads_of(self.load_robot, o)
+            return loads_of(self.load_robot, o, deflection)
         none = np.zeros((*o.q.shape, 6))
         return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
 
@@ -245,10 +277,26 @@ class RobotModel:
         return self.in_frames(T_base, T_tool), flat
 
     def loads_at(self, values: Floats) -> RobotModel:
-        """Return the same model with its loads on the chain, and under the tool, that ``values (P,)`` describe."""
+        """Return the same model with its loads on the chain, under the tool, where the arm hangs as ``values (P,)`` say."""
         n = self.n_geometric
         T_tool = self.T_tool @ increment(values[n - 6 : n])
-        return replace(self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool))
+        return replace(self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool, self._giving(values)))
+
+    def hanging_as(self, values: Floats) -> RobotModel:
+        """Return the same model with what gives way as ``values (P,)`` say, where loads are taken where the arm hangs.
+
+        A fit holds both still; what it found is what the corrector lets give way.
+        """
+        if self.load_chain is None or self.load_chain.effects is None:
+            return self
+        return replace(self, load_chain=replace(self.load_chain, effects=self._giving(values)))
+
+    def _giving(self, values: Floats) -> dict[str, float] | None:
+        """Values by name of the effects that have any; None without one that follows loads: then nothing gives way."""
+        live = [(effect, at) for effect, at in self._reader if effect.stage != "measurement" and np.any(values[at])]
+        if not any("moments" in effect.needs for effect, _ in live):
+            return None
+        return {name: float(v) for _, at in live for name, v in zip(self.names[at], values[at], strict=True)}
 
     def in_frames(self, T_base: Floats, T_tool: Floats) -> RobotModel:
         """Return the same model about other base and tool frames (4, 4)."""
@@ -318,83 +366,3 @@ class RobotModel:
         errors = [(place[k], error) for k, error in self._reader.load_errors(batch, place)]
         if errors and batch.slopes is not None:
             columns.put_loads(J, self._reader.slopes(batch, values), batch.slopes, errors)
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame.
-
-    ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
-    the robot's own where the measurements were taken in them, else those of the registration. The difference to the
-    identified frames is part of the arm's error, because base and first joint, tool and last joint share what they share.
-    ``rig`` has the cameras and boards where they were found to stand.
-    """
-
-    model: RobotModel
-    values: Floats
-    marker_points: Floats | None = None
-    wanted_base: Floats | None = None
-    wanted_tool: Floats | None = None
-    rig: PlacedRig | None = None
-
-    @staticmethod
-    def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
-        """The nominal robot."""
-        model = RobotModel(robot, effects)
-        return Calibration(model, model.values0())
-
-    @property
-    def robot(self) -> Robot:
-        """The nominal robot."""
-        return self.model.robot
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return self.model.names
-
-    def predict(self, observations: Observations) -> Prediction:
-        """Tool poses of the rows."""
-        return self.model.predict(observations, self.values).seen_by(self.rig)
-
-    def with_effects(self, effects: Sequence[Effect]) -> Calibration:
-        """The same values with another list of effects; parameters of new effects start at their prior mean."""
-        model = replace(self.model, effects=tuple(effects))
-        known = dict(zip(self.names, self.values, strict=True))
-        values = np.array([known.get(p.name, p.value) for p in model.parameters])
-        return replace(self, model=model, values=values)
-
-    def for_another_campaign(self, rows: Observations) -> Calibration:
-        """The same for rows that it was not made from: what happened once, at a row of its own, has happened before them."""
-        return self.with_effects(happened_before(rows, self.model.effects))
-
-    def wanted(self) -> Calibration:
-        """The nominal chain in the wanted frames: where the tool should be."""
-        base = self.robot.T_base if self.wanted_base is None else self.wanted_base
-        tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool
-        return Calibration(model := RobotModel(self.robot, (), base, tool), model.values0())
-
-    def to_document(self) -> dict[str, Any]:
-        """JSON-able state, SI: frames, effects, and every parameter's value by name."""
-        model, values = self.model.absorb_frame_increments(self.values)
-        return {
-            "T_base": model.T_base.tolist(),
-            "T_tool": model.T_tool.tolist(),
-            "effects": [effect.to_document() for effect in model.effects],
-            "values": dict(zip(model.names, values.tolist(), strict=True)),
-            **{k: None if (array := getattr(self, k)) is None else array.tolist() for k in ARRAYS},
-            "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
-            "rig": None if self.rig is None else self.rig.to_document(),
-        }
-
-    @staticmethod
-    def from_document(robot: Robot, document: Mapping[str, Any]) -> Calibration:
-        """Rebuild from :meth:`to_document` for the same robot; names the robot does not have raise ``OptionError``."""
-        effects = tuple(effect_from_document(e) for e in document["effects"])
-        frames = np.array(document["T_base"]), np.array(document["T_tool"])
-        model = RobotModel(robot, effects, *frames, LoadChain.from_document(robot, document.get("load_chain")))
-        values = model.values0()
-        stored = document["values"]
-        values[indices(model.names, stored)] = list(stored.values())
-        arrays: dict[str, Any] = {k: np.array(document[k]) for k in ARRAYS if document.get(k) is not None}
-        return Calibration(model, values, **arrays, rig=PlacedRig.from_document(document.get("rig")))

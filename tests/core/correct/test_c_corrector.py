@@ -33,8 +33,11 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     return built(tmp_path_factory.mktemp("c"))
 
 
-def program_of(preset: str, *names: str, seed: int = 0, **options: Any) -> CorrectionProgram:
-    """A preset with errors of a fraction of a millimetre and effects of a fifth of their prior width."""
+def program_of(preset: str, *names: str, seed: int = 0, hanging: bool = False, **options: Any) -> CorrectionProgram:
+    """A preset with errors of a fraction of a millimetre and effects of a fifth of their prior width.
+
+    ``hanging``: its loads are those where the arm hangs.
+    """
     robot = robot_for(names, preset)
     model = RobotModel(robot, tuple(make_effect(name, **CONFIG.get(name, {})) for name in names))
     values, rng = model.values0(), np.random.default_rng(seed)
@@ -43,6 +46,7 @@ def program_of(preset: str, *names: str, seed: int = 0, **options: Any) -> Corre
             values[k] += rng.normal() * 1e-4
         else:
             values[k] = 1e-4 if p.unit == "s" else np.clip(p.prior_sigma * rng.uniform(0.1, 0.4), p.lower, p.upper)
+    model = model.loads_at(values) if hanging else model
     return compile_program(
         Calibration(model, values), CorrectionOptions(temperature_c=31.0, base_tilt=BASE_TILT, **options)
     )
@@ -110,6 +114,20 @@ def test_the_joints_are_those_of_the_kernels_for_every_task(task: str, library: 
 @pytest.mark.parametrize("effect", ACTING)
 def test_the_joints_are_those_of_the_kernels_with_every_effect(effect: str, library: ctypes.CDLL) -> None:
     assert compare(library, program_of("ur10", effect), 80) < SAME_RAD
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [("axial_compliance", "radial_compliance", "clearance_tilt"), ("link_bending", "reading_tilt", "base_compliance")],
+)
+def test_the_joints_are_those_of_the_kernels_where_the_arm_hangs(
+    effects: tuple[str, ...], library: ctypes.CDLL
+) -> None:
+    program = program_of("ur10", *effects, hanging=True, payload_kg=5.0)
+    at_readings = program_of("ur10", *effects, payload_kg=5.0)
+    assert compare(library, program, 80) < SAME_RAD
+    q = path_of(program, 80, 3)
+    assert np.abs(program.correct_rows(q).q - at_readings.correct_rows(q).q).max() > 1e-7
 
 
 def test_limits_refusals_and_ramps_are_those_of_the_kernels(library: ctypes.CDLL) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
+from kilter_core.arm.kernels.frames import exponential, right_multiply
 
 
 @compiled(**UNCOUNTED)
@@ -34,3 +35,12 @@ def mark_frames(primary, joint_frame, e, R, p, frames, origins):
                 origins[i, a] = p[a]
                 for b in range(3):
                     frames[i, a, b] = R[a, 0] * F[0, b] + R[a, 1] * F[1, b] + R[a, 2] * F[2, b]
+
+
+@compiled(**UNCOUNTED)
+def give_way(slot, row, e, xi, R, p, step_R, step_p, scratch):
+    """Apply the twist behind element e of a row, if it has one, to the frame (R, p); ``slot (E,)`` says which of ``xi``."""
+    s = slot[e]
+    if s >= 0 and xi.shape[0] > 0:
+        exponential(xi[row, s], step_R, step_p, scratch)
+        right_multiply(R, p, step_R, step_p)

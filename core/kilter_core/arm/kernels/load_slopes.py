@@ -6,7 +6,7 @@ import numpy as np
 
 from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, move, right_multiply, set_frame
-from kilter_core.arm.kernels.joint_frames import mark_frames, mark_starts, next_joint
+from kilter_core.arm.kernels.joint_frames import give_way, mark_frames, mark_starts, next_joint
 
 JOINT, LINK_END, BASE = 0, 1, 2  # of which point loads are asked
 
@@ -14,13 +14,14 @@ JOINT, LINK_END, BASE = 0, 1, 2  # of which point loads are asked
 @compiled()
 def load_slopes(
     axis, joint, ratio, value, primary, joint_frame, body_element, com, gravity, tool, carried, payload, payload_com,
-    q, where, parts, change, out,
+    q, slot, xi, where, parts, change, out,
 ):  # fmt: skip
     """Derivatives of static loads by the mass, then by the first moment along x, y, z, of each body; the payload last.
 
     ``body_element (B,)`` is the element in whose frame the place ``com (B, 3)`` of a link's unit mass is given.
     ``carried (N,)`` is 1 in rows with a payload, of ``payload (N,)`` kg at ``payload_com (N, 3)`` in the tool frame: its
-    first moment counts per metre of shift. ``where (n,)`` says of which point of each joint: 0 of the joint itself, 1 of
+    first moment counts per metre of shift. ``slot (E,)`` and ``xi (N, S, 6)`` are as :func:`load_wrenches` has them.
+    ``where (n,)`` says of which point of each joint: 0 of the joint itself, 1 of
     the end of its link, 2 of the base (then n is 1). Writes ``out (C, K, N, n)``, components ``parts (n, C)`` (0-2 force,
     3-5 moment) as :func:`load_wrenches` orders them; without columns of the payload it is left out. With a ``change (K,)``
     of the K masses and moments it writes what that changes, ``out (C, 1, N, n)``.
@@ -35,6 +36,8 @@ def load_slopes(
     frames, points = np.zeros((places, 3, 3)), np.zeros((places, 3))
     joints = primary.shape[0]
     all_frames, origins, starts = np.empty((joints, 3, 3)), np.empty((joints, 3)), np.empty((joints, 3))
+    links, behind, step_R, step_p = np.empty((joints, 3, 3)), np.empty((joints, 3)), np.empty((3, 3)), np.empty(3)
+    J3 = np.empty((3, 3))
     first = np.zeros(places, dtype=np.int64)
     own, force, moment = np.empty((2, 4, 3)), np.empty((count, 3)), np.empty((count, 3))
     set_frame(tool, tool_R, tool_p)
@@ -47,11 +50,13 @@ def load_slopes(
             c, s = amount_of(axis[e], amount)
             move(axis[e], c, s, R, p)
             mark_frames(primary, joint_frame, e, R, p, all_frames, origins)
+            give_way(slot, row, e, xi, R, p, step_R, step_p, J3)
+            mark_frames(primary, joint_frame, e, R, p, links, behind)
             for b in range(bodies):
                 if body_element[b] == e:
                     _slopes_of(R, p, com[b], gravity, 1.0, 1.0, own[0], own[1], r)
                     _put_slopes(own, change, 4 * b, force, moment, each * b)
-        _points(primary, where, all_frames, origins, starts, p, frames, points)
+        _points(primary, where, all_frames, links, origins, starts, p, frames, points)
         if laden:
             right_multiply(R, p, tool_R, tool_p)
             _slopes_of(R, p, payload_com[row], gravity, carried[row], payload[row], own[0], own[1], r)
@@ -71,7 +76,7 @@ def _first_elements(primary, where, elements, first, frames):
 
 
 @compiled(**UNCOUNTED)
-def _points(primary, where, all_frames, origins, starts, flange, frames, points):
+def _points(primary, where, all_frames, links, origins, starts, flange, frames, points):
     """Points that loads are asked of, and the frames they are written in; those of the base stay as they are."""
     for i in range(where.shape[0]):
         if where[i] == BASE:
@@ -80,7 +85,7 @@ def _points(primary, where, all_frames, origins, starts, flange, frames, points)
         for a in range(3):
             points[i, a] = origins[i, a] if where[i] == JOINT else flange[a] if k < 0 else starts[k, a]
             for b in range(3):
-                frames[i, a, b] = all_frames[i, a, b]
+                frames[i, a, b] = all_frames[i, a, b] if where[i] == JOINT else links[i, a, b]
 
 
 @compiled(**UNCOUNTED)

@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, in_frame, move, right_multiply, rotate
-from kilter_core.arm.kernels.joint_frames import mark_frames, mark_starts, next_joint
+from kilter_core.arm.kernels.joint_frames import give_way, mark_frames, mark_starts, next_joint
 
 
 @compiled(**UNCOUNTED)
@@ -92,7 +92,7 @@ def _add_at_tool(row, payload, payload_com, external, R, p, w, dw, acc, gravity,
 
 
 @compiled(**UNCOUNTED)
-def _put_wrenches(row, primary, frames, origins, starts, flange, forces, moments, out, end, base, t):
+def _put_wrenches(row, primary, frames, links, origins, starts, flange, forces, moments, out, end, base, t):
     """Sum the loads inwards and write them: on the joints, on the ends of their links, on the base. t is scratch."""
     elements = forces.shape[0] - 1
     for e in range(elements - 1, -1, -1):
@@ -106,13 +106,13 @@ def _put_wrenches(row, primary, frames, origins, starts, flange, forces, moments
         in_frame(frames[i], origins[i], forces[primary[i]], moments[primary[i]], out[row, i], t)
         k = next_joint(primary, i)
         where, following = (flange, elements) if k < 0 else (starts[k], primary[k])
-        in_frame(frames[i], where, forces[following], moments[following], end[row, i], t)
+        in_frame(links[i], where, forces[following], moments[following], end[row, i], t)
 
 
 @compiled()
 def load_wrenches(
     axis, joint, ratio, value, primary, joint_frame, link_element, mass, com, inertia, gravity, tool,
-    payload, payload_com, external, q, qd, qdd, out, end, base, point,
+    payload, payload_com, external, q, qd, qdd, slot, xi, out, end, base, point,
 ):  # fmt: skip
     """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
 
@@ -120,19 +120,22 @@ def load_wrenches(
     joint axis. ``link_element (L,)`` is the element whose frame the link's ``com (L, 3)`` and ``inertia (L, 3, 3)`` are
     given in. ``payload (N,)`` kg at ``payload_com (N, 3)`` and ``external (N, 6)`` (force, moment about the tool point)
     are in the tool frame, which stands after the last element. ``qd, qdd`` may be empty: then the load is static.
+    ``xi (N, S, 6)`` are twists behind elements, ``slot (E,)`` says which of them, -1 none; the links behind ride on them.
+    It may be empty.
     Writes ``out (N, n, 6)``; ``end (N, n, 6)``, the load of what follows on the end of each link (where the next joint
-    stands before it moves, the flange for the last), still in the frame of the link's own joint; ``base (N, 6)``, the
-    load on the base about its origin, in the base frame; and ``point (N, 3)``, the tool point in the base frame.
+    stands before it moves, the flange for the last), in the frame of the link's own joint behind its twist; ``base
+    (N, 6)``, the load on the base about its origin, in the base frame; and ``point (N, 3)``, the tool point in the base frame.
     """
     elements = axis.shape[0]
     n = primary.shape[0]
     moving = qd.shape[0] > 0
     R = np.empty((3, 3))
     p, z, r, f, t, flange = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    w, dw, acc = np.zeros(3), np.zeros(3), np.zeros(3)
+    w, dw, acc, J3 = np.zeros(3), np.zeros(3), np.zeros(3), np.empty((3, 3))
     scratch = np.empty((4, 3))
     forces, moments = np.empty((elements + 1, 3)), np.empty((elements + 1, 3))
     frames, origins, starts = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
+    links, behind, step_R, step_p = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     tool_R = np.ascontiguousarray(tool[:3, :3])
     tool_p = np.ascontiguousarray(tool[:3, 3])
     for row in range(q.shape[0]):
@@ -147,6 +150,13 @@ def load_wrenches(
             mark_starts(primary, e, p, starts)
             _advance(axis[e], amount, speed, rate, moving, R, p, w, dw, acc, z, r, t)
             mark_frames(primary, joint_frame, e, R, p, frames, origins)
+            r[:] = p
+            give_way(slot, row, e, xi, R, p, step_R, step_p, J3)
+            mark_frames(primary, joint_frame, e, R, p, links, behind)
+            if moving:
+                for i in range(3):
+                    r[i] = p[i] - r[i]
+                _carry(r, w, dw, acc, t)
             for b in range(mass.shape[0]):
                 if link_element[b] == e:
                     _add_body(mass[b], com[b], R, p, w, dw, acc, gravity, forces[e], moments[e], r, f, t)
@@ -161,4 +171,4 @@ def load_wrenches(
         _add_at_tool(
             row, payload, payload_com, external, R, p, w, dw, acc, gravity, forces[elements], moments[elements], r, f, t
         )
-        _put_wrenches(row, primary, frames, origins, starts, flange, forces, moments, out, end, base, t)
+        _put_wrenches(row, primary, frames, links, origins, starts, flange, forces, moments, out, end, base, t)

@@ -27,19 +27,24 @@ class LoadChain:
     the chain: the frame of the measurements has no level, so what is fitted between the two says nothing of the vertical.
     What a fitted base takes up of the first joint's zero rotates no load about a vertical first axis; of an arm on a wall it
     stays out of the loads.
+
+    ``effects`` are the parameters of effects by name at which the arm gives way: an arm that sags carries its weights at
+    other levers, an error of its sag that grows with the square of it. Without them loads are taken at the joint readings.
+    What tilts the base as a whole is left out of it: gravity stays as the robot states it.
     """
 
     values: Floats
     T_tool: Floats
+    effects: Mapping[str, float] | None = None
 
     @staticmethod
-    def fitted(robot: Robot, values: Floats, T_tool: Floats) -> LoadChain:
+    def fitted(robot: Robot, values: Floats, T_tool: Floats, effects: Mapping[str, float] | None = None) -> LoadChain:
         """At these constants (K,), and under the tool frame where it is the robot's own but for its errors."""
         own = robot.T_tool
         apart = float(np.linalg.norm(own[:3, 3] - T_tool[:3, 3]))
         turned = float(np.linalg.norm(rotation_log((own[:3, :3].T @ T_tool[:3, :3])[None])))
         near = apart < AT_THE_TOOL_M and turned < AT_THE_TOOL_RAD
-        return LoadChain(values.copy(), T_tool if near else own)
+        return LoadChain(values.copy(), T_tool if near else own, effects)
 
     def of(self, robot: Robot) -> Robot:
         """The robot with these constants and this tool: what loads are computed from."""
@@ -49,8 +54,11 @@ class LoadChain:
         return replace(robot, chain=Chain(tuple(elements), robot.n_joints), T_tool=self.T_tool)
 
     def to_document(self, robot: Robot) -> dict[str, Any]:
-        """JSON-able state, SI: constants by name, tool frame."""
-        return {"values": dict(zip(_names(robot), self.values.tolist(), strict=True)), "T_tool": self.T_tool.tolist()}
+        """JSON-able state, SI: constants by name, tool frame, and by name what gives way where anything does."""
+        document = {
+            "values": dict(zip(_names(robot), self.values.tolist(), strict=True)), "T_tool": self.T_tool.tolist(),
+        }  # fmt: skip
+        return document if self.effects is None else document | {"effects": dict(self.effects)}
 
     @staticmethod
     def from_document(robot: Robot, document: Mapping[str, Any] | None) -> LoadChain | None:
@@ -66,7 +74,8 @@ class LoadChain:
         values = np.array([elements[k].value for k in robot.chain.named], dtype=np.float64)
         stored = document["values"]
         values[indices(_names(robot), stored)] = list(stored.values())
-        return LoadChain(values, np.array(document["T_tool"], dtype=np.float64))
+        effects = document.get("effects")  # versions of before have none: their loads are at the readings
+        return LoadChain(values, np.array(document["T_tool"], dtype=np.float64), effects)
 
 
 def _names(robot: Robot) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.chain import axis_frame
 from kilter_core.arm.kernels.load_slopes import load_slopes
+from kilter_core.arm.loads.deflection import Deflection, twisted_elements
 from kilter_core.arm.loads.wrenches import ABOUT, ALONG, Loads, joint_loads
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.observations import Observations
@@ -38,12 +39,13 @@ class LoadSlopes:
     Of a link: mass at its stated centre, kg, and first moment beyond, kg m, along the axes of its frame. Of the payload,
     in rows that carry one: mass at its stated place, kg, and shift of that place along the axes of the tool, m. Nothing
     is computed before it is read, and of loads at rest no component that is not: those of thousands of rows fill the
-    memory. Products of two errors are left out, so the loads are linear in them. ``whole`` has the rows, if they are some
-    of those of another.
+    memory. Products of two errors are left out, so the loads are linear in them. They are taken where ``deflection`` says
+    that the arm hangs, at the joint readings where it is None. ``whole`` has the rows, if they are some of those of another.
     """
 
     robot: Robot
     rows: Observations
+    deflection: Deflection | None = None
     whole: tuple[LoadSlopes, slice] | None = None
     _made: dict[tuple[str, tuple[int, ...]], Floats] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -64,7 +66,8 @@ class LoadSlopes:
 
     def part(self, rows: slice) -> LoadSlopes:
         """The same of some of the rows, as views of what is computed for all."""
-        return LoadSlopes(self.robot, self.rows.select(rows), (self, rows))
+        deflection = None if self.deflection is None else self.deflection.select(rows)
+        return LoadSlopes(self.robot, self.rows.select(rows), deflection, (self, rows))
 
     def __len__(self) -> int:
         return EACH * (len(self.bodies) + self.loaded)
@@ -118,6 +121,7 @@ class LoadSlopes:
     def _on_axes(self, axes: Ints, frames: Floats, point: int, components: Ints, errors: Floats) -> Floats:
         """Slopes or changes (C, K, N, m) of ``components (m, C)`` of the loads on the moving ``axes`` in their frames."""
         o, robot = self.rows, self.robot
+        hung = Deflection.none(*o.q.shape) if self.deflection is None else self.deflection
         program, links = robot.chain.program, [robot.links[k] for k in self.bodies]
         kg = np.zeros(len(o)) if o.payload_kg is None else np.where(o.payload_kg > 0.0, o.payload_kg, 0.0)
         out = np.empty((components.shape[1], 1 if len(errors) else len(self), len(o), len(components)))
@@ -127,7 +131,8 @@ class LoadSlopes:
             np.array([link.com for link in links], dtype=np.float64).reshape(-1, 3),
             np.ascontiguousarray(robot.gravity, dtype=np.float64), np.ascontiguousarray(robot.T_tool),
             (kg > 0.0).astype(np.float64), kg, np.ascontiguousarray(payload_place(o)),
-            np.ascontiguousarray(o.q, dtype=np.float64),
+            np.ascontiguousarray(o.q + hung.dq, dtype=np.float64),
+            twisted_elements(robot.chain), np.ascontiguousarray(hung.xi),
             np.full(len(components), point, dtype=np.int64), components, errors, out,
         )  # fmt: skip
         return out
@@ -159,7 +164,9 @@ class LoadSlopes:
 
             def load(com: Floats, link: Link = link) -> Loads:
                 body = replace(link, mass=1.0, com=com, inertia=np.zeros((3, 3)))
-                return joint_loads(replace(self.robot, links=(body,)), o.q, qd=o.qd, qdd=o.qdd)
+                return joint_loads(
+                    replace(self.robot, links=(body,)), o.q, qd=o.qd, qdd=o.qdd, deflection=self.deflection
+                )
 
             yield from _of_body(load, link.com)
         if self.loaded:
@@ -168,7 +175,9 @@ class LoadSlopes:
             one = np.asarray(o.payload_kg > 0.0, dtype=np.float64)
 
             def carried(com: Floats, kg: Floats) -> Loads:
-                return joint_loads(bare, o.q, qd=o.qd, qdd=o.qdd, payload_kg=kg, payload_com=com)
+                return joint_loads(
+                    bare, o.q, qd=o.qd, qdd=o.qdd, payload_kg=kg, payload_com=com, deflection=self.deflection
+                )
 
             yield _parts(carried(place, one))
             for e in np.eye(3):
@@ -189,12 +198,12 @@ def payload_place(o: Observations) -> Floats:
     return np.zeros((len(o), 3)) if o.payload_com is None else o.payload_com
 
 
-def payload_sensitivity(robot: Robot, o: Observations) -> Floats:
+def payload_sensitivity(robot: Robot, o: Observations, deflection: Deflection | None = None) -> Floats:
     """Axial load (N, n, 4) of 1 kg at the payload's place, and of 1 kg·m of first moment along tool x, y, z."""
     if not len(o):
         return np.zeros((*o.q.shape, EACH))
     one = Observations(o.q, qd=o.qd, qdd=o.qdd, payload_kg=np.ones(len(o)), payload_com=o.payload_com)
-    return np.moveaxis(LoadSlopes(replace(robot, links=()), one).of("axial", 0), 0, 2)
+    return np.moveaxis(LoadSlopes(replace(robot, links=()), one, deflection).of("axial", 0), 0, 2)
 
 
 def with_masses(robot: Robot, change: Sequence[float]) -> Robot:

@@ -1,8 +1,9 @@
 """Load wrenches on the joints: static (thesis eq. 4.21), dynamic (5.14), with payload and external wrench.
 
 The sign is that of the *load*: what gravity and inertia of the outboard links do to the joint, so a positive
-compliance makes a horizontal arm droop. Moments are taken at the joint readings, on the chain of the robot that is given:
-the nominal one, or one with constants that an earlier fit found (:class:`~kilter_core.arm.loads.chain.LoadChain`).
+compliance makes a horizontal arm droop. Moments are taken on the chain of the robot that is given: the nominal one, or one
+with constants that an earlier fit found (:class:`~kilter_core.arm.loads.chain.LoadChain`); at the joint readings, or where a
+:class:`~kilter_core.arm.loads.deflection.Deflection` says that the arm hangs.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from kilter_core.arm.chain import axis_frame
 from kilter_core.arm.kernels.newton_euler import load_wrenches
+from kilter_core.arm.loads.deflection import Deflection, twisted_elements
 from kilter_core.arm.loads.on_links import OnLinks
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
@@ -26,10 +28,11 @@ class Loads:
     """Loads of N rows, force N then moment N·m.
 
     ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the
-    end of each link, about the place of the next joint (the flange for the last; a prismatic joint before it moves) but in the
-    frame of the link's own joint; ``base (N, 6)`` on the base about its origin, in the base frame; ``tool_point (N, 3)``
-    m, the tool point in the base frame. ``linked (N, n)`` is what works on each joint through linkages besides: of each axis
-    that follows it by one, its load times its motion per motion of the joint (virtual work); None without linkages.
+    end of each link, about the place of the next joint (the flange for the last; a prismatic joint before it moves) but in
+    the frame of the link's own joint, behind its twist; ``base (N, 6)`` on the base about its origin, in the base frame;
+    ``tool_point (N, 3)`` m, the tool point in the base frame. ``linked (N, n)`` is what works on each joint through linkages
+    besides: of each axis that follows it by one, its load times its motion per motion of the joint (virtual work); None
+    without linkages.
     """
 
     joints: Floats
@@ -50,6 +53,7 @@ def joint_loads(
     external: Floats | None = None,
     link_mass: Floats | None = None,
     link_wrench: Floats | None = None,
+    deflection: Deflection | None = None,
 ) -> Loads:
     """Load wrenches on joints, link ends and base.
 
@@ -64,14 +68,24 @@ def joint_loads(
         link_mass: masses (N, n, 4) that hang on the links beyond their own, kg and place m in the frame of the link; they
             weigh, whatever the arm's motion does to them is left out.
         link_wrench: force and moment (N, n, 6) on the links, about the origins and in the axes of their frames.
+        deflection: how far the arm has given way; None takes the loads at the joint readings.
 
     Source: thesis eq. 4.21 and 5.14, corrected (forces rotated into one frame, load sign).
 
     """
     chain = robot.chain
-    given = (qd, qdd, payload_kg, payload_com, external)
+    given = (
+        qd,
+        qdd,
+        payload_kg,
+        payload_com,
+        external,
+        Deflection.none(*q.shape) if deflection is None else deflection,
+    )
     loads = _wrenches(robot, chain.program.primary, chain.program.joint_frame, q, *given)
-    on_links = None if link_mass is None and link_wrench is None else OnLinks.of(robot, q, link_mass, link_wrench)
+    on_links = (
+        None if link_mass is None and link_wrench is None else OnLinks.of(robot, q, link_mass, link_wrench, given[-1])
+    )
     if on_links is not None:
         own = chain.program.primary, chain.program.joint_frame
         loads = replace(
@@ -108,6 +122,7 @@ def _wrenches(
     payload_kg: Floats | None,
     payload_com: Floats | None,
     external: Floats | None,
+    deflection: Deflection,
 ) -> Loads:
     """Loads on the moving ``axes (m,)``, elements of the chain, in ``frames (m, 3, 3)`` whose z is the axis."""
     rows, program = len(q), robot.chain.program
@@ -125,19 +140,20 @@ def _wrenches(
         np.zeros(rows) if payload_kg is None else np.ascontiguousarray(payload_kg, dtype=np.float64),
         np.zeros((rows, 3)) if payload_com is None else np.ascontiguousarray(payload_com, dtype=np.float64),
         none if external is None else np.ascontiguousarray(external, dtype=np.float64),
-        np.ascontiguousarray(q, dtype=np.float64),
+        np.ascontiguousarray(q + deflection.dq, dtype=np.float64),
         np.ascontiguousarray(qd, dtype=np.float64) if dynamic and qd is not None else none,
         np.ascontiguousarray(qdd, dtype=np.float64) if dynamic and qdd is not None else none,
+        twisted_elements(robot.chain), np.ascontiguousarray(deflection.xi),
         loads.joints, loads.ends, loads.base, loads.tool_point,
     )  # fmt: skip
     return loads
 
 
-def loads_of(robot: Robot, o: Observations) -> Loads:
+def loads_of(robot: Robot, o: Observations, deflection: Deflection | None = None) -> Loads:
     """Load wrenches of rows under their own conditions: motion, payload, the wrench on the tool, and loads on links."""
     return joint_loads(
         robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench,
-        link_mass=o.link_mass, link_wrench=o.link_wrench,
+        link_mass=o.link_mass, link_wrench=o.link_wrench, deflection=deflection,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
 from kilter_core.arm.kernels.se3 import exponential, product, rotated_z, shifted_z, sine_cosine_near, tilted
 from kilter_core.correct.kernels.layout import (
     BASE_FRAME,
+    BEHIND_TWIST,
     COMMAND,
     COSINE,
     FIRST_MOVE,
@@ -76,6 +77,52 @@ def load_frames(P, W, at, m, oj):
 
 
 @compiled(**FAST)
+def hanging_frames(P, W, at, m, oj):
+    """Frames of the load chain at the command with the local corrections in W, and those behind the twists, into W."""
+    T = _constant(P, at, NOMINAL)
+    for k in range(m):
+        if k > 0:
+            T = product(T, _constant(P, at + k, NOMINAL))
+        j = oj + int(P[k, JOINT])
+        if P[k, KIND] == 0.0:
+            shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED] + W[j, SHIFT])
+            s, c = sine_cosine_near(W[k, SINE], W[k, COSINE], shift)
+            T = rotated_z(T, s, c)
+        else:
+            T = shifted_z(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
+        _put_frame(W, k, 0, T)
+        if P[k, PRIMARY] >= 0.0:
+            T = _twisted(P, W, j, T)
+        _put_frame(W, k, BEHIND_TWIST, T)
+
+
+@compiled(**FAST)
+def _put_frame(W, k, c, T):
+    """Write the frame T to W[k, c:c + 12]."""
+    W[k, c], W[k, c + 1], W[k, c + 2], W[k, c + 3], W[k, c + 4], W[k, c + 5] = T[0], T[1], T[2], T[3], T[4], T[5]
+    W[k, c + 6], W[k, c + 7], W[k, c + 8], W[k, c + 9], W[k, c + 10], W[k, c + 11] = (
+        T[6],
+        T[7],
+        T[8],
+        T[9],
+        T[10],
+        T[11],
+    )
+
+
+@compiled(**FAST)
+def _twisted(P, W, j, T):
+    """Frame T behind the twist of joint row j."""
+    if P[j, TWISTED] != 0.0:
+        t = W[j]
+        return product(
+            T,
+            exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4], t[TWIST + 5]),
+        )
+    return tilted(T, W[j, TWIST + 3], W[j, TWIST + 4])
+
+
+@compiled(**FAST)
 def _base_frame(P, W, m):
     """Start of the identified chain: a base mount that deflects tilts it by the load on the base."""
     S = P.shape[0] - 1
@@ -103,12 +150,5 @@ def identified_tool(P, W, m, oj):
         W[k, LINE], W[k, LINE + 1], W[k, LINE + 2] = T[2], T[5], T[8]
         W[k, LINE + 3], W[k, LINE + 4], W[k, LINE + 5] = T[9], T[10], T[11]
         if P[k, PRIMARY] >= 0.0:
-            if P[j, TWISTED] != 0.0:
-                t = W[j]
-                T = product(
-                    T,
-                    exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4], t[TWIST + 5]),
-                )
-            else:
-                T = tilted(T, W[j, TWIST + 3], W[j, TWIST + 4])
+            T = _twisted(P, W, j, T)
     return product(T, _constant(P, m, IDENTIFIED))

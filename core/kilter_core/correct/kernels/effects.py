@@ -33,6 +33,7 @@ from kilter_core.correct.kernels.layout import (
     MOMENT,
     MOVED,
     NEAR_REVERSAL,
+    OF_AXIS,
     PLAY,
     PLAY_OWN,
     PLAY_SOFT,
@@ -234,28 +235,37 @@ def _bending_rows(P, W, n, m, oj):
         row = first + 2 * b
         j = oj + int(P[row, BENDING_JOINT])
         l0, l1, l2 = P[row, BENDING_LINK], P[row, BENDING_LINK + 1], P[row, BENDING_LINK + 2]
-        t0, t1, t2 = cross(l0, l1, l2, W[j, END], W[j, END + 1], W[j, END + 2])
-        for i, t in enumerate((t0, t1, t2)):
-            W[j, END + 3 + i] -= t
+        f = (W[j, END], W[j, END + 1], W[j, END + 2])
+        t0, t1, t2 = cross(l0, l1, l2, f[0], f[1], f[2])
+        t = (W[j, END + 3] - t0, W[j, END + 4] - t1, W[j, END + 5] - t2)
         reach = _reach(P, W, row, j)
         for r in range(6):
             total = 0.0
             for c in range(6):
-                total += P[row, BENDING + 6 * r + c] * W[j, ROOT + c] + P[row + 1, BENDING + 6 * r + c] * W[j, END + c]
-            W[j, TWIST + r] += reach * total
+                total += P[row, BENDING + 6 * r + c] * W[j, ROOT + c]
+            for c in range(3):
+                total += P[row + 1, BENDING + 6 * r + c] * f[c] + P[row + 1, BENDING + 6 * r + 3 + c] * t[c]
+            at = SHIFT if r + 1 == int(P[row, OF_AXIS]) else TWIST + r
+            W[j, at] += reach * total
 
 
 @compiled(**FAST)
-def deflections(P, W, n, m, oj):
-    """What every joint adds to its command, and the twist behind it, at the loads and signs now in W."""
+def deflections(P, W, n, m, oj, sided):
+    """What every joint adds to its command, and the twist behind it, at the loads and signs now in W.
+
+    Not ``sided``: with every play and clearance in its middle.
+    """
     for i in range(n):
         j = oj + i
         about = W[j, MOMENT + 2]
-        W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + (P[j, COMPLIANCE] - P[j, HARDENING] * abs(about)) * about
+        side = W[j, SIDE] if sided else 0.0
+        a = W[j, TILT_A] if sided else 0.0
+        b = W[j, TILT_B] if sided else 0.0
+        W[j, SHIFT] = P[j, DQ] + side + (P[j, COMPLIANCE] - P[j, HARDENING] * abs(about)) * about
         for k in range(6):
             W[j, TWIST + k] = P[j, XI + k]
-        W[j, TWIST + 3] += W[j, TILT_A] + P[j, RADIAL] * W[j, MOMENT]
-        W[j, TWIST + 4] += W[j, TILT_B] + P[j, RADIAL] * W[j, MOMENT + 1]
+        W[j, TWIST + 3] += a + P[j, RADIAL] * W[j, MOMENT]
+        W[j, TWIST + 4] += b + P[j, RADIAL] * W[j, MOMENT + 1]
     S = P.shape[0] - 1
     if P[S, CURVES] != 0.0:
         _joint_curves(P, W, n, m, oj)

@@ -14,10 +14,11 @@ import math
 
 from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
 from kilter_core.arm.kernels.se3 import cross, rotation_between, sine_cosine
-from kilter_core.correct.kernels.chain import identified_tool, load_frames, wanted_tool
+from kilter_core.correct.kernels.chain import hanging_frames, identified_tool, load_frames, wanted_tool
 from kilter_core.correct.kernels.effects import deflections, kept_signs, own_signs, sign_effects
 from kilter_core.correct.kernels.layout import (
     ADDED,
+    BEHIND_TWIST,
     COLUMN,
     COMMAND,
     COSINE,
@@ -27,6 +28,8 @@ from kilter_core.correct.kernels.layout import (
     ERROR,
     FIRST,
     GUESSED,
+    HANGING,
+    HANGING_SIDED,
     JOINT,
     KIND,
     LEFT,
@@ -116,6 +119,26 @@ def _command(W, n, oj, og, share):
 
 
 @compiled(**FAST)
+def _loads_where_it_hangs(P, W, S, n, m, oj, dynamic):
+    """Load moments at the frames now in W, then where these loads leave the arm with plays and clearances in their middle."""
+    load_moments(P, W, S, m, oj, dynamic, 0)
+    for _ in range(int(P[S, HANGING])):
+        deflections(P, W, n, m, oj, False)
+        hanging_frames(P, W, int(P[S, LOAD_CHAIN]), m, oj)
+        load_moments(P, W, S, m, oj, dynamic, BEHIND_TWIST)
+
+
+@compiled(**FAST)
+def _settle_on_sides(P, W, S, n, m, oj, dynamic):
+    """What every joint adds with the sides now in W, and the loads where that leaves the arm."""
+    deflections(P, W, n, m, oj, True)
+    for _ in range(int(P[S, HANGING_SIDED])):
+        hanging_frames(P, W, int(P[S, LOAD_CHAIN]), m, oj)
+        load_moments(P, W, S, m, oj, dynamic, BEHIND_TWIST)
+        deflections(P, W, n, m, oj, True)
+
+
+@compiled(**FAST)
 def prepare(P, W, n, m, oj):
     """Start the search at the wanted joints plus the guess."""
     for i in range(n):
@@ -146,12 +169,12 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
             if it > 0:
                 load_frames(P, W, at, m, oj)
             if loaded:
-                load_moments(P, W, S, m, oj, dynamic)
+                _loads_where_it_hangs(P, W, S, n, m, oj, dynamic)
             if it < SIGN_ROUNDS:
                 signs = sign_effects(P, W, state, n, oj, dt)
-            deflections(P, W, n, m, oj)
+            _settle_on_sides(P, W, S, n, m, oj, dynamic)
         elif P[S, CURVES] != 0.0:
-            deflections(P, W, n, m, oj)
+            deflections(P, W, n, m, oj, True)
         actual = identified_tool(P, W, m, oj)
         d = _residual(P, W, S, og, rows, wanted, actual)
         if it == 0 or largest > SETTLED_RAD:
@@ -204,10 +227,10 @@ def left_at(P, W, S, info, n, m, oj, dynamic, wanted, own):
     at = int(P[S, LOAD_CHAIN])
     if P[S, LOADED] != 0.0:
         load_frames(P, W, at, m, oj)
-        load_moments(P, W, S, m, oj, dynamic)
+        _loads_where_it_hangs(P, W, S, n, m, oj, dynamic)
     if own:
         own_signs(P, W, n, oj)
-    deflections(P, W, n, m, oj)
+    _settle_on_sides(P, W, S, n, m, oj, dynamic)
     if own:
         kept_signs(W, n, oj)
     actual = identified_tool(P, W, m, oj)

@@ -36,14 +36,19 @@ WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 # bending rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector; the
 # twist is times a ``POWER`` of the length that stands out, ``WAY`` times (command less ``ROOTED``)
 BENDING, BENDING_JOINT, BENDING_LINK, POWER, ROOTED, WAY = 0, 36, 37, 40, 41, 42
+OF_AXIS = 43  # row of the twist, from 1, that is a motion of the joint itself; 0: none
 # row of the base mount: constant transform of the base, then the one up to the first move; compliances, constant moment
 BASE_FRAME, FIRST_MOVE, MOUNT_X, MOUNT_Y, FIXED_MOMENT_X, FIXED_MOMENT_Y = 0, 12, 24, 25, 26, 27
 # scalars; FIRST: how many of the task rows come first
 GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER = 0, 3, 10, 16, 17, 18, 19, 20, 21
 HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BENDINGS, MOUNT, LOAD_CHAIN = 22, 23, 24, 25, 26, 27, 28, 29, 30, 31
 FIRST, LEVERAGE, TURNED, SATURATES, ROUNDS = 32, 33, 34, 35, 36
+# Rounds of loads where the arm hangs, after those at the command: with plays and clearances in their middle, and then on
+# their sides. 0: at the command alone.
+HANGING, HANGING_SIDED = 37, 38
 # scratch of a move: frame of the load chain, identified joint line, sine, cosine wanted, load of its body (M: payload)
 LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
+BEHIND_TWIST = 28  # of a move: the frame that its body rides on where the arm hangs, behind the twist of its joint
 # scratch of a joint
 WANTED, COMMAND, SHIFT, TILT_A, TILT_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
 COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 12, 18, 19, 20, 21, 22, 28, 34

@@ -27,25 +27,28 @@ from kilter_core.correct.kernels.layout import (
 
 
 @compiled(**FAST)
-def load_moments(P, W, S, m, oj, dynamic):
-    """Load moments at the frames now in W; bending rows and the base mount need whole wrenches, which the general pass has."""
+def load_moments(P, W, S, m, oj, dynamic, ride):
+    """Load moments at the frames now in W; bending rows and the base mount need whole wrenches, which the general pass has.
+
+    The bodies ride on the frames from column ``ride`` on: 0, those of the joints, or ``BEHIND_TWIST``.
+    """
     if dynamic or P[S, BENDINGS] != 0.0 or P[S, MOUNT] != 0.0:
-        _dynamic_moments(P, W, S, m, oj)
+        _dynamic_moments(P, W, S, m, oj, ride)
     else:
-        _static_moments(P, W, S, m, oj)
+        _static_moments(P, W, S, m, oj, ride)
 
 
 @compiled(**FAST)
-def _static_moments(P, W, S, m, oj):
+def _static_moments(P, W, S, m, oj, ride):
     """Load moments in the joint frames from gravity alone: mass and first moment, from the tool inwards."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
     mass = P[m, MASS]
-    s0, s1, s2 = _point(W, m - 1, P[m, COM], P[m, COM + 1], P[m, COM + 2])
+    s0, s1, s2 = _point(W, m - 1, ride, P[m, COM], P[m, COM + 1], P[m, COM + 2])
     s0, s1, s2 = mass * s0, mass * s1, mass * s2
     for k in range(m - 1, -1, -1):
         body = P[k, MASS]
         if body != 0.0:
-            c0, c1, c2 = _point(W, k, P[k, COM], P[k, COM + 1], P[k, COM + 2])
+            c0, c1, c2 = _point(W, k, ride, P[k, COM], P[k, COM + 1], P[k, COM + 2])
             mass += body
             s0, s1, s2 = s0 + body * c0, s1 + body * c1, s2 + body * c2
         if P[k, PRIMARY] >= 0.0:
@@ -53,20 +56,20 @@ def _static_moments(P, W, S, m, oj):
             t0, t1, t2 = cross(r0, r1, r2, g0, g1, g2)
             _to_joint(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
     if P[m, CARRIED] != 0.0:
-        _static_linkages(P, W, S, m, oj)
+        _static_linkages(P, W, S, m, oj, ride)
 
 
 @compiled(**FAST)
-def _static_linkages(P, W, S, m, oj):
+def _static_linkages(P, W, S, m, oj, ride):
     """Add what works on the joints through linkages from gravity alone, see :func:`_static_moments`."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
     mass = P[m, MASS]
-    s0, s1, s2 = _point(W, m - 1, P[m, COM], P[m, COM + 1], P[m, COM + 2])
+    s0, s1, s2 = _point(W, m - 1, ride, P[m, COM], P[m, COM + 1], P[m, COM + 2])
     s0, s1, s2 = mass * s0, mass * s1, mass * s2
     for k in range(m - 1, -1, -1):
         body = P[k, MASS]
         if body != 0.0:
-            c0, c1, c2 = _point(W, k, P[k, COM], P[k, COM + 1], P[k, COM + 2])
+            c0, c1, c2 = _point(W, k, ride, P[k, COM], P[k, COM + 1], P[k, COM + 2])
             mass += body
             s0, s1, s2 = s0 + body * c0, s1 + body * c1, s2 + body * c2
         if P[k, CARRIED] != 0.0:
@@ -85,12 +88,12 @@ def _through_linkage(P, W, k, j, x, y, z, f0, f1, f2):
 
 
 @compiled(**FAST)
-def _point(W, k, x, y, z):
-    """Base coordinates of a point of frame k."""
+def _point(W, k, ride, x, y, z):
+    """Base coordinates of a point of the frame of row k from column ride on."""
     return (
-        W[k, 0] * x + W[k, 1] * y + W[k, 2] * z + W[k, 9],
-        W[k, 3] * x + W[k, 4] * y + W[k, 5] * z + W[k, 10],
-        W[k, 6] * x + W[k, 7] * y + W[k, 8] * z + W[k, 11],
+        W[k, ride] * x + W[k, ride + 1] * y + W[k, ride + 2] * z + W[k, ride + 9],
+        W[k, ride + 3] * x + W[k, ride + 4] * y + W[k, ride + 5] * z + W[k, ride + 10],
+        W[k, ride + 6] * x + W[k, ride + 7] * y + W[k, ride + 8] * z + W[k, ride + 11],
     )
 
 
@@ -118,12 +121,12 @@ def _point_acceleration(w, dw, r0, r1, r2):
 
 
 @compiled(**FAST)
-def _inward(W, k, x, y, z):
-    """A vector in base coordinates rotated into frame k."""
+def _inward(W, k, ride, x, y, z):
+    """A vector in base coordinates rotated into the frame of row k from column ride on."""
     return (
-        W[k, 0] * x + W[k, 3] * y + W[k, 6] * z,
-        W[k, 1] * x + W[k, 4] * y + W[k, 7] * z,
-        W[k, 2] * x + W[k, 5] * y + W[k, 8] * z,
+        W[k, ride] * x + W[k, ride + 3] * y + W[k, ride + 6] * z,
+        W[k, ride + 1] * x + W[k, ride + 4] * y + W[k, ride + 7] * z,
+        W[k, ride + 2] * x + W[k, ride + 5] * y + W[k, ride + 8] * z,
     )
 
 
@@ -151,25 +154,25 @@ def _body_load(P, row, w, dw, a):
 
 
 @compiled(**FAST)
-def _body_wrench(P, W, row, k, w, dw, a):
-    """Load of the body in row ``row`` that rides on frame k, about the base origin in base coordinates, into W."""
+def _body_wrench(P, W, row, k, ride, w, dw, a):
+    """Load of the body in row ``row`` that rides on the frame of row k, column ride, about the base origin and in its axes."""
     if P[row, MASS] == 0.0:
         for i in range(6):
             W[row, LOAD + i] = 0.0
         return
     x0, x1, x2, y0, y1, y2 = _body_load(P, row, w, dw, a)
-    f0 = W[k, 0] * x0 + W[k, 1] * x1 + W[k, 2] * x2
-    f1 = W[k, 3] * x0 + W[k, 4] * x1 + W[k, 5] * x2
-    f2 = W[k, 6] * x0 + W[k, 7] * x1 + W[k, 8] * x2
-    t0, t1, t2 = cross(W[k, 9], W[k, 10], W[k, 11], f0, f1, f2)
+    f0 = W[k, ride] * x0 + W[k, ride + 1] * x1 + W[k, ride + 2] * x2
+    f1 = W[k, ride + 3] * x0 + W[k, ride + 4] * x1 + W[k, ride + 5] * x2
+    f2 = W[k, ride + 6] * x0 + W[k, ride + 7] * x1 + W[k, ride + 8] * x2
+    t0, t1, t2 = cross(W[k, ride + 9], W[k, ride + 10], W[k, ride + 11], f0, f1, f2)
     W[row, LOAD], W[row, LOAD + 1], W[row, LOAD + 2] = f0, f1, f2
-    W[row, LOAD + 3] = t0 + W[k, 0] * y0 + W[k, 1] * y1 + W[k, 2] * y2
-    W[row, LOAD + 4] = t1 + W[k, 3] * y0 + W[k, 4] * y1 + W[k, 5] * y2
-    W[row, LOAD + 5] = t2 + W[k, 6] * y0 + W[k, 7] * y1 + W[k, 8] * y2
+    W[row, LOAD + 3] = t0 + W[k, ride] * y0 + W[k, ride + 1] * y1 + W[k, ride + 2] * y2
+    W[row, LOAD + 4] = t1 + W[k, ride + 3] * y0 + W[k, ride + 4] * y1 + W[k, ride + 5] * y2
+    W[row, LOAD + 5] = t2 + W[k, ride + 6] * y0 + W[k, ride + 7] * y1 + W[k, ride + 8] * y2
 
 
 @compiled(**FAST)
-def _moving_bodies(P, W, S, m, oj):
+def _moving_bodies(P, W, S, m, oj, ride):
     """Outward pass of Newton and Euler in base coordinates: load of every body into W."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
     w = (0.0, 0.0, 0.0)
@@ -190,19 +193,22 @@ def _moving_bodies(P, W, S, m, oj):
         else:
             twice = 2.0 * speed
             acc = (acc[0] + twice * t0 + rate * z0, acc[1] + twice * t1 + rate * z1, acc[2] + twice * t2 + rate * z2)
-        p = (W[k, 9], W[k, 10], W[k, 11])
-        inside = _inward(W, k, w[0], w[1], w[2])
-        turning = _inward(W, k, dw[0], dw[1], dw[2])
-        falling = _inward(W, k, g0 - acc[0], g1 - acc[1], g2 - acc[2])
-        _body_wrench(P, W, k, k, inside, turning, falling)
+        p = (W[k, ride + 9], W[k, ride + 10], W[k, ride + 11])
+        if ride > 0:
+            s0, s1, s2 = _point_acceleration(w, dw, p[0] - W[k, 9], p[1] - W[k, 10], p[2] - W[k, 11])
+            acc = (acc[0] + s0, acc[1] + s1, acc[2] + s2)
+        inside = _inward(W, k, ride, w[0], w[1], w[2])
+        turning = _inward(W, k, ride, dw[0], dw[1], dw[2])
+        falling = _inward(W, k, ride, g0 - acc[0], g1 - acc[1], g2 - acc[2])
+        _body_wrench(P, W, k, k, ride, inside, turning, falling)
         if k == m - 1:
-            _body_wrench(P, W, m, k, inside, turning, falling)
+            _body_wrench(P, W, m, k, ride, inside, turning, falling)
 
 
 @compiled(**FAST)
-def _dynamic_moments(P, W, S, m, oj):
+def _dynamic_moments(P, W, S, m, oj, ride):
     """Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load)."""
-    _moving_bodies(P, W, S, m, oj)
+    _moving_bodies(P, W, S, m, oj, ride)
     bending = P[S, BENDINGS] != 0.0
     f = (W[m, LOAD], W[m, LOAD + 1], W[m, LOAD + 2])
     t = (W[m, LOAD + 3], W[m, LOAD + 4], W[m, LOAD + 5])
@@ -215,8 +221,8 @@ def _dynamic_moments(P, W, S, m, oj):
             s0, s1, s2 = cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
             _to_joint(P, W, k, j, t[0] - s0, t[1] - s1, t[2] - s2, f[0], f[1], f[2])
             if bending:
-                _keep_wrench(W, k, j, ROOT, f, t)
-                _keep_wrench(W, k, j, END, beyond, turned)
+                _keep_wrench(W, k, 0, j, ROOT, f, t)
+                _keep_wrench(W, k, ride, j, END, beyond, turned)
                 beyond, turned = f, t
     W[m, ON_BASE], W[m, ON_BASE + 1] = t[0], t[1]
     if P[m, CARRIED] != 0.0:
@@ -237,11 +243,11 @@ def _dynamic_linkages(P, W, m, oj):
 
 
 @compiled(**FAST)
-def _keep_wrench(W, k, j, column, f, t):
-    """A wrench about the base origin as one about the origin and in the axes of frame k, for joint row j."""
-    s0, s1, s2 = cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
-    a = _inward(W, k, f[0], f[1], f[2])
-    b = _inward(W, k, t[0] - s0, t[1] - s1, t[2] - s2)
+def _keep_wrench(W, k, ride, j, column, f, t):
+    """A wrench about the base origin as one about and in the frame of row k from column ride on, for joint row j."""
+    s0, s1, s2 = cross(W[k, ride + 9], W[k, ride + 10], W[k, ride + 11], f[0], f[1], f[2])
+    force = _inward(W, k, ride, f[0], f[1], f[2])
+    moment = _inward(W, k, ride, t[0] - s0, t[1] - s1, t[2] - s2)
     for i in range(3):
-        W[j, column + i] = a[i]
-        W[j, column + 3 + i] = b[i]
+        W[j, column + i] = force[i]
+        W[j, column + 3 + i] = moment[i]

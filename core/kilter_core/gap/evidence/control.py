@@ -18,7 +18,7 @@ from kilter_core.types import Floats, Ints
 
 LABELS = {
     "direction": ("direction",),
-    "moments": ("wrench", "axial", "end_wrench", "base_wrench"),
+    "moments": ("wrench", "axial", "end_wrench", "base_wrench", "centre_wrench", "centre_axial"),
     "payload_kg": ("payload_kg", "payload_axial"),
     "temperature_c": ("temperature_c",),
     "t": ("t",),

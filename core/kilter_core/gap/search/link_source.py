@@ -206,7 +206,7 @@ def with_torque(batch: Batch, observations: Observations) -> Batch:
         return batch
     wrench = batch.wrench.copy()
     wrench[:, :, 5] = -observations.tau
-    return replace(batch, axial=-observations.tau, wrench=wrench)
+    return replace(batch, axial=-observations.tau, wrench=wrench, centre_wrench=None, centre_axial=None)
 
 
 def zeros(begin: Calibration) -> dict[str, tuple[int, float]]:

@@ -251,7 +251,8 @@ class ToolSource(Source):
         """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name."""
         known = dict(zip(self.model.names, values, strict=True))
         made = np.array([known.get(p.name, p.value) for p in model.parameters])
-        return Calibration(*model.absorb_frame_increments(made), self.measurement.marker_points)
+        framed, made = model.absorb_frame_increments(made)
+        return Calibration(framed.hanging_as(made), made, self.measurement.marker_points)
 
     def tool_measured(self, used: Bools) -> Measurement | None:
         """What was measured of the tool in the visits used."""

@@ -137,7 +137,7 @@ def near_a_sign(fit: Fit) -> tuple[Bools, tuple[str, ...]]:
         if not hasattr(effect, "softening_nm"):
             continue
         signs.append(effect.id)
-        soft = replace(batch, blur=NEAR * _loads(batch.moment, batch.axial))
+        soft = replace(batch, blur=NEAR * _loads(batch.sided_moment, batch.sided_axial))
         unit = np.full(len(effect.parameters(fit.problem.model.robot)), UNIT)
         for one in effect.doubt(soft, unit):
             parts = [np.abs(a).reshape(len(batch), -1).max(axis=1) for a in (one.dq, one.xi) if a is not None]

@@ -1,0 +1,102 @@
+"""A calibration: a model with values, and where cameras, boards and the wanted frames stand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.robot import Robot
+from kilter_core.effects import Effect, effect_from_document
+from kilter_core.effects.step import happened_before
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.model.prediction import Prediction
+from kilter_core.model.robot_model import RobotModel
+from kilter_core.observations import Observations
+from kilter_core.parameters import indices
+from kilter_core.types import Floats
+
+ARRAYS = ("marker_points", "wanted_base", "wanted_tool")  # of a calibration, beside its values
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame.
+
+    ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
+    the robot's own where the measurements were taken in them, else those of the registration. The difference to the
+    identified frames is part of the arm's error, because base and first joint, tool and last joint share what they share.
+    ``rig`` has the cameras and boards where they were found to stand.
+    """
+
+    model: RobotModel
+    values: Floats
+    marker_points: Floats | None = None
+    wanted_base: Floats | None = None
+    wanted_tool: Floats | None = None
+    rig: PlacedRig | None = None
+
+    @staticmethod
+    def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
+        """The nominal robot."""
+        model = RobotModel(robot, effects)
+        return Calibration(model, model.values0())
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        return self.model.robot
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def predict(self, observations: Observations) -> Prediction:
+        """Tool poses of the rows."""
+        return self.model.predict(observations, self.values).seen_by(self.rig)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Calibration:
+        """The same values with another list of effects; parameters of new effects start at their prior mean."""
+        model = replace(self.model, effects=tuple(effects))
+        known = dict(zip(self.names, self.values, strict=True))
+        values = np.array([known.get(p.name, p.value) for p in model.parameters])
+        return replace(self, model=model, values=values)
+
+    def for_another_campaign(self, rows: Observations) -> Calibration:
+        """The same for rows that it was not made from: what happened once, at a row of its own, has happened before them."""
+        return self.with_effects(happened_before(rows, self.model.effects))
+
+    def wanted(self) -> Calibration:
+        """The nominal chain in the wanted frames: where the tool should be."""
+        base = self.robot.T_base if self.wanted_base is None else self.wanted_base
+        tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool
+        return Calibration(model := RobotModel(self.robot, (), base, tool), model.values0())
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able state, SI: frames, effects, and every parameter's value by name."""
+        model, values = self.model.absorb_frame_increments(self.values)
+        return {
+            "T_base": model.T_base.tolist(),
+            "T_tool": model.T_tool.tolist(),
+            "effects": [effect.to_document() for effect in model.effects],
+            "values": dict(zip(model.names, values.tolist(), strict=True)),
+            **{k: None if (array := getattr(self, k)) is None else array.tolist() for k in ARRAYS},
+            "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
+            "rig": None if self.rig is None else self.rig.to_document(),
+        }
+
+    @staticmethod
+    def from_document(robot: Robot, document: Mapping[str, Any]) -> Calibration:
+        """Rebuild from :meth:`to_document` for the same robot; names the robot does not have raise ``OptionError``."""
+        effects = tuple(effect_from_document(e) for e in document["effects"])
+        frames = np.array(document["T_base"]), np.array(document["T_tool"])
+        model = RobotModel(robot, effects, *frames, LoadChain.from_document(robot, document.get("load_chain")))
+        values = model.values0()
+        stored = document["values"]
+        values[indices(model.names, stored)] = list(stored.values())
+        arrays: dict[str, Any] = {k: np.array(document[k]) for k in ARRAYS if document.get(k) is not None}
+        return Calibration(model, values, **arrays, rig=PlacedRig.from_document(document.get("rig")))
