@@ -103,7 +103,7 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
         {"id": "backlash_load", "joints": loaded, "softening_nm": 0.02},
     ]
     options = {"effects": effects, "masses": "as_stated", "limits": LIMITS}
-    job = kilter.jobs.submit("identify", arm["name"], list(campaigns), HELD_OUT, options, [], "kit")
+    job = kilter.jobs.submit("identify", arm["name"], list(campaigns), HELD_OUT, options)
     with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
