@@ -9,12 +9,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
 from kilter_core.errors import OptionError
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 # Why a prior at all: without one a rank-deficient fit wandered to 1e13. These widths hold for machined arms; the data
 # outweigh them a thousandfold wherever they see the parameter.
@@ -92,29 +93,85 @@ class TypePrior:
         names = tuple(self.names[k] for k in own)
         return TypePrior(names, self.mean[own], self.covariance[np.ix_(own, own)], self.freedom)
 
-    def alone(self, names: Sequence[str], mean: Floats, sigma: Floats) -> tuple[Floats, Floats]:
-        """Mean and standard deviations (F,) of parameters ``names``, each by itself, as in :meth:`over`."""
-        known, own = self.places(names)
-        mean, sigma = mean.copy(), sigma.copy()
-        mean[known], sigma[known] = self.mean[own], np.sqrt(np.diag(self.covariance)[own])
-        return mean, sigma
-
     def places(self, names: Sequence[str]) -> tuple[Ints, Ints]:
         """Where those of ``names`` are that it knows, and where they are in its own."""
         own = {name: k for k, name in enumerate(self.names)}
         known = [k for k, name in enumerate(names) if name in own]
         return np.array(known, dtype=np.int64), np.array([own[names[k]] for k in known], dtype=np.int64)
 
-    def over(self, names: Sequence[str], mean: Floats, sigma: Floats) -> tuple[Floats, Floats, Floats]:
-        """Mean (F,), standard deviations (F,) and precision (F, F) in these, of parameters ``names``.
 
-        ``mean`` and ``sigma (F,)`` are those of their own priors, which those keep that it does not know.
-        """
-        known, own = self.places(names)
-        mean, sigma = self.alone(names, mean, sigma)
-        precision, C = np.eye(len(names)), self.covariance[np.ix_(own, own)]
-        precision[np.ix_(known, known)] = np.linalg.inv(C / np.outer(sigma[known], sigma[known]))
-        return mean, sigma, precision
+@dataclass(frozen=True)
+class Prior:
+    """What is known of parameters before any row: normal about ``mean (F,)`` with standard deviations ``sigma (F,)``, SI.
+
+    ``correlation (F, F)`` is theirs; None where they know nothing of each other.
+    """
+
+    mean: Floats
+    sigma: Floats
+    correlation: Floats | None = None
+
+    @staticmethod
+    def of(parameters: Sequence[Parameter], of_type: TypePrior | None = None) -> Prior:
+        """The parameters' own, and in place of it what the type says of those that it knows."""
+        mean, sigma = (np.array([getattr(p, part) for p in parameters]) for part in ("value", "prior_sigma"))
+        if of_type is None:
+            return Prior(mean, sigma)
+        known, own = of_type.places([p.name for p in parameters])
+        mean[known], sigma[known] = of_type.mean[own], np.sqrt(np.diag(of_type.covariance)[own])
+        correlation = np.eye(len(mean))
+        correlation[np.ix_(known, known)] = of_type.covariance[np.ix_(own, own)] / np.outer(sigma[known], sigma[known])
+        return Prior(mean, sigma, correlation)
+
+    def beside(self, other: Prior) -> Prior:
+        """Both, those of ``other`` after these; neither knows of the other."""
+        mean, sigma = np.concatenate([self.mean, other.mean]), np.concatenate([self.sigma, other.sigma])
+        if self.correlation is None and other.correlation is None:
+            return Prior(mean, sigma)
+        split, correlation = len(self.mean), np.eye(len(mean))
+        for part, one in ((slice(split), self), (slice(split, None), other)):
+            if one.correlation is not None:
+                correlation[part, part] = one.correlation
+        return Prior(mean, sigma, correlation)
+
+    def part(self, which: Bools) -> Prior:
+        """What it says of some alone, whatever the others are."""
+        correlation = None if self.correlation is None else self.correlation[np.ix_(which, which)]
+        return Prior(self.mean[which], self.sigma[which], correlation)
+
+    @cached_property
+    def precision(self) -> Floats | None:
+        """Inverse of the correlation (F, F), in standard deviations; None where that is the identity."""
+        return None if self.correlation is None else np.asarray(np.linalg.inv(self.correlation))
+
+    def away(self, values: Floats) -> Floats:
+        """How far ``values (F,)`` are from the mean, in standard deviations (F,)."""
+        return np.asarray((values - self.mean) / self.sigma)
+
+    def stiff(self, away: Floats) -> Floats:
+        """How it pulls back (F,) what is ``away (F,)``, in standard deviations."""
+        return away if self.precision is None else np.asarray(self.precision @ away)
+
+    def columns(self, J: Floats) -> Floats:
+        """Columns (..., F) by parameters turned into as many by standard deviations that know nothing of each other."""
+        scaled = J * self.sigma
+        return scaled if self._root is None else np.asarray(scaled @ self._root)
+
+    def apart(self, away: Floats) -> Floats:
+        """The ``away (F,)`` in those: with :meth:`columns` it moves the same."""
+        return away if self._root is None else np.asarray(np.linalg.solve(self._root, away))
+
+    def add_to(self, H: Floats) -> None:
+        """Add what it knows to an information matrix (F, F) in standard deviations."""
+        if self.precision is None:
+            H.flat[:: len(H) + 1] += 1.0
+        else:
+            H += self.precision
+
+    @cached_property
+    def _root(self) -> Floats | None:
+        """Lower root (F, F) of the correlation."""
+        return None if self.correlation is None else np.asarray(np.linalg.cholesky(self.correlation))
 
 
 def indices(names: Sequence[str], wanted: Iterable[str]) -> Ints:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from kilter_client import Kilter
+from tests.clients.test_cli import Command
 
 READY_S = 120
 STOP_S = 20
@@ -50,6 +51,19 @@ def no_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("KILTER_URL", "KILTER_TOKEN", "KILTER_DATA"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Command:
+    """``kilter`` in this process."""
+    return Command(capsys)
+
+
+@pytest.fixture
+def k(server: Path) -> Iterator[Kilter]:
+    """The library, connected to the running server."""
+    with Kilter() as connected:
+        yield connected
 
 
 @pytest.fixture

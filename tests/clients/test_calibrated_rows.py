@@ -23,11 +23,6 @@ def kilter(server: Path) -> Iterator[Kilter]:
         yield connected
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 def of(sha256: str) -> dict[str, str]:
     return {"calibration_sha256": sha256}
 

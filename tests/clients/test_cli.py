@@ -49,11 +49,6 @@ class Command:
         return document
 
 
-@pytest.fixture
-def command(capsys: Capture) -> Command:
-    return Command(capsys)
-
-
 def leaves(group: Any, name: str = "kilter") -> Iterator[tuple[str, Any]]:
     for child, found in group.commands.items():
         if hasattr(found, "commands"):

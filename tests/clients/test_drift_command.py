@@ -21,11 +21,6 @@ NOISE = 5e-5
 STEP = float(np.radians(0.21))
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 def written(path: Path, arm: DriftingArm, poses: int, seed: int, **columns: float) -> Path:
     """Measure random poses with an arm; further columns have one value in all rows."""
     rng = np.random.default_rng(seed)

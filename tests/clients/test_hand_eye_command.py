@@ -22,11 +22,6 @@ from tests.service.test_pixels import columns, csv, described
 SCENE = eye_in_hand({}, np.zeros(6))
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 def test_a_camera_on_the_flange_is_found_and_exported(kilter: Kilter, command: Command, tmp_path: Path) -> None:
     kilter.add_robot(SCENE.drawn.document() | {"name": "handy"})
     rng = np.random.default_rng(1)

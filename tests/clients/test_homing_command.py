@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +27,6 @@ ARM: dict[str, Any] = {
     ],
     "tool": {"x_mm": 10, "y_mm": 5, "z_mm": 30, "rx_deg": 0, "ry_deg": 0, "rz_deg": 0},
 }  # fmt: skip
-
-
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
-@pytest.fixture
-def k(server: Path) -> Iterator[Kilter]:
-    with Kilter() as connected:
-        yield connected
 
 
 def calibration(folder: Path, **changes: dict[str, int]) -> Path:

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from kilter_client import Kilter
 from tests.clients.test_cli import Command
 from tests.core.watch.drifting import DriftingArm
 from tests.core.watch.test_sockets import TENTH, perfect, seated
-
-
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
-@pytest.fixture
-def k(server: Path) -> Iterator[Kilter]:
-    with Kilter() as connected:
-        yield connected
 
 
 def tracked(arm: DriftingArm, rng: np.random.Generator, path: Path, rows: int) -> Path:
@@ -61,6 +48,7 @@ def test_a_log_of_a_seated_ball_is_a_check_by_command(k: Kilter, command: Comman
     (number,) = off["causes"][0]["numbers"]
     assert abs(number["change"] - 0.3) < number["u95"] < 0.1
     # The scatter of a ball in its socket is no error of the tool, and no number of today.
+    assert well["joint_log"] is True
     after = k.today("seated")
     assert after.newest.job_id == before.newest.job_id
     few = command.json("check", "seated", log(arm, rng, tmp_path / "few.csv", 3), "--noise-mm", "0.02", code=1)

@@ -18,11 +18,6 @@ from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 NOISE = 1e-5
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 @pytest.fixture(scope="module")
 def arm() -> DriftingArm:
     return some_arm(np.random.default_rng(3))

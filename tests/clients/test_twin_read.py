@@ -14,11 +14,6 @@ from tests.clients.test_cli import Command
 SOFT = Twin([0.0] * 5, [300.0, 33.0, 33.0, 40.0, 300.0], [0.0, 0.0, 1.1, 0.0, 0.0])
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 def test_gains_friction_and_backlash_become_effects_and_the_rest_is_named(tmp_path: Path, command: Command) -> None:
     model, copy = tmp_path / "so101.xml", tmp_path / "soft.json"
     text = SOFT.xml().replace('<joint name="wrist_flex"', '<joint name="wrist_flex" frictionloss="0.08" damping="0.6"')

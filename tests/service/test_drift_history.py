@@ -12,6 +12,7 @@ import pytest
 from kilter_service.db import Database
 from kilter_service.drift.charts import KeptCharts, charts_of
 from kilter_service.drift.records import StoredCheck
+from kilter_service.drift.store import of_all_causes
 from kilter_service.drift.wire import chance_words
 from kilter_service.jobs.retention import store as retention
 from tests.core.watch.drifting import DriftingArm, some_arm
@@ -180,3 +181,18 @@ def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
 def test_a_chance_that_no_number_holds_is_not_nothing() -> None:
     assert [chance_words(one) for one in (0.0, 2e-14, 0.31)] == ["less than 1e-300", "2e-14", "0.3"]
     assert chance_words(0.234, 2) == "0.23"
+
+
+@pytest.mark.parametrize(
+    ("stored", "summed"),
+    [
+        ({"joint_log": False, "unseen": ["tool"], "new_setup": []}, True),
+        ({"joint_log": True, "unseen": ["tool"], "new_setup": []}, False),
+        ({"joint_log": False, "unseen": ["base"], "new_setup": []}, True),
+        ({"unseen": ["base", "scale"], "new_setup": []}, False),  # as an earlier release stored a joint log
+        ({"unseen": ["zero of joint 6"], "new_setup": []}, True),
+        ({"joint_log": False, "unseen": [], "new_setup": ["base"]}, False),
+    ],
+)
+def test_checks_by_a_joint_log_alone_are_not_summed(stored: dict[str, Any], summed: bool) -> None:
+    assert of_all_causes(stored) is summed

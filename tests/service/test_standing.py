@@ -6,6 +6,7 @@ import html
 import re
 import time
 from collections.abc import Callable
+from typing import Any
 
 import httpx
 import pytest
@@ -77,3 +78,37 @@ def test_a_good_number_does_not_hide_a_stream_that_is_not_corrected_with_it(
     told = {"robot": robot, "version_id": version, "stream": "a", "at_ns": time.time_ns() - int(ago_s * 1e9)}
     seen = Corrector(True, "alive", [told]).of("arm", "ver_1")
     assert state_of(today, GOOD, None, seen).word == word
+
+
+@pytest.mark.parametrize("compensation", ["factory", "kilter"])
+def test_a_controller_that_corrects_does_not_hide_a_bridge_that_corrects_on_top_of_it(
+    client: httpx.Client, katana: Katana, compensation: str
+) -> None:
+    name, run = katana.name, "0123456789abcdef"
+    client.post("/v1/robots", json={**katana.document, "controller_compensation": compensation}).raise_for_status()
+
+    def heard(state: str, offset_deg: float) -> tuple[dict[str, Any], str]:
+        news = {
+            "kind": "rsi", "state": state, "version_id": "ver_1", "cycle_ms": 4.0, "cycles": 9, "late": 0, "lost": 0,
+            "refused": 0, "offset_deg": offset_deg, "largest_offset_deg": 0.2,
+        }  # fmt: skip
+        told = client.put(f"/v1/robots/{name}/bridges/{run}", json=news).raise_for_status().json()
+        (seen,) = client.get(f"/v1/robots/{name}/bridges").raise_for_status().json()["bridges"]
+        assert (seen["corrected_twice"], seen["sentence"]) == (told["corrected_twice"], told["sentence"])
+        return told, words(client.get(f"/robots/{name}/state", headers={"hx-request": "true"}).text)
+
+    for state, offset_deg in (("correcting", 0.0), ("ramping in", 0.1), ("holding back", 0.1)):
+        told, page = heard(state, offset_deg)
+        assert told["corrected_twice"] is True
+        assert "so the arm is corrected twice" in told["sentence"]
+        assert page.startswith("Corrected twice"), page
+        assert "Stop the bridge" in page
+    for state in ("off", "waiting", "ended"):
+        told, page = heard(state, 0.0)
+        assert told["corrected_twice"] is False
+        assert page.startswith("By its controller"), page
+    heard("correcting", 0.1)
+    client.patch(f"/v1/robots/{name}", json={"controller_compensation": "none"}).raise_for_status()
+    told, page = heard("correcting", 0.1)  # what the sentence says to do ends it
+    assert told["corrected_twice"] is False
+    assert not page.startswith("Corrected twice"), page

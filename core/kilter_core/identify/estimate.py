@@ -19,7 +19,7 @@ from kilter_core.measurement import Measurement, Residual
 from kilter_core.measurement.kind import POINTS, TURNS
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.types import Floats, Ints, Progress
+from kilter_core.types import Bools, Floats, Ints, Progress
 
 Sigmas = dict[str, float]
 """Standard deviations by noise group, m or rad."""
@@ -238,9 +238,13 @@ def unobservable_directions(fit: Fit) -> Floats:
 
     What is left unexplained is structured, so it does not average out over rows: a fit that follows it along such a
     direction gains nothing that can be measured and spoils what was not. (UR10 with the tool point on axis 6: positions
-    alone rotated the wrist by degrees.)
+    alone rotated the wrist by degrees.) What a type tells is free: how parameters of an arm go together says what rows leave
+    open, and held at its mean a zero was off by four of its standard deviations.
     """
-    scaled = fit.J * fit.problem.prior_sigma
+    own = np.flatnonzero(~_told(fit))
+    scaled = fit.J[:, own] * fit.problem.prior_sigma[own]
+    if not len(own):
+        return np.zeros((0, len(fit.names)))
     squares, V = np.linalg.eigh(scaled.T @ scaled)
     if squares[-1] < PLAIN:
         s, Vt = np.sqrt(np.maximum(squares, 0.0)), V.T
@@ -248,7 +252,16 @@ def unobservable_directions(fit: Fit) -> Floats:
         R = np.linalg.qr(scaled, mode="r") if len(scaled) > scaled.shape[1] else scaled
         _, s, Vt = np.linalg.svd(R, full_matrices=True)
         s = np.concatenate([s, np.zeros(scaled.shape[1] - len(s))])
-    return np.asarray(Vt[s < UNSEEN * math.sqrt(fit.problem.measurement.scalars())])
+    unseen = s < UNSEEN * math.sqrt(fit.problem.measurement.scalars())
+    out = np.zeros((int(unseen.sum()), len(fit.names)))
+    out[:, own] = Vt[unseen]
+    return out
+
+
+def _told(fit: Fit) -> Bools:
+    """Which of the free parameters (F,) other arms of the type tell."""
+    of_type = fit.problem.model.of_type
+    return np.isin(fit.names, () if of_type is None else of_type.told().names)
 
 
 def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:

@@ -17,6 +17,7 @@ from kilter_core.identify.solver import Minimum, StepProgress, minimise
 from kilter_core.measurement import Block, Measurement, Residual
 from kilter_core.measurement.kind import POINTS, TURNS
 from kilter_core.model import Calibration, RobotModel
+from kilter_core.parameters import Prior
 from kilter_core.types import Floats, Ints
 
 HUBER_SIGMAS = 3.0
@@ -70,19 +71,12 @@ class Problem(LeastSquares[Linearised]):
     held: Floats | None = None
     anchor: Floats | None = None
     batch: Batch = field(init=False)
-    prior_mean: Floats = field(init=False)
-    prior_sigma: Floats = field(init=False)
-    prior_precision: Floats | None = field(init=False, default=None)
+    prior: Prior = field(init=False)
 
     def __post_init__(self) -> None:
         parameters = [self.model.parameters[k] for k in self.free]
         object.__setattr__(self, "batch", self.model.batch(self.measurement.observations))
-        mean, sigma = (np.array([getattr(p, part) for p in parameters]) for part in ("value", "prior_sigma"))
-        if self.model.of_type is not None:
-            mean, sigma, precision = self.model.of_type.over([p.name for p in parameters], mean, sigma)
-            object.__setattr__(self, "prior_precision", precision)
-        object.__setattr__(self, "prior_mean", mean)
-        object.__setattr__(self, "prior_sigma", sigma)
+        object.__setattr__(self, "prior", Prior.of(parameters, self.model.of_type))
 
     def reweighted(self, weights: Weights, held: Floats | None, loss: str | None = None) -> Problem:
         """Return the same problem with other weights, held directions and perhaps loss; the batch is shared."""
@@ -272,7 +266,7 @@ def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int =
     """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
     H, _ = problem.normal_equations(values, here)
     inverse = np.linalg.inv(H)
-    resting = inverse if problem.prior_precision is None else inverse @ problem.prior_precision
+    resting = inverse if problem.prior.precision is None else inverse @ problem.prior.precision
     scale = problem.prior_sigma
     return Fit(
         problem=problem,

@@ -17,6 +17,7 @@ from kilter_core.identify.shared_errors import SharedErrors
 from kilter_core.identify.solver import BEND
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.model import RobotModel
+from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 
 HOLD = 1e8  # stiffness of a held direction against a prior of 1
@@ -102,15 +103,23 @@ W = TypeVar("W", bound=Whitened)
 class LeastSquares(ABC, Generic[W]):
     """Whitened residuals under free parameters that each have a Gaussian prior, as the solver walks them.
 
-    ``prior_precision (F, F)``, in prior sigmas, is that of priors that know of each other; the identity when None.
+    ``prior`` counts in the units of :meth:`current`.
     ``held (K, F)`` are orthonormal directions, in prior sigmas, along which the parameters stay at ``anchor (F,)``.
     """
 
-    prior_mean: Floats
-    prior_sigma: Floats
-    prior_precision: Floats | None = None
+    prior: Prior
     held: Floats | None = None
     anchor: Floats | None = None
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Means (F,) of the priors."""
+        return self.prior.mean
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """Standard deviations (F,) of the priors."""
+        return self.prior.sigma
 
     @property
     @abstractmethod
@@ -150,22 +159,19 @@ class LeastSquares(ABC, Generic[W]):
         away = self._away(values)
         with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
             return 0.5 * (
-                float(r @ r) + float(away @ self._stiff(away)) + HOLD * float(np.sum(self._strayed(values) ** 2))
+                float(r @ r) + float(away @ self.prior.stiff(away)) + HOLD * float(np.sum(self._strayed(values) ** 2))
             )
 
     def normal_equations(self, values: Floats, here: W) -> tuple[Floats, Floats]:
         """Matrix (F, F) and slope (F,) in prior sigmas, the priors included, nothing held."""
         scale = self.prior_sigma
         H = (here.J.T @ here.J) * np.outer(scale, scale)
-        if self.prior_precision is None:
-            H.flat[:: len(H) + 1] += 1.0
-        else:
-            H += self.prior_precision
+        self.prior.add_to(H)
         return H, self._downhill(values, here)
 
     def prior_information(self) -> Floats:
         """What the priors know (F, F), in prior sigmas."""
-        return np.eye(len(self.prior_sigma)) if self.prior_precision is None else self.prior_precision
+        return np.eye(len(self.prior_sigma)) if self.prior.precision is None else self.prior.precision
 
     def whole_step(self, values: Floats, here: W) -> Floats:
         """The step (F,) in prior sigmas that Gauss and Newton take with nothing held, neither damped nor shortened."""
@@ -190,14 +196,10 @@ class LeastSquares(ABC, Generic[W]):
 
     def _away(self, values: Floats) -> Floats:
         """How far (F,) the parameters are from their priors, in prior sigmas."""
-        return np.asarray((self.current(values) - self.prior_mean) / self.prior_sigma)
+        return self.prior.away(self.current(values))
 
     def _downhill(self, values: Floats, here: W) -> Floats:
-        return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self._stiff(self._away(values)))
-
-    def _stiff(self, away: Floats) -> Floats:
-        """How the priors pull back (F,) what is ``away (F,)`` from them."""
-        return away if self.prior_precision is None else np.asarray(self.prior_precision @ away)
+        return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self.prior.stiff(self._away(values)))
 
     def _strayed(self, values: Floats) -> Floats:
         """How far the held directions have moved, in prior sigmas."""

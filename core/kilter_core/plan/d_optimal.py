@@ -17,6 +17,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.parameters import Prior
 from kilter_core.plan.greedy import most_informative
 from kilter_core.types import Floats, Ints
 
@@ -62,11 +63,9 @@ def d_optimal_poses(
 def _before(model: RobotModel, free: Ints, fleet: Sequence[FleetVersion] | None) -> tuple[Floats, Floats | None]:
     """Widths (P,) of the priors, and their covariance (P, P) in these where other robots of the type say it."""
     parameters = [model.parameters[k] for k in free]
-    names, sigma = [p.name for p in parameters], np.array([p.prior_sigma for p in parameters])
-    if fleet is None:
-        return sigma, None
-    _, sigma, precision = fleet_prior(model, names, fleet).prior.over(names, np.zeros(len(names)), sigma)
-    return sigma, np.asarray(np.linalg.inv(precision))
+    of_type = None if fleet is None else fleet_prior(model, [p.name for p in parameters], fleet).prior
+    prior = Prior.of(parameters, of_type)
+    return prior.sigma, prior.correlation
 
 
 def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:

@@ -24,8 +24,7 @@ from kilter_core.parameters import mm
 from kilter_core.types import Floats
 from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
-from kilter_core.watch.sockets import held_by_sockets as held_by_sockets
-from kilter_core.watch.sockets import noise_of_seating, placed
+from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, placed
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
 POWER = 0.95  # with which the smallest change is seen
@@ -68,7 +67,8 @@ class Check:
     ``causes`` are those that explain it and that the rows do not refute, best first; empty where all is well, and where no
     single cause explains the rows. ``p_value`` is the chance of so much from an arm that has not moved. ``smallest`` are the
     changes seen with 95 %, by name of the cause: of a frame a shift (m) in the direction that shows least. ``unseen``: no
-    change of these moves what was measured. ``noise`` m of a coordinate counted as such.
+    change of these moves what was measured. ``noise`` m of a coordinate counted as such. ``joint_log``: nobody
+    measured a place, and rows were compared with each other in their sockets.
     """
 
     verdict: Verdict
@@ -83,6 +83,7 @@ class Check:
     smallest: dict[str, float]
     unseen: tuple[Cause, ...]
     new_setup: tuple[Frame, ...]
+    joint_log: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,13 +140,13 @@ def check(
     anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
     rows, seen = as_seen_places(calibration, rows)
-    noise, sockets = seen if noise is None else noise, None
+    noise, counts = seen if noise is None else noise, Measured()
     if held_by_sockets(rows):
-        rows, sockets = placed(calibration, rows)
+        rows, counts = placed(calibration, rows)
         noise = noise_of_seating(known) if noise is None else noise
-    innovation = Innovation.of(calibration, rows, known, noise, fitted_c, sockets)
+    innovation = Innovation.of(calibration, rows, known, noise, fitted_c, counts)
     # In a socket it makes no difference where base and instrument stand; a new tool is projected off.
-    if anew and sockets is None:
+    if anew and not counts.alone:
         calibration = absorbed(refitted(calibration, innovation.measurement, anew))
         innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
     linear = _Linear.of(innovation, calibration, anew)
@@ -158,7 +159,7 @@ def check(
     causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
-        innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew,
+        innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew, counts.alone,
     )  # fmt: skip
 
 

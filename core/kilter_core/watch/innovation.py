@@ -13,13 +13,12 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
-from kilter_core.types import Bools, Floats, Ints
+from kilter_core.types import Bools, Floats
 from kilter_core.watch.conditions import expansion, refuse_another_tool
-from kilter_core.watch.sockets import by_socket, contrasts
+from kilter_core.watch.sockets import Measured
 
 FEWEST_POSES = 3  # the six numbers of two positions cannot tell the place of the instrument from the arm
 MOST_NUMBERS = 1500  # coordinates whose common covariance is inverted: 0.2 s
-ALIKE = 1e-9  # of a derivative: less of it is rounding, where what moves all rows of a socket alike was taken out
 LEAST = 1e-3  # of what the model lacks, noise that tells repeats apart where none is known
 
 
@@ -29,8 +28,8 @@ class Innovation:
 
     ``lower (R, R)`` is the Cholesky factor of the covariance of noise and version, ``seen`` tells which of the coordinates
     (N, m, 3) were measured. ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
-    the scale of the covariance: a fit of few rows does not know well what it left. Of rows that ``sockets (N,)``
-    held, ``told`` takes the differences (R, coordinates) that count.
+    the scale of the covariance: a fit of few rows does not know well what it left. ``counts`` says what of the coordinates
+    does: of rows that sockets held, their differences.
     """
 
     measurement: Measurement
@@ -41,8 +40,7 @@ class Innovation:
     poses: int
     freedom: float
     noise: float
-    told: Floats | None = None
-    sockets: Ints | None = None
+    counts: Measured
 
     @staticmethod
     def of(
@@ -51,13 +49,13 @@ class Innovation:
         known: Predictive,
         noise: float | None = None,
         fitted_c: tuple[float, float] | None = None,
-        sockets: Ints | None = None,
+        counts: Measured | None = None,
     ) -> Innovation:
         """Innovation of rows against a version; ``noise`` m of a coordinate, when None that of the version's fit, or of the
         rows themselves where the fit was to what a camera or a contact measured.
 
-        ``fitted_c`` are the lowest and highest temperature of the rows it was fitted to, None where nobody knows. Rows in
-        ``sockets (N,)`` have the places of these, and nobody measured them.
+        ``fitted_c`` are the lowest and highest temperature of the rows it was fitted to, None where nobody knows. What
+        ``counts`` is every coordinate when None.
 
         Raises:
             ObservationError: no positions, another tool or temperature. OptionError: no noise known.
@@ -85,50 +83,37 @@ class Innovation:
             more = measurement.residual(prediction, grown).d_points
             assert more is not None
             covariance += more[seen] @ more[seen].T
-        told = None if sockets is None else contrasts(sockets)
-        if told is not None:
-            covariance = told @ covariance @ told.T
-        lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
-        r = solve_triangular(lower, _of(told, left.points[seen]), lower=True)
+        counts = counts or Measured()
+        lower = np.asarray(np.linalg.cholesky(counts.covariance(covariance)), dtype=np.float64)
+        r = solve_triangular(lower, counts.of(left.points[seen]), lower=True)
         freedom = _freedom(lower, known.freedom, noise)
-        return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom, own, told, sockets)
+        return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts)
 
     def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
         """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""
         measurement, found = replace(self.measurement, observations=rows), calibration.predict(rows)
         prediction = replace(found, position=factor * found.position)
         left = measurement.residual(prediction).points[self.seen]
-        r = solve_triangular(self.lower, _of(self.told, left), lower=True)
+        r = solve_triangular(self.lower, self.counts.of(left), lower=True)
         return replace(self, measurement=measurement, prediction=prediction, r=r)
 
     @property
     def misfit(self) -> float:
         """Root mean square (m) of the length by which measured and predicted points differ."""
-        left = _of(self.told, self.measurement.residual(self.prediction).points[self.seen])
+        left = self.counts.of(self.measurement.residual(self.prediction).points[self.seen])
         return float(np.sqrt(3.0 * np.mean(left**2)))
 
     def white(self, J: Floats) -> Floats:
         """Whitened columns (R, K) of a derivative ``J (N, 6, K)`` of the tool's position and rotation vector."""
-        # Where the socket is: what rotates about a place that rows put apart rotates them alike.
-        if self.told is not None:
-            J = J.copy()
-            J[:, :3] += np.cross(J[:, 3:], (self.places - self.prediction.position)[:, :, None], axis=1)
+        J = self.counts.at_places(J, self.prediction.position)
         found = self.measurement.residual(self.prediction, J).d_points
         assert found is not None
-        columns = _of(self.told, found[self.seen])
-        if self.told is not None:
-            columns[:, np.linalg.norm(columns, axis=0) <= ALIKE * np.linalg.norm(found[self.seen], axis=0)] = 0.0
-        return np.asarray(solve_triangular(self.lower, columns, lower=True))
+        return np.asarray(solve_triangular(self.lower, self.counts.columns(found[self.seen]), lower=True))
 
     @property
     def places(self) -> Floats:
         """Where the tool (N, 3) is by the version, in one place for all rows of a socket."""
-        at = self.prediction.position
-        return at if self.sockets is None else by_socket(self.sockets, at)
-
-
-def _of(told: Floats | None, coordinates: Floats) -> Floats:
-    return coordinates if told is None else np.asarray(told @ coordinates)
+        return self.counts.places(self.prediction.position)
 
 
 def _refuse_few(measurement: Measurement) -> None:

@@ -6,7 +6,8 @@ them alike, as base, first joint and scale do, is not seen.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import null_space
@@ -19,6 +20,7 @@ from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
 
 FEWEST = 3  # poses beyond the first of each socket: what they tell is nine numbers
+ALIKE = 1e-9  # of a derivative: less of it is rounding, where what moves all rows of a socket alike was taken out
 MOST = 500  # rows whose differences are taken together
 
 
@@ -27,8 +29,8 @@ def held_by_sockets(rows: Observations) -> bool:
     return rows.socket is not None and rows.position is None and rows.markers is None and rows.pixels is None
 
 
-def placed(calibration: Calibration, rows: Observations) -> tuple[Observations, Ints]:
-    """Rows of sockets as if their tool point had been measured where the version puts their sockets, and these (N,) sockets.
+def placed(calibration: Calibration, rows: Observations) -> tuple[Observations, Seated]:
+    """Rows of sockets as if their tool point had been measured where the version puts their sockets, and what of them counts.
 
     Rows that no socket held, or one that held no other, are left out.
 
@@ -62,7 +64,7 @@ def placed(calibration: Calibration, rows: Observations) -> tuple[Observations, 
         rows = rows.select(np.arange(MOST) * len(rows) // MOST)
     assert rows.socket is not None
     position = by_socket(rows.socket, calibration.predict(rows).position)
-    return replace(rows, socket=None, position=position), rows.socket
+    return replace(rows, socket=None, position=position), Seated(rows.socket)
 
 
 def noise_of_seating(known: Predictive) -> float:
@@ -79,6 +81,69 @@ def noise_of_seating(known: Predictive) -> float:
         "larger than zero; 0.02 mm is usual of a ground ball in a cone.",
         option="noise",
     )
+
+
+class Measured:
+    """What counts of rows whose places were measured: every coordinate, against the place that is predicted."""
+
+    alone = False  # whether a joint log says it all
+
+    def of(self, coordinates: Floats) -> Floats:
+        """What counts (R,) or (R, K) of measured ``coordinates``, their columns or derivatives."""
+        return coordinates
+
+    def covariance(self, of_coordinates: Floats) -> Floats:
+        """Its covariance (R, R) from that of the coordinates."""
+        return of_coordinates
+
+    def columns(self, coordinates: Floats) -> Floats:
+        """As :meth:`of`, with zeros for a derivative of which only rounding is left."""
+        return coordinates
+
+    def places(self, predicted: Floats) -> Floats:
+        """Where the rows (N, 3) are, from where each of them is predicted."""
+        return predicted
+
+    def at_places(self, J: Floats, predicted: Floats) -> Floats:
+        """Derivatives (N, 6, K) of position and rotation vector of the tool at those places."""
+        return J
+
+
+@dataclass(frozen=True)
+class Seated(Measured):
+    """What counts of rows that ``sockets (N,)`` held: differences between the rows of each, at its mean place."""
+
+    alone = True
+
+    sockets: Ints
+
+    def of(self, coordinates: Floats) -> Floats:
+        """Differences."""
+        return np.asarray(self._contrasts @ coordinates)
+
+    def covariance(self, of_coordinates: Floats) -> Floats:
+        """Theirs."""
+        return np.asarray(self._contrasts @ of_coordinates @ self._contrasts.T)
+
+    def columns(self, coordinates: Floats) -> Floats:
+        """Differences; what moves all rows of a socket alike leaves none."""
+        out = self.of(coordinates)
+        out[:, np.linalg.norm(out, axis=0) <= ALIKE * np.linalg.norm(coordinates, axis=0)] = 0.0
+        return out
+
+    def places(self, predicted: Floats) -> Floats:
+        """One for all rows of a socket."""
+        return by_socket(self.sockets, predicted)
+
+    def at_places(self, J: Floats, predicted: Floats) -> Floats:
+        """What rotates about a place that rows put apart rotates them alike where the socket is."""
+        J = J.copy()
+        J[:, :3] += np.cross(J[:, 3:], (self.places(predicted) - predicted)[:, :, None], axis=1)
+        return J
+
+    @cached_property
+    def _contrasts(self) -> Floats:
+        return contrasts(self.sockets)
 
 
 def by_socket(sockets: Ints, places: Floats) -> Floats:

@@ -6,14 +6,18 @@ from datetime import datetime
 
 from kilter_service.bridges import store
 from kilter_service.contract.bridges import Bridge, BridgeList, BridgeNews
+from kilter_service.contract.units import ControllerCompensation
 from kilter_service.db import Database
 from kilter_service.robots import store as robots
+from kilter_service.robots.compensation import CORRECTS, compensation_in
+from kilter_service.robots.compensation import twice as corrected_twice
 from kilter_service.versions import store as versions
 
 SILENT_S = 6.0  # a bridge speaks every 2 s
 FORGOTTEN_S = 86_400.0
 MOST = 20  # of one robot, the last heard
 MAKERS = {"rsi": "KUKA", "egm": "ABB", "fci": "Franka"}
+OFFSETTING = ("ramping in", "correcting")
 IDLE = {
     "starting": "waits until the controller has been silent",
     "waiting": "waits for the controller",
@@ -51,8 +55,9 @@ def of_robot(database: Database, robot: str) -> BridgeList:
         stored = robots.get(session, robot)
         entry = versions.active_entry(session, stored.id)
         found = store.known(session, stored.id)
+        controller = compensation_in(robots.compensation_of(session, stored.id))
     active = None if entry is None else entry.version_id
-    known = [_bridge(robot, one, active) for one in found if one.silent_s < FORGOTTEN_S]
+    known = [_bridge(robot, one, active, controller) for one in found if one.silent_s < FORGOTTEN_S]
     return BridgeList(bridges=sorted(known, key=lambda one: one.gone))
 
 
@@ -61,20 +66,26 @@ def of_robots(database: Database) -> dict[str, list[Bridge]]:
     with database.reading() as session:
         names = robots.names_by_key(session, None)
         found = [one for one in store.known(session) if one.silent_s < FORGOTTEN_S and one.robot_id in names]
-        active = {key: versions.active_entry(session, key) for key in {one.robot_id for one in found}}
+        keys = {one.robot_id for one in found}
+        active = {key: versions.active_entry(session, key) for key in keys}
+        controllers = {key: compensation_in(robots.compensation_of(session, key)) for key in keys}
     known: dict[str, list[Bridge]] = {}
     for one in found:
         entry, name = active[one.robot_id], names[one.robot_id]
-        known.setdefault(name, []).append(_bridge(name, one, None if entry is None else entry.version_id))
+        version = None if entry is None else entry.version_id
+        known.setdefault(name, []).append(_bridge(name, one, version, controllers[one.robot_id]))
     return {name: sorted(bridges, key=lambda one: one.gone) for name, bridges in known.items()}
 
 
-def _bridge(robot: str, known: store.Known, active: str | None) -> Bridge:
+def _bridge(robot: str, known: store.Known, active: str | None, controller: ControllerCompensation) -> Bridge:
     details = dict(known.details)
     since = datetime.fromisoformat(details.pop("since"))
     news = BridgeNews.model_validate(details)
     over = news.state in ("ended", "killed")
     silent = known.silent_s >= SILENT_S
+    offset = news.state in OFFSETTING or news.offset_deg > 0.0
+    twice = controller in CORRECTS and offset and not (over or silent)
+    said = _sentence(news, known.silent_s, active)
     return Bridge(
         **news.model_dump(),
         id=known.run,
@@ -84,7 +95,8 @@ def _bridge(robot: str, known: store.Known, active: str | None) -> Bridge:
         silent_s=round(max(0.0, known.silent_s), 1),
         gone=over or silent,
         other_version=news.version_id != active,
-        sentence=_sentence(news, known.silent_s, active),
+        corrected_twice=twice,
+        sentence=f"{said} {corrected_twice(robot, controller)}" if twice else said,
     )
 
 

@@ -56,6 +56,9 @@ class Bridge(BridgeNews):
         description="Whether it is gone: it has ended, was killed, or was not heard for 6 s; then nothing corrects the arm."
     )
     other_version: bool = Field(description="Whether it corrects with a version that is not the active one.")
+    corrected_twice: bool = Field(
+        False, description="Whether the controller corrects by itself, and this bridge offsets the joints on top of it."
+    )
     sentence: str = Field(description="The same in words.")
 
 

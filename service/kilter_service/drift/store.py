@@ -35,7 +35,7 @@ def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int,
         .where(newest.c.place <= most)
         .order_by(row.created_at, row.id)
     )
-    found = [one for one in session.execute(query) if one.result and _of_all_causes(one.result)]
+    found = [one for one in session.execute(query) if one.result and of_all_causes(one.result)]
     at = _measured(session, {one.request["campaigns"][0] for one in found})
     out: dict[int, list[StoredCheck]] = {}
     for one in found:
@@ -86,6 +86,12 @@ def activations(session: Session, of: Collection[int]) -> dict[int, list[Activat
     return out
 
 
-def _of_all_causes(result: dict[str, Any]) -> bool:
-    """Whether nothing was fitted first, and an instrument saw the base: rows of sockets alone have other numbers to sum."""
-    return not result.get("new_setup") and "base" not in (result.get("unseen") or [])
+def of_all_causes(result: dict[str, Any]) -> bool:
+    """Whether nothing was fitted first, and places were measured: a joint log alone has other numbers to sum.
+
+    What an earlier release stored of such a log shows only by the base, which no log sees.
+    """
+    joint_log = result.get("joint_log")
+    if joint_log is None:
+        joint_log = "base" in (result.get("unseen") or [])
+    return not result.get("new_setup") and not joint_log

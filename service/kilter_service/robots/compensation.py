@@ -40,6 +40,14 @@ def objection(robot: str, compensation: str) -> Objection | None:
     return Objection(code=TWICE, message=message)
 
 
+def twice(robot: str, compensation: str) -> str:
+    """Say that something corrects a robot whose controller does so already, and what ends it."""
+    return (
+        f"The controller of {robot} {WORDS[compensation]} too, so the arm is corrected twice. Stop the bridge; or: "
+        f"{_REMEDY[compensation]} and say so with `kilter robot compensation {robot} none`."
+    )
+
+
 def remark(robot: str, compensation: str) -> Objection | None:
     """A warning where nobody said whether the controller corrects by itself."""
     if compensation != "unknown":

@@ -20,11 +20,6 @@ ARM = Twin([0.0, 1.5, -1.0, 0.8, 0.0], STIFFNESS, PLAY_DEG, {"elbow_flex_x": 1.5
 PAYLOADS = (0.0, 0.2)
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 @pytest.fixture(scope="module")
 def seen() -> list[View]:
     return views(ARM, 40, np.random.default_rng(1), PAYLOADS, 0.5)

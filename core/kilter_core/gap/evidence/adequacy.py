@@ -101,10 +101,10 @@ def left_out_errors(problem: LinearizedProblem, chosen: Sequence[int]) -> Floats
     basis = problem.basis(chosen)
     size = problem.settings.whitener.shape[-1]
     r = residual_given(problem, chosen).reshape(-1, size)
-    blocks = basis.reshape(-1, size, basis.shape[1])
+    blocks = basis.reshape(len(basis) // size, size, basis.shape[1])
     out = np.zeros_like(r)
     for index in _poses(problem):
-        B = blocks[index].reshape(-1, basis.shape[1])
+        B = blocks[index].reshape(size * len(index), basis.shape[1])
         w, V = np.linalg.eigh(B @ B.T)
         shrink = 1.0 / (1.0 - np.minimum(w, CLOSED_LEVERAGE))
         out[index] = ((V * shrink) @ (V.T @ r[index].reshape(-1))).reshape(-1, size)
@@ -115,10 +115,10 @@ def left_out_floor(problem: LinearizedProblem, chosen: Sequence[int]) -> float:
     """Variance of those errors, in units of noise, when the model is perfect: what its estimation costs."""
     basis = problem.basis(chosen)
     size = problem.settings.whitener.shape[-1]
-    blocks = basis.reshape(-1, size, basis.shape[1])
+    blocks = basis.reshape(len(basis) // size, size, basis.shape[1])
     total: float = 0.0
     for index in _poses(problem):
-        B = blocks[index].reshape(-1, basis.shape[1])
+        B = blocks[index].reshape(size * len(index), basis.shape[1])
         total += float(np.sum(1.0 / (1.0 - np.minimum(np.linalg.eigvalsh(B @ B.T), CLOSED_LEVERAGE))))
     unused = size * float(np.sum(~problem.settings.used))
     return float((total - unused) / max(blocks.shape[0] * size - unused, 1.0))

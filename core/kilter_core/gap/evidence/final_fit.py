@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.parameters import Prior
 from kilter_core.types import Floats
 
 SMALLEST = 1e-9  # inflation of a fit that leaves nothing, as of simulations without noise
@@ -36,25 +37,25 @@ def amounts_of(found: SearchResult) -> Amounts:
     source = problem.settings.source
     values = source.library(problem.values)[columns]
     J, prior, covariance = of_all(found)
-    away = np.concatenate([source.geometry(problem.values) - source.prior_mean, values])
+    away = prior.away(np.concatenate([source.geometry(problem.values), values]))
     grown = widening(found)
-    B = J * (grown * prior)
+    B = J * (grown * prior.sigma)
     H = B.T @ B
-    H.flat[:: len(H) + 1] += 1.0
-    step = np.linalg.solve(H, B.T @ problem.raw - away / prior) * prior
+    prior.add_to(H)
+    step = np.linalg.solve(H, B.T @ problem.raw - prior.stiff(away)) * prior.sigma
     own = slice(len(source.prior_mean), None)
     return Amounts(values, values + step[own], covariance[own, own])
 
 
-def of_all(found: SearchResult) -> tuple[Floats, Floats, Floats]:
-    """Whitened Jacobian (R, F), prior sigmas (F,) and covariance (F, F) of the geometry and the named effects."""
+def of_all(found: SearchResult) -> tuple[Floats, Prior, Floats]:
+    """Whitened Jacobian (R, F), prior (F,) and covariance (F, F) of the geometry and the named effects."""
     problem, columns = found.problem, found.columns
     source = problem.settings.source
     J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / widening(found)
-    prior = np.concatenate([source.prior_sigma, source.library_sigma[columns]])
-    H = (J * prior).T @ (J * prior)
-    H.flat[:: len(H) + 1] += 1.0  # the priors
-    return J, prior, np.linalg.inv(H) * np.outer(prior, prior)
+    prior = source.prior_with(columns)
+    H = (J * prior.sigma).T @ (J * prior.sigma)
+    prior.add_to(H)
+    return J, prior, np.linalg.inv(H) * np.outer(prior.sigma, prior.sigma)
 
 
 def inflation(search: SearchResult) -> float:

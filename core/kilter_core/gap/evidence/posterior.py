@@ -42,7 +42,7 @@ def posterior(found: SearchResult, begin: Calibration, stored: Calibration) -> P
     J, prior, covariance = of_all(found)
     names, L = _combined(source, begin, stored, found.columns)
     seen = J @ L.T if source.observes_tool else None
-    return Posterior(names, L @ covariance @ L.T, np.sqrt(L**2 @ prior**2), seen)
+    return Posterior(names, L @ covariance @ L.T, np.sqrt(np.sum(prior.columns(L) ** 2, axis=1)), seen)
 
 
 def _combined(

@@ -110,7 +110,7 @@ class _Question:
         signature = W(list(self.target.columns)) @ self.amplitudes
         free = [k for k in dict.fromkeys((*self.rivals, *self.others)) if k not in self.target.columns]
         return np.concatenate(
-            [signature[..., None], G * source.prior_sigma, W(free) * source.library_sigma[free]], axis=-1
+            [signature[..., None], source.prior.columns(G), W(free) * source.library_sigma[free]], axis=-1
         )
 
     def information(self) -> Floats:

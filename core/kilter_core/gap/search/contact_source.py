@@ -17,6 +17,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import Contact, contacts_of
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 
 BALL = ("tool_x", "tool_y", "tool_z")
@@ -40,8 +41,7 @@ class ContactSource(ToolSource):
         places = places_of(contacts_of(source.observations), points)
         own = np.zeros(OWN * len(places))
         kept = {f.name: getattr(source, f.name) for f in fields(ToolSource)}
-        kept["prior_mean"] = np.concatenate([own, source.prior_mean])
-        kept["prior_sigma"] = np.concatenate([own + WIDE, source.prior_sigma])
+        kept["prior"] = Prior(own, own + WIDE).beside(source.prior)
         return ContactSource(**kept, places=places), np.concatenate([own, values])
 
     @staticmethod

@@ -16,7 +16,7 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class Firm:
-    """Columns of a problem whose load errors are geometry that does not move.
+    """Columns of a problem whose load errors are geometry that does not move; what a type tells may.
 
     It has the derivatives and not the problem, whose inner products refer to it: that circle kept problems of thousands of
     poses, 100 MB each, until the interpreter looked for circles.
@@ -37,8 +37,13 @@ class Firm:
     @cached_property
     def _made(self) -> Gram:
         source = self.settings.source
-        U = seen((self.derivatives.G * source.prior_sigma)[:, self.settings.hard])
+        told = source.soft & ~source.of_loads
+        prior = source.prior.part(told)
+        B = prior.columns(self.derivatives.G[:, told])
+        soft = Soft.of(B)
+        U = seen(soft((self.derivatives.G * source.prior_sigma)[:, self.settings.hard]))
         y = self.raw + self.derivatives.W @ (source.library(self.values) * self.size)
+        y = soft(y + B @ prior.apart(prior.away(source.geometry(self.values)[told])))
         y -= U @ (U.T @ y)
-        products = Projection.of(Soft.of(U[:, :0]), U, self.derivatives.W).products(y)
+        products = Projection.of(soft, U, self.derivatives.W).products(y)
         return Gram(*products, float(y @ y), self.nu + self.directions - U.shape[1])

@@ -8,7 +8,7 @@ takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur comp
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,9 +22,9 @@ from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.ranges import ends, exactly_within
 from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.gap.search.soft import Soft
-from kilter_core.gap.search.source import Source
 from kilter_core.identify.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.solver import minimise
+from kilter_core.parameters import Prior
 from kilter_core.types import Floats, Ints
 
 Tick = Callable[[], None]
@@ -96,9 +96,9 @@ class LinearizedProblem:
     def within_priors(self) -> tuple[Floats, Stacked]:
         """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
         source = self.settings.source
-        sigmas = np.concatenate([source.prior_sigma, source.library_sigma * self.size])
+        sigmas = np.concatenate([np.ones(len(source.prior.sigma)), source.library_sigma * self.size])
         y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
-        return y, Stacked(self.G, self.W_raw, sigmas, self.settings.whitener.shape[-1])
+        return y, Stacked(source.prior.columns(self.G), self.W_raw, sigmas, self.settings.whitener.shape[-1])
 
     @property
     def chi2(self) -> float:
@@ -107,8 +107,10 @@ class LinearizedProblem:
         Where doubtful signs widen the noise, what that takes off counts as a Gaussian's norm does: nothing is explained
         by looking away.
         """
-        away = _away(self.settings.source, self.values)[self.settings.source.soft]
-        return float(self.raw @ self.raw + away @ away) + self.settings.widened
+        source = self.settings.source
+        prior = source.prior.part(source.soft)
+        away = prior.away(source.geometry(self.values)[source.soft])
+        return float(self.raw @ self.raw + away @ prior.stiff(away)) + self.settings.widened
 
     @cached_property
     def gram(self) -> Gram:
@@ -117,6 +119,8 @@ class LinearizedProblem:
         if not len(self.soft.shrink):
             return Gram(self.A, self.c, yy, self.nu)
         there = frozenset(np.flatnonzero(self.settings.source.library(self.values)).tolist())
+        if not np.any(self.settings.source.of_loads):
+            return Gram(self.A, self.c, yy, self.nu)
         firm = Firm(self.settings, self.values, self.derivatives, self.raw, self.size, self.nu, self.U.shape[1])
         return Gram(self.A, self.c, yy, self.nu, held=firm.gram, there=there)
 
@@ -148,13 +152,14 @@ def linearize_at(
     made, r, norm = Derivatives.at(settings, values, batch, only)
     G, W, unit = made.G, made.W, np.where(norm > 0.0, norm, 1.0)
     source, hard = settings.source, settings.hard
-    B = G[:, ~hard] * source.prior_sigma[~hard]
+    prior = source.prior.part(~hard)
+    B = prior.columns(G[:, ~hard])
     soft = Soft.of(B)
     U = seen(soft((G * source.prior_sigma)[:, hard]))
     library = source.library(values)
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
     # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
-    y = soft(y + B @ _away(source, values)[~hard]) if len(soft.shrink) else y
+    y = soft(y + B @ prior.apart(prior.away(source.geometry(values)[~hard]))) if len(soft.shrink) else y
     y -= U @ (U.T @ y)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(settings.numbers / settings.inflation - U.shape[1])
@@ -168,11 +173,6 @@ def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Se
     norm = lengths(W)
     W /= np.where(norm > 0.0, norm, 1.0)
     return W
-
-
-def _away(source: Source, values: Floats) -> Floats:
-    """How far (P,) the geometry is from its priors, in prior sigmas."""
-    return np.asarray((source.geometry(values) - source.prior_mean) / source.prior_sigma)
 
 
 def go_on() -> None:
@@ -279,11 +279,14 @@ class SearchProblem(LeastSquares[Whitened]):
     free: list[int]
     held: Floats | None = None
     anchor: Floats | None = None
+    prior: Prior = field(init=False)
+    _sigma: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        count = len(self._sigma)
-        object.__setattr__(self, "prior_mean", np.zeros(count))
-        object.__setattr__(self, "prior_sigma", np.ones(count))
+        whole = self.settings.source.prior_with(self.free)
+        count = len(whole.sigma)
+        object.__setattr__(self, "_sigma", whole.sigma)
+        object.__setattr__(self, "prior", Prior(np.zeros(count), np.ones(count), whole.correlation))
 
     @property
     def rows(self) -> float:
@@ -339,10 +342,6 @@ class SearchProblem(LeastSquares[Whitened]):
         if np.array_equal(beyond, before):
             return values, self
         return values, replace(self, held=np.eye(len(now))[beyond], anchor=inside)
-
-    @property
-    def _sigma(self) -> Floats:
-        return np.concatenate([self.settings.source.prior_sigma, self.settings.source.library_sigma[self.free]])
 
 
 def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:

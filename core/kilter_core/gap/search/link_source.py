@@ -15,6 +15,7 @@ from kilter_core.measurement.kind import Unit
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import segments
+from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 
 
@@ -36,8 +37,7 @@ class LinkSource(Source):
     segment: Ints
     n_library: int
     batch: Batch
-    prior_mean: Floats
-    prior_sigma: Floats
+    prior: Prior
     library_sigma: Floats
 
     @staticmethod
@@ -51,8 +51,7 @@ class LinkSource(Source):
         return LinkSource(
             model, observations, np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0, segment, n_library,
             with_torque(model.batch(observations), observations),
-            np.concatenate([np.zeros(n), [p.value for p in started]]),
-            np.concatenate([np.full(n, 0.1), [p.prior_sigma for p in started]]),
+            Prior(np.zeros(n), np.full(n, 0.1)).beside(Prior.of(started)),
             np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 

@@ -17,6 +17,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.kind import Unit
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 
 
@@ -32,8 +33,8 @@ class Linear:
 class Source(ABC):
     """A model over the whole library and the rows it is compared with.
 
-    ``prior_mean`` and ``prior_sigma (P,)`` are those of the geometry, ``library_sigma (Q,)`` of the library, the last
-    ``n_library`` parameters of the model. ``batch`` has the conditions of the rows.
+    ``prior`` is that of the geometry (P,), ``library_sigma (Q,)`` are of the library, the last ``n_library`` parameters of
+    the model. ``batch`` has the conditions of the rows.
     """
 
     unit: ClassVar[Unit] = "m"  # of a residual
@@ -43,9 +44,22 @@ class Source(ABC):
     model: RobotModel
     n_library: int
     batch: Batch
-    prior_mean: Floats
-    prior_sigma: Floats
+    prior: Prior
     library_sigma: Floats
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Means (P,) of the geometry's prior."""
+        return self.prior.mean
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """Standard deviations (P,) of the geometry's prior."""
+        return self.prior.sigma
+
+    def prior_with(self, columns: Sequence[int]) -> Prior:
+        """The prior (P + d,) of the geometry and of library ``columns``, which it knows nothing of."""
+        return self.prior.beside(Prior(np.zeros(len(columns)), self.library_sigma[list(columns)]))
 
     @property
     @abstractmethod

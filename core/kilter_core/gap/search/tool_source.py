@@ -17,6 +17,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.model.prediction import ABOUT, TURNED
 from kilter_core.observations import Observations
+from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 
 CHUNK = 20_000  # rows whose residuals are made at a time
@@ -31,8 +32,7 @@ class ToolSource(Source):
     free: Ints  # geometric parameters and those of the starting model's effects, ascending
     n_library: int
     batch: Batch
-    prior_mean: Floats
-    prior_sigma: Floats
+    prior: Prior
     library_sigma: Floats
 
     @staticmethod
@@ -40,12 +40,9 @@ class ToolSource(Source):
         """Wrap a model and its rows."""
         chosen = [model.parameters[k] for k in free]
         library = model.parameters[len(model.names) - n_library :]
-        mean, sigma = (np.array([getattr(p, part) for p in chosen]) for part in ("value", "prior_sigma"))
-        if model.of_type is not None:
-            mean, sigma = model.of_type.told().alone([p.name for p in chosen], mean, sigma)
         return ToolSource(
             model, measurement, free, n_library, model.batch(measurement.observations),
-            mean, sigma, np.array([p.prior_sigma for p in library]),
+            Prior.of(chosen, model.of_type), np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 
     @property

@@ -43,7 +43,7 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
     poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
     rest = np.eye(len(total)) - bread @ total
-    spread = rest if problem.prior_precision is None else rest @ np.linalg.inv(known)
+    spread = rest if problem.prior.precision is None else rest @ np.linalg.inv(known)
     around = bread @ mixed(factor * total, *poses) @ bread + spread @ rest.T
     scale = as_normal(problem.prior_sigma, found.freedom)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)

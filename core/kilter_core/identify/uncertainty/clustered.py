@@ -53,7 +53,7 @@ def clustered(fit: Fit) -> Fit:
     shared = _shared(A, r, levers(fit), groups, numbers / left, _seen(fit))
     meat = mixed(shared, *scores_by_pose(A, r, groups, bread))
     rest = eye - bread @ (bend * total)
-    spread = rest if problem.prior_precision is None else rest @ np.linalg.inv(known)
+    spread = rest if problem.prior.precision is None else rest @ np.linalg.inv(known)
     around = bread @ meat @ bread + spread @ rest.T
     scale = as_normal(problem.prior_sigma, left)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=left)

@@ -83,6 +83,9 @@ class DriftResult(Stored):
     )
     smallest: list[SmallestChange] | None = Field(None, description="The smallest changes that these rows show.")
     unseen: list[str] | None = Field(None, description="Causes that move nothing that was measured, in words.")
+    joint_log: bool | None = Field(
+        None, description="Whether nobody measured a place, and rows were compared with each other, in their sockets."
+    )
     new_setup: list[str] | None = Field(None, description="Frames that were set up anew.")
     refit: list[str] | None = Field(None, description="The same, as an evaluation calls them: fitted to these rows.")
     metrics: dict[str, StageErrors] | None = Field(

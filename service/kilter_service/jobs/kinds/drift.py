@@ -97,10 +97,10 @@ def known_of(job: JobInput) -> Predictive:
 
 
 def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
-    from kilter_core.watch.check import FALSE_ALARM, held_by_sockets
+    from kilter_core.watch.check import FALSE_ALARM
 
     # How far balls in a socket are from each other is not an error of the tool: it lacks what moves all of them alike.
-    measured = () if held_by_sockets(rows) else job.campaigns
+    measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     return {
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
@@ -111,7 +111,8 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "misfit_mm": to_mm(found.misfit),
         "noise_mm": to_mm(found.noise),
         "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
-        "unseen": [wire.cause_words(one) for one in found.unseen], "new_setup": list(found.new_setup),
+        "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,
+        "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
         "fitted_c": job.fit.temperatures_c, "warnings": [], "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},

@@ -18,6 +18,7 @@ from kilter_service.settings import Settings
 OFF = "Not corrected"
 BRIDGED = "By a bridge"
 OTHER = "Other version"
+TWICE = "Corrected twice"
 LIVE_S = 10
 UNCORRECTED = ("refusing", "holding back", "fading out", "off")  # states of a bridge whose offsets go out, or are out
 
@@ -43,10 +44,13 @@ class Corrector:
 
     def of(self, robot: str, active: str | None, compensation: str = "unknown") -> Correcting:
         """Say what it does for a robot, whose active version is given, and what its controller does by itself."""
+        running = [one for one in self.bridges.get(robot, ()) if not one.gone]
+        twice = next((one for one in running if one.corrected_twice), None)
+        if twice is not None:  # what the controller does by itself must not hide it
+            return Correcting("corrected twice", "bad", twice.sentence, TWICE)
         if compensation in CORRECTS:
             said = f"The controller {WORDS[compensation]}, so its setpoints are not corrected a second time."
             return Correcting("by the controller", "faint", said, "By its controller")
-        running = [one for one in self.bridges.get(robot, ()) if not one.gone]
         if running:  # it corrects by itself, whether or not the corrector runs
             return _of_bridge(running[0], active)
         lost = next((one for one in self.bridges.get(robot, ()) if one.state != "ended"), None)

@@ -22,11 +22,6 @@ REST = np.array([0.0, -90.0, 85.0, 60.0, 0.0, 5.0])
 LEAST = 2.0
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(capsys)
-
-
 def task(rng: np.random.Generator, shift: Floats, rows: int = 60) -> Floats:
     """An episode (rows, 6) degrees as a person moves it: from near rest to an object somewhere and back, in whole ticks."""
     object_at = REST + np.array([0, 60, -50, -30, 20, 30]) + rng.normal(0, 8, 6)

@@ -63,6 +63,8 @@ class DriftResult(ShownDrift, Record):
     """Chance of a false alarm at which it says `moved`."""
     fitted_c: tuple[float, ...]
     """Lowest and highest temperature, degrees Celsius, of the rows of the fit; None: not known."""
+    joint_log: bool | None
+    """Whether nobody measured a place, and rows were compared with each other, in their sockets."""
     looked_at: Records[DriftCause]
     """All causes that these rows show, best first."""
     metrics: Mapping[str, StageErrors]

@@ -205,6 +205,8 @@ class Bridge(Record):
 
     controller: str | None
     """Address of the controller; None: none asks."""
+    corrected_twice: bool
+    """Whether the controller corrects by itself, and this bridge offsets the joints on top of it."""
     cycle_ms: float
     """Cycle of the controller, ms."""
     cycles: int
