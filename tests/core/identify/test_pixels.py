@@ -156,3 +156,13 @@ def test_a_fit_that_leaves_too_much_says_so() -> None:
     assert "the model lacks something" in told[0]["message"]
     good = identify(robot, rows, 0.25, ASKED)
     assert not [w for w in good.warnings if w["code"] == "too_large_to_deploy"]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_no_parameter_is_less_certain_than_its_prior(seed: int) -> None:
+    """With lens and scale free the normal equations span eleven digits: nothing of that may be left in a deviation."""
+    scene = eye_to_hand(lengths(seed), scale=1e-3)
+    rng = np.random.default_rng(seed)
+    rows = scene.observed(scene.poses(40, rng), rng, 0.1, scene.rig({"intrinsics": "free"}, UNSURE))
+    result = identify(robot_from_document(scene.drawn.document()), rows, None, ASKED)
+    assert np.all(result.fit.sigma <= 1.03 * result.fit.problem.prior_sigma)  # Student's factor of 200 numbers and more
