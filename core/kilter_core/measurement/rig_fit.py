@@ -19,6 +19,7 @@ from kilter_core.types import Floats, Ints
 MOST_TO_START = 200  # views of each camera and board that a start is found from
 STEPS = 40
 SETTLED = 1e-8  # prior sigmas
+ROUNDING = 1e-13  # share of the loss below which what a step gains cannot be told
 WRONG_SIGMAS = 3.0  # of the median residual: beyond, a corner counts as Huber has it
 SMALLEST_PX = 1e-3
 
@@ -128,12 +129,13 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
             move = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
             there = sight(rig.at(values + move * prior), views, pixels.shape[1])
             new = _loss(weight * (pixels - there) / width, (values + move * prior - mean) / prior)
-            if new <= loss or damping > 1e6:
+            if new <= loss or damping > 1e6 or float(move @ g) < ROUNDING * loss:
                 break
             damping *= 10.0
         values, seen, damping = values + move * prior, there, max(0.1 * damping, 1e-9)
         loss = new
-        if step >= 6 and float(np.max(np.abs(move), initial=0.0)) < SETTLED:
+        rests = float(np.max(np.abs(move), initial=0.0)) < SETTLED or float(move @ g) < ROUNDING * loss
+        if step >= 6 and rests:
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
     return FittedRig(rig.at(values).settled(), covariance, float(width))
