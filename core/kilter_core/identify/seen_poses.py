@@ -24,14 +24,17 @@ from kilter_core.observations.rows import CONTACTS
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 
+FEWEST_OF_TRACKER = 30  # poses, below which geometry alone leaves little of a tracker's rows to search
 BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board", "rig", *CONTACTS))
+OF_TRACKER: dict[str, Any] = dict.fromkeys(("markers", "tip"))
 
 
 def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[Any, ...]:
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
-    Beside a tracker the tracker's rows tell, and pixels are left out. Rows beside views that a contact held tell of the
-    geometry, and are left out after it. Nests of a pose are taken together.
+    Beside a tracker of :data:`FEWEST_OF_TRACKER` poses, or of as many as the views, the tracker's rows tell, and pixels are
+    left out. Fewer of them, and rows that a contact held, tell of the geometry, the cameras and the scale of the boards, and
+    are left out after it. Nests of a pose are taken together.
 
     Raises:
         ObservationError: views that tell no pose.
@@ -39,7 +42,7 @@ def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple
     """
     if rows.pixels is None:
         return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others))
-    if rows.position is not None or rows.markers is not None:
+    if _tracker_tells(rows):
         return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others))
     assert rows.rig is not None
     known = begin
@@ -54,6 +57,18 @@ def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple
             one = replace(more, pose_weight=weights(covariance, scale))
         made.append(one)
     return tuple(made)
+
+
+def _tracker_tells(rows: Observations) -> bool:
+    """Whether a tracker measured the tool, beside views, in so many poses that a search takes its rows."""
+    if rows.position is None and rows.markers is None:
+        return False
+    seen = [
+        np.isfinite(one).reshape(len(rows), -1).any(axis=1) for one in (rows.position, rows.markers) if one is not None
+    ]
+    assert rows.camera is not None
+    of_tracker, of_views = (len(np.unique(rows.pose_groups()[own])) for own in (np.any(seen, axis=0), rows.camera >= 0))
+    return of_tracker >= min(FEWEST_OF_TRACKER, of_views)
 
 
 def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observations, float | None]:
@@ -101,7 +116,7 @@ def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats]
         raise ObservationError("No view tells a pose: measure views that show more of a board.", code="no_view")
     covariance = np.full((n, 6, 6), np.nan)
     covariance[errors.rows] = scatter.sigma_px**2 * errors.covariance
-    return replace(rows, position=p, rotation=R, sigma=sigma, **BARE).select(kept), covariance[kept]
+    return replace(rows, position=p, rotation=R, sigma=sigma, **BARE, **OF_TRACKER).select(kept), covariance[kept]
 
 
 def _poses(rig: PlacedRig, pair: tuple[int, int], pixels: Floats) -> tuple[Floats, Floats, Bools]:
