@@ -174,12 +174,12 @@ class _Pair:
         """Motions (n, 6, 6) of the tool that show the same as the six increments of the camera's pose, or the board's."""
         place, pose = (self.lens, self.X) if camera else (self.sheet, self.Y_whole)
         on_tool = camera is not self.outside
-        turn = self.rotation if on_tool else np.broadcast_to(np.eye(3), self.rotation.shape)
-        spin = turn @ (pose[:3, :3] @ place.spin)
+        to_room = self.rotation if on_tool else np.broadcast_to(np.eye(3), self.rotation.shape)
+        spin = to_room @ (pose[:3, :3] @ place.spin)
         # About the part's own origin, which the tool point lies off by this much.
-        off = -turn @ pose[:3, 3] if on_tool else self.position - pose[:3, 3]
+        off = -to_room @ pose[:3, 3] if on_tool else self.position - pose[:3, 3]
         out = np.zeros((len(off), 6, 6))
-        out[:, :3, :3] = turn @ place.origin[:3, :3]
+        out[:, :3, :3] = to_room @ place.origin[:3, :3]
         out[:, :3, 3:] = cross(spin.transpose(0, 2, 1), off[:, None]).transpose(0, 2, 1)
         out[:, 3:, 3:] = spin
         return out if on_tool else -out
@@ -200,6 +200,6 @@ def cross(a: Floats, b: Floats) -> Floats:
     return out
 
 
-def _turned(rows: Floats, turn: Floats) -> Floats:
+def _turned(rows: Floats, rotation: Floats) -> Floats:
     """Rows (n, m, 2, 3) of each view times its rotation (n, 3, 3)."""
-    return np.asarray((rows.reshape(len(rows), -1, 3) @ turn).reshape(rows.shape))
+    return np.asarray((rows.reshape(len(rows), -1, 3) @ rotation).reshape(rows.shape))
