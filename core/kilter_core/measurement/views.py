@@ -162,13 +162,13 @@ class _Pair:
 
     def by_tool(self) -> Floats:
         """Derivative (n, m, 2, 6) by a motion of the tool."""
-        toward = _turned(self.by_point, self.turn)
+        toward = _in_axes(self.by_point, self.turn)
         side = 1.0 if self.outside else -1.0
         return np.concatenate([side * toward, -side * cross(toward, self.arms[:, :, None])], axis=-1)
 
     def by_corners(self, moves: Floats) -> Floats:
         """Derivative (n, m, 2, K) by moves (m, K, 3) of the corners in the frame of the board."""
-        return np.asarray(_turned(self.by_point, self.board_turn) @ (moves @ self.Y.T).transpose(0, 2, 1))
+        return np.asarray(_in_axes(self.by_point, self.board_turn) @ (moves @ self.Y.T).transpose(0, 2, 1))
 
     def carried(self, camera: bool) -> Floats:
         """Motions (n, 6, 6) of the tool that show the same as the six increments of the camera's pose, or the board's."""
@@ -186,7 +186,7 @@ class _Pair:
 
     def by_scale(self) -> Floats:
         """Derivative (n, m, 2, 1) by the scale of the board."""
-        own = _turned(self.by_point, self.board_turn) @ self.Y
+        own = _in_axes(self.by_point, self.board_turn) @ self.Y
         return np.asarray(np.sum(own * self.nominal[:, None], axis=-1, keepdims=True))
 
 
@@ -200,6 +200,6 @@ def cross(a: Floats, b: Floats) -> Floats:
     return out
 
 
-def _turned(rows: Floats, rotation: Floats) -> Floats:
+def _in_axes(rows: Floats, rotation: Floats) -> Floats:
     """Rows (n, m, 2, 3) of each view times its rotation (n, 3, 3)."""
     return np.asarray((rows.reshape(len(rows), -1, 3) @ rotation).reshape(rows.shape))
