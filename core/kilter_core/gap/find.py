@@ -104,7 +104,7 @@ def find_gap(
 
     Raises:
         TooFewPosesError: the geometry alone needs more poses, or base and tool of the confirmation. ObservationError:
-        nothing measured, ``foreign_observations``, ``rows_shared``. OptionError: options that do not fit, another robot's start.
+        nothing measured, ``foreign_observations``, ``rows_shared``. OptionError: options that do not fit, a start of another.
 
     """
     options, progress = options or GapOptions(), progress or unheard
