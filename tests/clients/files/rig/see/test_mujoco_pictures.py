@@ -81,7 +81,9 @@ def truth(corners: Any, look: tuple[Any, Any], middle: Any) -> Any:
     return focal * points[:, :2] / points[:, 2:] + np.array([WIDTH, HEIGHT]) / 2.0 - 0.5
 
 
-@pytest.mark.skipif(importlib.util.find_spec("OpenGL") is None, reason="MuJoCo's renderer needs PyOpenGL and EGL")
+@pytest.mark.skipif(
+    importlib.util.find_spec("OpenGL") is None, reason="MuJoCo's renderer needs EGL, and PyOpenGL: pip install pyopengl"
+)
 def test_corners_that_mujoco_draws_have_no_bias(tmp_path: Path) -> None:
     corners = np.array([[c["x_mm"], c["y_mm"], 0.0] for c in board(CHARUCO)[1]["corners"]])
     middle = corners.mean(axis=0)
