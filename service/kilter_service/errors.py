@@ -32,6 +32,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "circle_not_round": (400, "Points are off the circle their readings ask for"),
     "points_collinear": (400, "Points on one line do not define a frame"),
     "points_mirrored": (400, "Points are the mirror image of the known ones"),
+    "ball_unknown": (400, "Nobody says where on the tool the ball is"),
     "contact_too_small": (400, "A socket, plane or bar has too few rows"),
     "contacts_mixed": (400, "Contacts of different kinds cannot be searched together"),
     "sheet_order_wrong": (400, "The quarter points of a sheet are in the wrong order"),

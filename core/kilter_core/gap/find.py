@@ -68,11 +68,12 @@ from kilter_core.gap.search.wanted import wanted
 from kilter_core.identify.elsewhere import CONFIRM, elsewhere
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.model_comparison import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
+from kilter_core.identify.planned_views import PlannedViews
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
-from kilter_core.identify.seen_poses import as_seen_poses
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -103,15 +104,14 @@ def find_gap(
 
     Raises:
         TooFewPosesError: the geometry alone needs more poses, or base and tool of the confirmation. ObservationError:
-        nothing measured, ``foreign_observations``, or ``rows_shared``. OptionError: options that do not exist or fit, or a
-        start of another robot.
+        nothing measured, ``foreign_observations``, ``rows_shared``. OptionError: options that do not fit, a start of another.
 
     """
     options, progress = options or GapOptions(), progress or unheard
     begin, budget = beginning(robot, start), Budget(options.budget_s)
     named = [EFFECTS[name] for name in wanted(options.effects)]
     given = as_inputs(named, begin, observations, validation, confirmation)
-    observations, validation, confirmation = as_seen_poses(begin, *given)
+    (observations, validation, confirmation), by_views = seen_poses(begin, *given)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):
@@ -122,7 +122,7 @@ def find_gap(
     every, share = observations, validation
     observations, validation = parted(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15), budget)
-    report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget).report()
+    report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget, by_views).report()
     if not isinstance(share, Observations):
         report = report.numbered(*held_out(every, share, options.seed))
     return replace(report, warnings=(*budget.warnings(), *report.warnings, *remarks))
@@ -161,6 +161,7 @@ class _Run:
     progress: Progress
     every: Observations  # searched and held out, in the order of the file
     budget: Budget
+    by_views: PlannedViews | None
 
     def report(self) -> GapReport:
         prepared, problem = self.prepared, self.prepared.problem
@@ -384,16 +385,15 @@ class _Run:
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)
         weak = [(j, list[Alias]()) for j in effects if j.verdict == "provisional"]
-        if asked is None and not weak:
+        if not (asked or weak):
             return [], None
         j, rivals = asked or weak[0]
-        target = j.evidence.candidate
+        target, rival = j.evidence.candidate, rivals[0].candidate if rivals else None
         others = [k for k in found.columns if k not in target.columns]
         values, rows = np.array([a.value for a in j.evidence.amplitudes]), self.prepared.visits.observations
-        rival = rivals[0].candidate if rivals else None
-        asked_for = (self.options.next_poses, self.options.seed)
+        asked_for = (self.options.next_poses, self.options.seed, None, self.by_views)
         proposals = separate(found.problem, rows, target, [rival] if rival else [], others, values, *asked_for)
-        names = (target.label, rival.label if rival else "geometry")
+        names = target.label, rival.label if rival else "geometry"
         return rows_of(proposals, names, self.robot), told_apart(proposals, target, rival, rows, self.robot)
 
 

@@ -61,6 +61,7 @@ def with_cameras(begin: Calibration, train: Observations, measurement: Measureme
     if measurement.observes_places:
         model = model.in_frames(*register(model, values, measurement.of_tool()))
     seen = train if train.camera is None else train.select(train.camera >= 0)
+    seen = replace(seen, position=None, rotation=None, markers=None, sigma=None)  # views begin by themselves
     here = Calibration(model, values, begin.marker_points)
     views = Measurement.of(seen, held=True).pixels
     assert views is not None

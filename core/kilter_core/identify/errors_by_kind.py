@@ -111,11 +111,12 @@ class Shares:
 def _information(fit: Fit) -> dict[str, Floats]:
     """Information (F, F) of each kind, per prior sigma."""
     here = fit.problem.linearised(fit.values, fit.residual)
-    scaled, start, out = here.J * fit.problem.prior_sigma, 0, {}
+    scaled, start, seen, out = here.J * fit.problem.prior_sigma, 0, 0, {}
     measurement = fit.problem.measurement
     prediction = fit.problem.model.predict(fit.problem.batch, fit.values)
     for kind in measurement.kinds:
-        size = sum(block.r.size for block in kind.blocks(prediction))
+        blocks = here.residual.blocks[seen : seen + len(kind.blocks(prediction))]
+        seen, size = seen + len(blocks), sum(fit.problem.numbers_of(block) for block in blocks)
         own = scaled[start : start + size]
         out[kind.name] = np.asarray(own.T @ own)
         start += size

@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.cameras import with_rig
 from kilter_core.identify.carried_masses import of_masses
-from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, solve
+from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, freedom_by_group, solve
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.tukey import redescend
 from kilter_core.measurement import Measurement, Residual
@@ -312,6 +312,7 @@ def scatter(fit: Fit) -> Sigmas:
     """
     problem = fit.problem
     count = problem.measurement.scalars()
+    apart = freedom_by_group(fit)
     freedom = math.sqrt(max(count - fit.effective, 1.0) / count)
     out = {TURNS: 0.0}
     for group in dict.fromkeys(block.group for block in fit.residual.blocks):
@@ -321,7 +322,9 @@ def scatter(fit: Fit) -> Sigmas:
         if group != TURNS and problem.loss != "linear" and len(left):
             # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
             size = float(np.median(np.abs(left)) / 0.6745)
-        out[group] = size * math.sqrt(problem.measurement.redundancy_of(group)) / freedom
+        redundancy = problem.measurement.redundancy_of(group)
+        own = math.sqrt(apart[group] * redundancy / len(left)) if group in apart and len(left) else freedom
+        out[group] = size * math.sqrt(redundancy) / own
     return out
 
 

@@ -190,7 +190,9 @@ class LeastSquares(ABC, Generic[W]):
 
     def bend(self, values: Floats, here: W, step: Floats) -> Floats:
         """How the prediction bends along a step."""
-        there = self.weighed(self.moved(values, BEND * step))
+        return self._bent(here, self.weighed(self.moved(values, BEND * step)), step)
+
+    def _bent(self, here: W, there: Floats, step: Floats) -> Floats:
         scaled = here.J * self.prior_sigma
         return np.asarray(scaled.T @ (here.r - there - scaled @ (BEND * step)) * (2.0 / BEND**2))
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.planned_views import PlannedViews
 from kilter_core.identify.run import identify
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
@@ -24,36 +25,56 @@ from kilter_core.observations.rows import CONTACTS
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 
+FEWEST_OF_TRACKER = 30  # poses, below which geometry alone leaves little of a tracker's rows to search
 BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board", "rig", *CONTACTS))
+OF_TRACKER: dict[str, Any] = dict.fromkeys(("markers", "tip"))
 
 
 def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[Any, ...]:
+    """As :func:`seen_poses`, the rows alone."""
+    return seen_poses(begin, rows, *others)[0]
+
+
+def seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[tuple[Any, ...], PlannedViews | None]:
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
-    Beside a tracker the tracker's rows tell, and pixels are left out. Rows beside views that a contact held tell of the
-    geometry, and are left out after it. Nests of a pose are taken together.
+    Beside a tracker of :data:`FEWEST_OF_TRACKER` poses, or of as many as the views, the tracker's rows tell, and pixels are
+    left out. Fewer of them, and rows that a contact held, tell of the geometry, the cameras and the scale of the boards, and
+    are left out after it. Nests of a pose are taken together. Where views tell, also how well others would.
 
     Raises:
         ObservationError: views that tell no pose.
 
     """
     if rows.pixels is None:
-        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others))
-    if rows.position is not None or rows.markers is not None:
-        return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others))
+        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others)), None
+    if _tracker_tells(rows):
+        return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others)), None
     assert rows.rig is not None
     known = begin
     if begin.rig is None or not begin.rig.has(rows.rig):
         known = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin).calibration
-    seen, covariance = _seen(known, rows)
+    seen, covariance, found = _seen(known, rows)
     scale = scale_of(covariance)
     made: list[Any] = [replace(seen, pose_weight=weights(covariance, scale))]
     for one in others:
         if isinstance(one, Observations) and one.pixels is not None:
-            more, covariance = _seen(known, one)
+            more, covariance, _ = _seen(known, one)
             one = replace(more, pose_weight=weights(covariance, scale))
         made.append(one)
-    return tuple(made)
+    return tuple(made), PlannedViews.of(known, *found, scale)
+
+
+def _tracker_tells(rows: Observations) -> bool:
+    """Whether a tracker measured the tool, beside views, in so many poses that a search takes its rows."""
+    if rows.position is None and rows.markers is None:
+        return False
+    seen = [
+        np.isfinite(one).reshape(len(rows), -1).any(axis=1) for one in (rows.position, rows.markers) if one is not None
+    ]
+    assert rows.camera is not None
+    of_tracker, of_views = (len(np.unique(rows.pose_groups()[own])) for own in (np.any(seen, axis=0), rows.camera >= 0))
+    return of_tracker >= min(FEWEST_OF_TRACKER, of_views)
 
 
 def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observations, float | None]:
@@ -81,8 +102,10 @@ def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observ
     return replace(seen, sigma=None), worst
 
 
-def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats]:
-    """Rows with the poses of the tool that their views show, and the covariance (N, 6, 6) of each, m and rad."""
+def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats, tuple[PlacedRig, Observations, float]]:
+    """Rows with the poses of the tool that their views show, and the covariance (N, 6, 6) of each, m and rad; the rig, the
+    views themselves, and the standard deviation of a corner, px.
+    """
     views = Measurement.of(rows, held=True).pixels
     assert views is not None
     errors = views.tool_errors(known)
@@ -101,7 +124,8 @@ def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats]
         raise ObservationError("No view tells a pose: measure views that show more of a board.", code="no_view")
     covariance = np.full((n, 6, 6), np.nan)
     covariance[errors.rows] = scatter.sigma_px**2 * errors.covariance
-    return replace(rows, position=p, rotation=R, sigma=sigma, **BARE).select(kept), covariance[kept]
+    found = replace(rows, position=p, rotation=R, sigma=sigma, **BARE, **OF_TRACKER).select(kept)
+    return found, covariance[kept], (rig, rows.select(kept), scatter.sigma_px)
 
 
 def _poses(rig: PlacedRig, pair: tuple[int, int], pixels: Floats) -> tuple[Floats, Floats, Bools]:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kilter_core.measurement.camera_model import normalised
-from kilter_core.measurement.views import Views, sight
-from kilter_core.model.placed_rig import PlacedRig
-from kilter_core.observations.rig import Board, Camera, Rig
+from kilter_core.measurement.camera_model import normalised, project_held
+from kilter_core.measurement.views import cross
+from kilter_core.observations.rig import Board, Camera
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Bools, Floats
 
 STEPS = 12
+RESTING = 1e-9  # m and rad: a last step, after which rounding decides what gains
+Lens = tuple[str, Floats]
 PLANAR = 1e-6  # share of the largest spread below which corners lie in a plane
 FEWEST_IN_SPACE = 6
 
@@ -33,10 +34,10 @@ def board_poses(
         return _of_usable(camera, intrinsics, board, pixels, usable)
     flats = np.where(seen[..., None], normalised(camera.model, intrinsics, pixels), 0.0)
     p, R = (_by_homography if flat else _in_space)(local, flats, seen)
-    fixed = _alone(camera, intrinsics, local)
-    p, R, rms = _refined(fixed, p, R, pixels)
+    lens = camera.model, intrinsics
+    p, R, rms = _refined(lens, local, p, R, pixels)
     if flat:
-        p, R, rms = _better((p, R, rms), _refined(fixed, p, _other_side(p, R), pixels))
+        p, R, rms = _better((p, R, rms), _refined(lens, local, p, _other_side(p, R), pixels))
     R_board = R @ frame.T
     return p - R_board @ centre, R_board, rms, np.asarray(np.isfinite(rms) & (p[:, 2] > 0.0))
 
@@ -57,16 +58,6 @@ def _plane_of(corners: Floats) -> tuple[Floats, Floats, bool]:
     centre = corners.mean(axis=0)
     _, s, Vt = np.linalg.svd(corners - centre, full_matrices=False)
     return centre, Vt.T * np.array([1.0, 1.0, np.linalg.det(Vt)]), bool(s[2] <= PLANAR * s[0])
-
-
-def _alone(camera: Camera, intrinsics: Floats, corners: Floats) -> PlacedRig:
-    """A rig of one camera at the origin and one board, so that the tool is the board."""
-    rig = Rig(
-        (Camera("camera", "fixed", camera.size, camera.focal, camera.centre, camera.model, camera.distortion),),
-        (Board("board", "flange", tuple(map(tuple, corners.tolist()))),),
-    )
-    out = PlacedRig.at_poses(rig, {}, {})
-    return out.with_intrinsics(0, intrinsics)
 
 
 def _by_homography(local: Floats, flats: Floats, seen: Bools) -> tuple[Floats, Floats]:
@@ -126,28 +117,40 @@ def _better(one: tuple[Floats, Floats, Floats], other: tuple[Floats, Floats, Flo
     return p, R, rms
 
 
-def _refined(alone: PlacedRig, p: Floats, R: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
-    """Gauss-Newton steps of every view by itself, each halved while it would not gain."""
-    none = np.zeros(len(p), dtype=np.int64)
-    p, R = p.copy(), R.copy()
-    best, kept = np.full(len(p), np.inf), (p, R)
-    step = np.zeros((len(p), 6))
+def _refined(lens: Lens, local: Floats, p: Floats, R: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+    """Gauss-Newton steps of every view by itself, each halved while it would not gain, until it comes to rest."""
+    p, R, best = p.copy(), R.copy(), np.full(len(p), np.inf)
+    kept_p, kept_R, step = p.copy(), R.copy(), np.zeros((len(p), 6))
+    on = np.arange(len(p))
     for _ in range(STEPS):
-        seen = sight(alone, Views(none, none, p, R), pixels.shape[1], slopes=True)
-        r = pixels - seen.pixels
-        rms = np.sqrt(_mean_square(r))
-        gained = rms < best
-        best = np.where(gained, rms, best)
-        kept = np.where(gained[:, None], p, kept[0]), np.where(gained[:, None, None], R, kept[1])
-        assert seen.by_tool is not None
-        A = seen.by_tool.reshape(len(p), -1, 6) * ~np.isnan(r).reshape(len(p), -1, 1)
-        H = A.transpose(0, 2, 1) @ A
-        H += 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(6) + 1e-30 * np.eye(6)
-        whole = np.linalg.solve(H, A.transpose(0, 2, 1) @ np.nan_to_num(r).reshape(len(p), -1, 1))[:, :, 0]
-        step = np.where(gained[:, None], whole, 0.5 * step)
-        p = kept[0] + step[:, :3]
-        R = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ kept[1]
-    return kept[0], kept[1], best
+        rms, whole = _step(lens, local, p[on], R[on], pixels[on])
+        gained = rms < best[on]
+        better = on[gained]
+        best[better], kept_p[better], kept_R[better] = rms[gained], p[better], R[better]
+        step[on] = np.where(gained[:, None], whole, 0.5 * step[on])
+        p[on] = kept_p[on] + step[on, :3]
+        R[on] = Rotation.from_rotvec(step[on, 3:]).as_matrix() @ kept_R[on]
+        rests = np.abs(step[on]).max(axis=1) < RESTING
+        last = on[rests & gained]
+        kept_p[last], kept_R[last] = p[last], R[last]
+        on = on[~rests]
+        if not len(on):
+            break
+    return kept_p, kept_R, best
+
+
+def _step(lens: Lens, local: Floats, p: Floats, R: Floats, pixels: Floats) -> tuple[Floats, Floats]:
+    """How far off (n,) px the corners of each view are, and the step (n, 6) that would gain most."""
+    arms = local @ R.transpose(0, 2, 1)
+    seen, by_point = project_held(*lens, arms + p[:, None])
+    r = pixels - seen
+    A = np.concatenate([by_point, -cross(by_point, arms[:, :, None])], axis=-1)
+    A[np.isnan(r)] = 0.0
+    A = A.reshape(len(p), -1, 6)
+    H = A.transpose(0, 2, 1) @ A
+    H += 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(6) + 1e-30 * np.eye(6)
+    g = A.transpose(0, 2, 1) @ np.nan_to_num(r).reshape(len(p), -1, 1)
+    return np.sqrt(_mean_square(r)), np.asarray(np.linalg.solve(H, g)[:, :, 0])
 
 
 def _mean_square(r: Floats) -> Floats:

@@ -15,7 +15,7 @@ from scipy.stats import f
 
 from kilter_core.measurement.board_poses import PLANAR
 from kilter_core.measurement.pixels import Pixels
-from kilter_core.measurement.views import Views, by_corners, sight
+from kilter_core.measurement.views import Views, by_corners, sight_and_slopes
 from kilter_core.model import Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.types import Bools, Floats, Ints
@@ -46,12 +46,9 @@ class BoardShape:
 
 def board_shapes(views: Pixels, prediction: Prediction, rig: PlacedRig) -> Iterator[BoardShape]:
     """Shapes of the flat boards that enough views show."""
-    seen = sight(rig, views.views(prediction), views.pixels.shape[1], slopes=True)
-    assert seen.by_tool is not None
-    assert seen.by_rig is not None
-    own = [k for k, (u, _) in enumerate(rig.unknowns) if u.what != "pose"]
+    seen, slopes = sight_and_slopes(rig, views.views(prediction), views.pixels.shape[1])
     w = np.broadcast_to(views.weights, views.pixels.shape) / views.metres_per_px
-    left = w * (views.pixels - seen.pixels)
+    left = w * (views.pixels - seen)
     told = ~np.isnan(left)
     pose = views.observations.pose_groups()
     for b, board in enumerate(rig.rig.boards):
@@ -60,8 +57,8 @@ def board_shapes(views: Pixels, prediction: Prediction, rig: PlacedRig) -> Itera
         if modes is None or len(np.unique(pose[rows])) < FEWEST_VIEWS:
             continue
         moves = _bent(rig, views.views(prediction).only(rows), b, modes, views.pixels.shape[1])
-        X = np.concatenate([moves, seen.by_rig[rows][..., own]], axis=-1) * w[rows][..., None]
-        T = seen.by_tool[rows] * w[rows][..., None]
+        X = np.concatenate([moves, slopes.by_own[rows]], axis=-1) * w[rows][..., None]
+        T = slopes.by_tool[rows] * w[rows][..., None]
         yield _found(board.name, modes, _Left.of(left[rows], told[rows], T, X), pose[rows])
 
 

@@ -26,22 +26,37 @@ def project(model: str, intrinsics: Floats, points: Floats) -> Seen:
 
     Points behind the camera have pixels NaN.
     """
-    x, y, z = (points[..., k] for k in range(3))
-    ahead = z > 0.0
-    z = np.where(ahead, z, np.nan)
-    a, b = x / z, y / z
-    flat, by_ab, by_d = (_fisheye if model == "fisheye" else _radial)(a, b, intrinsics[4:])
+    a, b, z = _ahead(points)
+    flat, by_ab, by_d = (_fisheye if model == "fisheye" else _radial)(a, b, intrinsics[4:], by_distortion=True)
     focal = intrinsics[:2]
-    pixels = flat * focal + intrinsics[2:4]
-    zero = np.zeros_like(a)
-    ab_by_point = np.stack([np.stack([1.0 / z, zero, -a / z], -1), np.stack([zero, 1.0 / z, -b / z], -1)], -2)
-    by_point = focal[:, None] * (by_ab @ ab_by_point)
     by_intrinsics = np.zeros((*a.shape, 2, len(intrinsics)))
     for k in range(2):
         by_intrinsics[..., k, k] = flat[..., k]
         by_intrinsics[..., k, 2 + k] = 1.0
     by_intrinsics[..., 4:] = focal[:, None] * by_d
-    return Seen(pixels, by_point, by_intrinsics)
+    return Seen(flat * focal + intrinsics[2:4], _by_point(by_ab, a, b, z, focal), by_intrinsics)
+
+
+def project_held(model: str, intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """As :func:`project` for a lens that is known: pixels (..., 2), and how they follow the points (..., 2, 3)."""
+    a, b, z = _ahead(points)
+    flat, by_ab, _ = (_fisheye if model == "fisheye" else _radial)(a, b, intrinsics[4:])
+    return flat * intrinsics[:2] + intrinsics[2:4], _by_point(by_ab, a, b, z, intrinsics[:2])
+
+
+def _ahead(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """x/z, y/z and z of points (..., 3); NaN behind the camera."""
+    z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
+    return points[..., 0] / z, points[..., 1] / z, z
+
+
+def _by_point(by_ab: Floats, a: Floats, b: Floats, z: Floats, focal: Floats) -> Floats:
+    """How pixels follow points (..., 2, 3): written out, for a product of small matrices costs ten times as much."""
+    out = np.empty((*a.shape, 2, 3))
+    for k in range(2):
+        x, y = (focal[k] * by_ab[..., k, i] / z for i in range(2))
+        out[..., k, 0], out[..., k, 1], out[..., k, 2] = x, y, -(x * a + y * b)
+    return out
 
 
 def normalised(model: str, intrinsics: Floats, pixels: Floats) -> Floats:
@@ -67,8 +82,10 @@ def _solved(M: Floats, v: Floats) -> Floats:
     return np.asarray(np.stack([x, y], -1) / determinant[..., None])
 
 
-def _radial(a: Floats, b: Floats, d: Floats) -> tuple[Floats, Floats, Floats]:
-    """Distorted directions (..., 2) and their derivatives by the directions (..., 2, 2) and the distortion (..., 2, D)."""
+def _radial(a: Floats, b: Floats, d: Floats, *, by_distortion: bool = False) -> tuple[Floats, Floats, Floats]:
+    """Distorted directions (..., 2) and their derivatives by the directions (..., 2, 2) and, where they are asked for, by
+    the distortion (..., 2, D).
+    """
     if not len(d):
         eye = np.broadcast_to(np.eye(2), (*a.shape, 2, 2))
         return np.stack([a, b], -1), eye, np.zeros((*a.shape, 2, 0))
@@ -85,7 +102,9 @@ def _radial(a: Floats, b: Floats, d: Floats) -> tuple[Floats, Floats, Floats]:
     cross = 2.0 * a * b * slope + 2.0 * p1 * a + 2.0 * p2 * b
     first = g + 2.0 * a * a * slope + 2.0 * p1 * b + 6.0 * p2 * a
     last = g + 2.0 * b * b * slope + 6.0 * p1 * b + 2.0 * p2 * a
-    by_ab = np.stack([np.stack([first, cross], -1), np.stack([cross, last], -1)], -2)
+    by_ab = np.stack([first, cross, cross, last], -1).reshape(*a.shape, 2, 2)
+    if not by_distortion:
+        return flat, by_ab, np.zeros((*a.shape, 2, 0))
     point = np.stack([a, b], -1)
     powers = [s, s**2, None, None, s**3, -g * s, -g * s**2, -g * s**3]
     by_d = np.empty((*a.shape, 2, 8))
@@ -97,7 +116,7 @@ def _radial(a: Floats, b: Floats, d: Floats) -> tuple[Floats, Floats, Floats]:
     return flat, by_ab, by_d[..., : len(d)]
 
 
-def _fisheye(a: Floats, b: Floats, d: Floats) -> tuple[Floats, Floats, Floats]:
+def _fisheye(a: Floats, b: Floats, d: Floats, *, by_distortion: bool = False) -> tuple[Floats, Floats, Floats]:
     """As :func:`_radial`, of the equidistant model of Kannala and Brandt."""
     r = np.hypot(a, b)
     safe = np.maximum(r, AXIS)
@@ -109,4 +128,7 @@ def _fisheye(a: Floats, b: Floats, d: Floats) -> tuple[Floats, Floats, Floats]:
     slope = (bent_by_t / (1.0 + safe**2) - g) / safe**2  # of g by r, over r
     point = np.stack([a, b], -1)
     by_ab = g[..., None, None] * np.eye(2) + slope[..., None, None] * point[..., :, None] * point[..., None, :]
-    return point * g[..., None], by_ab, point[..., :, None] * (powers / safe[..., None])[..., None, :]
+    by_d = (
+        point[..., :, None] * (powers / safe[..., None])[..., None, :] if by_distortion else np.zeros((*a.shape, 2, 0))
+    )
+    return point * g[..., None], by_ab, by_d

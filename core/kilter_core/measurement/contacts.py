@@ -84,6 +84,7 @@ class Contacts(Kind):
                 "Rows held by contacts measure no position whose deviation sx_mm, sy_mm and sz_mm could state: give them "
                 "without these columns, and state how closely a contact holds the ball with noise_mm."
             )
+        self._refuse_unplaced_ball()
         _refuse_small(self.contacts, self.anchor)
         numbers = {c.number for c in self.contacts if c.kind == "socket"}
         for pair in self.distances:
@@ -92,6 +93,17 @@ class Contacts(Kind):
                     f"socket_distances_mm names socket {min(set(pair) - numbers)}, of which there are no rows.",
                     code="contact_too_small",
                 )
+
+    def _refuse_unplaced_ball(self) -> None:
+        """Beside markers the tool point is their mean, unless a tip was digitised, and a contact holds another."""
+        o = self.observations
+        if o.markers is not None and (o.tip is None or np.isnan(o.tip).all()):
+            raise ObservationError(
+                "Markers do not say where on the tool the ball is that sockets, planes and bars hold: digitise the ball's "
+                "centre in some rows of the markers (tipx_mm, tipy_mm, tipz_mm), or give the tracker's points of the ball "
+                "(x_mm, y_mm, z_mm) in place of the markers.",
+                code="ball_unknown",
+            )
 
     @property
     def tells_scale(self) -> bool:

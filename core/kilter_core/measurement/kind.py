@@ -20,22 +20,53 @@ POINTS, TURNS = "points", "turns"  # noise groups of what most kinds measure: wh
 
 
 @dataclass(frozen=True)
+class Spanned:
+    """Derivatives of rows that follow a few numbers each, such as the six of a pose: ``span (V, R, c)`` by those, zero where
+    nothing was measured, and how those follow the parameters, ``inner (V, c, P)``.
+    """
+
+    span: Floats
+    inner: Floats
+
+    @cached_property
+    def short(self) -> tuple[Floats, Floats]:
+        """Orthonormal ``Q (V, R, k)`` and derivatives (V, k, P) of as many numbers, which say all that the rows say."""
+        Q, R = np.linalg.qr(self.span)
+        return Q, R @ self.inner
+
+    def of_short(self, r: Floats) -> Floats:
+        """What residuals ``r`` of the rows, zero where nothing was measured, say of these numbers (V, k)."""
+        return np.asarray((r.reshape(len(r), 1, -1) @ self.short[0])[:, 0])
+
+
+@dataclass(frozen=True)
 class Block:
     """Residuals ``r (V, k, w)``, measured minus predicted, NaN where nothing was measured.
 
-    ``J (V, k, w, P)`` is the derivative of the prediction (minus the residual's). A robust loss weighs each vector of ``w``
-    numbers as one. Blocks of one noise ``group`` share a standard deviation, in ``unit``.
+    ``slopes (V, k, w, P)`` is the derivative of the prediction (minus the residual's), as it is or spanned. A robust loss
+    weighs each vector of ``w`` numbers as one. Blocks of one noise ``group`` share a standard deviation, in ``unit``.
     """
 
     group: str
     r: Floats
-    J: Floats | None = None
+    slopes: Floats | Spanned | None = None
     unit: Unit = "m"
+
+    @cached_property
+    def J(self) -> Floats | None:
+        """The derivative (V, k, w, P)."""
+        if not isinstance(self.slopes, Spanned):
+            return self.slopes
+        return np.asarray((self.slopes.span @ self.slopes.inner).reshape(*self.r.shape, -1))
 
     def beyond(self, step: Floats) -> Block:
         """The same after a small ``step (P,)`` of the parameters; the Jacobian stays."""
-        assert self.J is not None
-        return Block(self.group, self.r - self.J @ step, self.J, self.unit)
+        assert self.slopes is not None
+        if isinstance(self.slopes, Spanned):
+            change = (self.slopes.span @ (self.slopes.inner @ step)[:, :, None]).reshape(self.r.shape)
+        else:
+            change = self.slopes @ step
+        return Block(self.group, self.r - change, self.slopes, self.unit)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ boards were, one constant for all rows: so they weigh as pixels, and read as len
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
@@ -13,17 +14,17 @@ from typing import cast
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
-from kilter_core.measurement.rig_fit import fit_rig, placed_by
+from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, anchor_of
+from kilter_core.measurement.rig_fit import fit_rig, placed_by, thinned
 from kilter_core.measurement.view_scatter import ViewScatter, scatter_of, shrunk
-from kilter_core.measurement.views import Views, pairs_of, sight
+from kilter_core.measurement.views import Views, pairs_of, sight, sight_and_slopes
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Bools, Floats, Ints
 
-MOST_TO_START = 200  # views of each camera and board that a start is found from
+MOST_TOLD = 4  # calibrations whose errors are kept
 FEWEST_CORNERS = 4  # of a view that tells a pose
 
 
@@ -51,6 +52,11 @@ class ToolErrors:
         e = C @ (A.transpose(0, 2, 1) @ flat)
         count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
         return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+
+    @cached_property
+    def without_noise(self) -> Floats:
+        """The motions (K, 6) without what is noise in them, of a model that owes nothing to these views."""
+        return shrunk(self.motion, self.covariance, self.scatter())
 
     def scatter(self, used: float = 0.0, within: float = 0.0) -> ViewScatter:
         """How far off the tool is; ``used`` numbers between and ``within`` views went into a model fitted to them.
@@ -143,9 +149,8 @@ class Pixels(Kind):
         for k, one in enumerate(self.rig.boards):
             corners[k, : len(one.corners)] = one.corners
         seen = ~np.isnan(self.pixels).any(axis=2) & (board >= 0)[:, None]
-        wide = [_spread(values[seen[n]]) for n, values in enumerate(np.where(seen[..., None], corners[board], np.nan))]
-        here = [_spread(values[seen[n]]) for n, values in enumerate(self.pixels)]
-        ratio = np.array([w / h for w, h in zip(wide, here, strict=True) if h > 0.0])
+        wide, here = (_spread(values, seen) for values in (corners[board], self.pixels))
+        ratio = wide[here > 0.0] / here[here > 0.0]
         return float(np.median(ratio)) if len(ratio) else 1e-3
 
     @cached_property
@@ -174,7 +179,7 @@ class Pixels(Kind):
         if known is not None and known.rig.has(self.rig):
             return known.rig.of(self.rig)
         whole, sigma = self.views(prediction), self.observations.pixel_sigma
-        some = np.concatenate([which[:: max(1, -(-len(which) // MOST_TO_START))] for which, _, _ in whole.pairs()])
+        some = np.concatenate([thinned(which, self.pixels) for which, _, _ in whole.pairs()])
         views, pixels = whole.only(some), self.pixels[some]
         held = placed_by(self.rig, views, pixels).described_by(self.rig.held())
         return fit_rig(held, views, pixels, None if sigma is None else sigma[some]).rig.described_by(self.rig)
@@ -186,37 +191,48 @@ class Pixels(Kind):
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Measured minus predicted corners (N, M, 2), whitened by what is known of each, in m at the boards."""
-        seen = sight(self.placed(prediction), self.views(prediction), self.pixels.shape[1], slopes=J is not None)
-        w = self.weights
-        r = w * (self.pixels - seen.pixels)
+        w, given = self.weights, (self.placed(prediction), self.views(prediction), self.pixels.shape[1])
         if J is None:
-            return (Block(self.group, r),)
-        assert seen.by_tool is not None
-        assert seen.by_rig is not None
+            return (Block(self.group, w * (self.pixels - sight(*given))),)
+        pixels, slopes = sight_and_slopes(*given)
+        r = w * (self.pixels - pixels)
         n, m = r.shape[:2]
-        out = seen.by_tool.reshape(n, 2 * m, 6) @ J[:, :6]
+        span, of_rig = slopes.spanned()
+        span *= w if isinstance(w, float) else w[..., None]
+        unseen = np.isnan(r)
+        if unseen.any():
+            span[unseen] = 0.0
+        inner = np.zeros((*of_rig.shape[:2], J.shape[2]))
+        inner[:, :6] = J[:, :6]
         if prediction.instrument is not None and len(prediction.instrument.columns):
             columns = prediction.instrument.columns
-            own = np.flatnonzero(columns >= 0)
-            out[:, :, columns[own]] += seen.by_rig.reshape(n, 2 * m, -1)[:, :, own]
-        out = out.reshape(n, m, 2, J.shape[2])
-        out *= w if isinstance(w, float) else w[..., None]
-        return (Block(self.group, r, out),)
+            fitted = np.flatnonzero(columns >= 0)
+            inner[:, :, columns[fitted]] += of_rig[:, :, fitted]
+        return (Block(self.group, r, Spanned(span.reshape(n, 2 * m, -1), inner)),)
 
     def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
         """Errors (K, 3) m and (K,) rad of the tool, by what each view says without its noise."""
         found = self.tool_errors(calibration)
-        e = shrunk(found.motion, found.covariance, found.scatter())
+        e = found.without_noise
         return e[:, :3], np.asarray(np.sqrt(np.sum(e[:, 3:] ** 2, axis=1)), dtype=np.float64)
 
     def tool_errors(self, calibration: Calibration) -> ToolErrors:
         """Motions of the tool that explain what is left of each view best."""
+        for known, values, found in self._told:
+            if known is calibration and np.array_equal(values, calibration.values):
+                return found
         prediction = calibration.predict(self.observations)
         rig = self._known(calibration, prediction)
-        seen = sight(rig, self.views(prediction), self.pixels.shape[1], slopes=True)
-        assert seen.by_tool is not None
+        seen, slopes = sight_and_slopes(rig, self.views(prediction), self.pixels.shape[1])
         w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
-        return ToolErrors.of(w * (self.pixels - seen.pixels), seen.by_tool * w[..., None])
+        made = ToolErrors.of(w * (self.pixels - seen), slopes.by_tool * w[..., None])
+        self._told.append((calibration, calibration.values.copy(), made))
+        return made
+
+    @cached_property
+    def _told(self) -> deque[tuple[Calibration, Floats, ToolErrors]]:
+        """The last few errors: a report asks for those of one stage several times over."""
+        return deque(maxlen=MOST_TOLD)
 
     def _known(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
         """The rig of a calibration; where it has none, as it fits the anchor, or else these rows."""
@@ -241,8 +257,10 @@ def _where(mount: str) -> str:
     return "fixed in the room" if mount == "fixed" else "on the flange"
 
 
-def _spread(points: Floats) -> float:
-    """Root mean square distance of points (k, d) from their middle; 0 of fewer than two."""
-    if len(points) < 2:
-        return 0.0
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+def _spread(points: Floats, seen: Bools) -> Floats:
+    """Root mean square distance (N,) of points (N, M, d) that are ``seen (N, M)`` from their middle; 0 of fewer than two."""
+    count = seen.sum(axis=1)
+    told = np.where(seen[..., None], points, 0.0)
+    middle = told.sum(axis=1) / np.maximum(count, 1)[:, None]
+    square = np.where(seen, np.sum((told - middle[:, None]) ** 2, axis=2), 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(square / np.maximum(count, 1)) * (count > 1))

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.board_poses import board_poses
+from kilter_core.measurement.board_poses import FEWEST_IN_SPACE, board_poses
 from kilter_core.measurement.hand_eye import HandEye, solve_axzb
-from kilter_core.measurement.views import Sight, Views, sight
+from kilter_core.measurement.views import Slopes, Views, sight, sight_and_slopes
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Floats, Ints
 
+MOST_TO_START = 200  # views of each camera and board that a start is found from
 STEPS = 40
 SETTLED = 1e-8  # prior sigmas
+ROUNDING = 1e-13  # share of the loss below which what a step gains cannot be told
 WRONG_SIGMAS = 3.0  # of the median residual: beyond, a corner counts as Huber has it
 SMALLEST_PX = 1e-3
 
@@ -32,7 +34,8 @@ class FittedRig:
 
 
 def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
-    """Start values: each board's pose in each view, then AX = ZB of each pair of a camera and a board.
+    """Start values: each board's pose in each view, then AX = ZB of each pair of a camera and a board, of so many views
+    (``MOST_TO_START``) of each pair, spread over all of them.
 
     Raises:
         ObservationError: ``no_view``, or ``hand_eye_undetermined``.
@@ -44,6 +47,7 @@ def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
     for which, c, b in views.pairs():
         camera, board = rig.cameras[c], rig.boards[b]
         values = np.array(camera.values)
+        which = thinned(which, pixels)
         p, R, _, usable = board_poses(camera, values, board, pixels[which][:, : len(board.corners)])
         pairs.append((int(usable.sum()), c, b, which[usable], p[usable], R[usable]))
     for count, c, b, which, p, R in sorted(pairs, key=lambda pair: (-pair[0], pair[1], pair[2])):
@@ -61,6 +65,13 @@ def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
         cameras.setdefault(c, world_side if fixed else tool_side)
         boards.setdefault(b, tool_side if fixed else world_side)
     return PlacedRig.at_poses(rig, cameras, boards)
+
+
+def thinned(which: Ints, pixels: Floats) -> Ints:
+    """So many of the views ``which`` that a start needs, of those of ``pixels (N, M, 2)`` that show enough corners."""
+    enough = which[(~np.isnan(pixels[which]).any(axis=2)).sum(axis=1) >= FEWEST_IN_SPACE]
+    some = enough if len(enough) else which
+    return some[:: max(1, -(-len(some) // MOST_TO_START))]
 
 
 def _pair(
@@ -105,38 +116,44 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
     mean = np.array([p.value for p in rig.parameters])
     weight = 1.0 if sigma is None else np.sqrt(np.nanmean(sigma**2)) / sigma
     values, damping = rig.values, 1e-6
-    seen = sight(rig.at(values), views, pixels.shape[1], slopes=True)
-    width = _width(weight * (pixels - seen.pixels))
+    seen = sight(rig.at(values), views, pixels.shape[1])
     loss = np.inf
     for step in range(STEPS):
-        r = weight * (pixels - seen.pixels)
+        r = weight * (pixels - seen)
         if step < 6:
             width = max(_width(r), SMALLEST_PX)
             loss = _loss(r / width, (values - mean) / prior)
-        H, g = _equations(seen, r, weight, width, prior, (values - mean) / prior)
+        slopes = sight_and_slopes(rig.at(values), views, pixels.shape[1])[1]
+        H, g = _equations(slopes, r, weight, width, prior, (values - mean) / prior)
         while True:
             move = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
-            there = sight(rig.at(values + move * prior), views, pixels.shape[1], slopes=True)
-            new = _loss(weight * (pixels - there.pixels) / width, (values + move * prior - mean) / prior)
-            if new <= loss or damping > 1e6:
+            there = sight(rig.at(values + move * prior), views, pixels.shape[1])
+            new = _loss(weight * (pixels - there) / width, (values + move * prior - mean) / prior)
+            if new <= loss or damping > 1e6 or float(move @ g) < ROUNDING * loss:
                 break
             damping *= 10.0
         values, seen, damping = values + move * prior, there, max(0.1 * damping, 1e-9)
         loss = new
-        if step >= 6 and float(np.max(np.abs(move), initial=0.0)) < SETTLED:
+        rests = float(np.max(np.abs(move), initial=0.0)) < SETTLED or float(move @ g) < ROUNDING * loss
+        if step >= 6 and rests:
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
     return FittedRig(rig.at(values).settled(), covariance, float(width))
 
 
 def _equations(
-    seen: Sight, r: Floats, weight: float | Floats, width: float, prior: Floats, away: Floats
+    seen: Slopes, r: Floats, weight: float | Floats, width: float, prior: Floats, away: Floats
 ) -> tuple[Floats, Floats]:
-    assert seen.by_rig is not None
     root = np.nan_to_num(_root(r / width) * np.broadcast_to(weight, r.shape) / width)
-    A = (seen.by_rig * (root * ~np.isnan(r))[..., None]).reshape(-1, len(prior)) * prior
-    scaled = (np.nan_to_num(r) * _root(r / width) / width).reshape(-1)
-    return A.T @ A + np.eye(len(prior)), A.T @ np.nan_to_num(scaled) - away
+    n, size = len(r), r[0].size
+    span, inner = seen.spanned()
+    A = (span * (root * ~np.isnan(r))[..., None]).reshape(n, size, -1)
+    inner = inner * prior
+    scaled = np.nan_to_num(np.nan_to_num(r) * _root(r / width) / width).reshape(n, size, 1)
+    A_T = A.transpose(0, 2, 1)
+    flat = inner.reshape(-1, len(prior))
+    H = flat.T @ ((A_T @ A) @ inner).reshape(-1, len(prior))
+    return H + np.eye(len(prior)), flat.T @ (A_T @ scaled).reshape(-1) - away
 
 
 def _root(s: Floats) -> Floats:

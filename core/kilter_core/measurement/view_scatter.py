@@ -91,7 +91,7 @@ def _interval(e: Floats, noise: Floats, place: float, turn: float) -> tuple[floa
     """The 95 % interval of a coordinate's width, all widths likely before, and the root of its mean square."""
     spread = float(np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2)[:, :3].min(axis=1))))
     widths = np.linspace(0.0, 3.0 * place + 2.0 * spread / np.sqrt(len(e)), GRID)
-    logs = np.array([_log_likelihood(e, noise, max(w, SMALLEST_M), turn) for w in widths])
+    logs = _log_likelihood(e, noise, np.maximum(widths, SMALLEST_M), turn)
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
     total = np.cumsum(weight)
@@ -99,6 +99,12 @@ def _interval(e: Floats, noise: Floats, place: float, turn: float) -> tuple[floa
     return low, high, float(np.sqrt(weight @ widths**2))
 
 
-def _log_likelihood(e: Floats, noise: Floats, place: float, turn: float) -> float:
-    S = noise + np.diag([place**2] * 3 + [turn**2] * 3)
-    return float(-0.5 * (np.linalg.slogdet(S)[1].sum() + np.einsum("ni,nij,nj->", e, np.linalg.inv(S), e)))
+def _log_likelihood(e: Floats, noise: Floats, places: Floats, turn: float) -> Floats:
+    """Of widths ``places (K,)``, up to a constant: of the place beside the rotation, whose width is held (K,)."""
+    R = np.linalg.inv(noise[:, 3:, 3:] + turn**2 * np.eye(3))
+    lever = noise[:, :3, 3:] @ R
+    beside = noise[:, :3, :3] - lever @ noise[:, 3:, :3]
+    w, V = np.linalg.eigh(beside)
+    own = np.einsum("nji,nj->ni", V, e[:, :3] - np.einsum("nij,nj->ni", lever, e[:, 3:]))
+    whole = w + places[:, None, None] ** 2
+    return np.asarray(-0.5 * (np.log(whole).sum(axis=(1, 2)) + (own**2 / whole).sum(axis=(1, 2))))

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
-from kilter_core.measurement.camera_model import project
+from kilter_core.measurement.camera_model import project, project_held
 from kilter_core.model.placed_rig import Place, PlacedRig
-from kilter_core.transforms import skew
 from kilter_core.types import Floats, Ints
 
 
 def pairs_of(camera: Ints, board: Ints) -> list[tuple[int, int]]:
     """Every camera (N,) with each board (N,) that it saw; rows that no camera saw have -1."""
-    return sorted({(int(c), int(b)) for c, b in zip(camera, board, strict=True) if c >= 0})
+    seen = np.unique(np.stack([camera, board], axis=1)[camera >= 0], axis=0)
+    return [(int(c), int(b)) for c, b in seen]
 
 
 @dataclass(frozen=True)
@@ -38,36 +40,78 @@ class Views:
 
 
 @dataclass(frozen=True)
-class Sight:
-    """Pixels (N, M, 2), NaN where a board has no such corner or it is behind the camera.
+class Slopes:
+    """How pixels (N, M, 2) follow the tool and the unknowns of the rig; zero where there is no pixel.
 
     ``by_tool (N, M, 2, 6)`` are their derivatives by a motion of the tool in the axes of the measurements, about the tool
-    point; ``by_rig (N, M, 2, K)`` those by the unknowns of the rig. Both are zero where there is no pixel.
+    point. A camera or board that moves is seen as the tool that moves by ``carried (N, 6, K)``, so only intrinsics and scales
+    have derivatives of their own: ``by_own (N, M, 2, O)``, of the unknowns ``own (O,)`` of the K.
     """
 
-    pixels: Floats
-    by_tool: Floats | None
-    by_rig: Floats | None
+    by_tool: Floats
+    carried: Floats
+    by_own: Floats
+    own: Ints
+
+    def spanned(self) -> tuple[Floats, Floats]:
+        """Derivatives (N, M, 2, 6 + O) by the few numbers that pixels follow, and those of these (N, 6 + O, K)."""
+        count = len(self.own)
+        inner = np.zeros((len(self.carried), 6 + count, self.carried.shape[2]))
+        inner[:, :6] = self.carried
+        inner[:, 6 + np.arange(count), self.own] = 1.0
+        return np.concatenate([self.by_tool, self.by_own], axis=3), inner
 
 
-def sight(rig: PlacedRig, views: Views, corners: int, slopes: bool = False) -> Sight:
-    """See all views, of boards with at most so many ``corners``; with ``slopes`` also how the pixels follow."""
-    rows, unknowns = len(views.position), rig.unknowns
-    pixels = np.full((rows, corners, 2), np.nan)
-    by_tool = np.zeros((rows, corners, 2, 6)) if slopes else None
-    by_rig = np.zeros((rows, corners, 2, len(unknowns))) if slopes else None
+def sight(rig: PlacedRig, views: Views, corners: int) -> Floats:
+    """Pixels (N, M, 2) in all views of boards with at most so many ``corners``.
+
+    NaN where a board has no such corner or it is behind the camera.
+    """
+    pixels = np.full((len(views.position), corners, 2), np.nan)
     for which, c, b in views.pairs():
         seen = _Pair(rig, c, b, views.position[which], views.rotation[which])
-        m = len(rig.rig.boards[b].corners)
-        ok = seen.pixels
-        pixels[which, :m] = ok
-        if by_tool is None or by_rig is None:
-            continue
-        by_tool[which, :m] = np.nan_to_num(seen.by_tool())
-        for k, (u, _) in enumerate(unknowns):
-            if u.place == (c if u.camera else b):
-                by_rig[which, :m, :, k] = np.nan_to_num(seen.by(u.camera, u.what)[..., u.index])
-    return Sight(pixels, by_tool, by_rig)
+        pixels[which, : seen.pixels.shape[1]] = seen.pixels
+    return pixels
+
+
+def sight_and_slopes(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats, Slopes]:
+    """As :func:`sight`, and how the pixels follow."""
+    rows = len(views.position)
+    own = np.flatnonzero([unknown.what != "pose" for unknown, _ in rig.unknowns])
+    pixels, by_tool = np.full((rows, corners, 2), np.nan), np.zeros((rows, corners, 2, 6))
+    carried, by_own = np.zeros((rows, 6, len(rig.unknowns))), np.zeros((rows, corners, 2, len(own)))
+    for which, c, b in views.pairs():
+        parts = [one for one in _parts(rig) if one.place == (c if one.camera else b)]
+        lens = any(one.what == "intrinsics" for one in parts)
+        seen = _Pair(rig, c, b, views.position[which], views.rotation[which], lens=lens)
+        m = seen.pixels.shape[1]
+        pixels[which, :m] = seen.pixels
+        by_tool[which, :m] = seen.told(seen.by_tool())
+        for one in parts:
+            if one.what == "pose":
+                carried[which, :, one.columns] = seen.carried(one.camera)
+                continue
+            place = slice(*np.searchsorted(own, (one.columns.start, one.columns.stop)).tolist())
+            by_own[which, :m, :, place] = seen.told(seen.by_intrinsics if one.camera else seen.by_scale())
+    return pixels, Slopes(by_tool, carried, by_own, own)
+
+
+class _Part(NamedTuple):
+    """What is unknown of a camera or board at a ``place``: the pose, the intrinsics or the scale, in these columns."""
+
+    camera: bool
+    place: int
+    what: str
+    columns: slice
+
+
+def _parts(rig: PlacedRig) -> Iterator[_Part]:
+    """The unknowns of a rig by what they are of: those of one thing follow each other, all of it."""
+    start = 0
+    for (camera, place, what), each in groupby(rig.unknowns, lambda one: (one[0].camera, one[0].place, one[0].what)):
+        stop = start + len(list(each))
+        yield _Part(camera, place, what, slice(start, stop))
+        start = stop
 
 
 def by_corners(rig: PlacedRig, views: Views, moves: Floats) -> Iterator[tuple[Ints, Floats]]:
@@ -81,7 +125,9 @@ def by_corners(rig: PlacedRig, views: Views, moves: Floats) -> Iterator[tuple[In
 class _Pair:
     """One camera and one board in n rows: points on their way from the board into the picture."""
 
-    def __init__(self, rig: PlacedRig, c: int, b: int, position: Floats, rotation: Floats) -> None:
+    def __init__(
+        self, rig: PlacedRig, c: int, b: int, position: Floats, rotation: Floats, *, lens: bool = False
+    ) -> None:
         camera, board = rig.rig.cameras[c], rig.rig.boards[b]
         self.lens: Place = rig.cameras[c]
         self.sheet: Place = rig.boards[b]
@@ -89,7 +135,8 @@ class _Pair:
         self.X, Y = self.lens.pose, self.sheet.pose
         self.nominal = np.array(board.corners)
         self.corners = rig.corners(b)
-        self.Y = Y[:3, :3]
+        self.Y, self.Y_whole = Y[:3, :3], Y
+        self.position, self.rotation = position, rotation
         on_part = self.corners @ Y[:3, :3].T + Y[:3, 3]
         if self.outside:  # the board goes with the tool
             self.arms = on_part @ rotation.transpose(0, 2, 1)
@@ -101,41 +148,58 @@ class _Pair:
             self.turn = self.X[:3, :3].T @ rotation.transpose(0, 2, 1)
         self.board_turn = self.turn @ rotation if self.outside else self.turn
         self.points = (there - self.X[:3, 3]) @ self.X[:3, :3]
-        self.pixels, self.by_point, self.by_intrinsics = project(camera.model, self.lens.values, self.points)
-        self.kept: dict[tuple[bool, str], Floats] = {}
+        if lens:
+            self.pixels, self.by_point, self.by_intrinsics = project(camera.model, self.lens.values, self.points)
+        else:
+            self.pixels, self.by_point = project_held(camera.model, self.lens.values, self.points)
+        self.unseen = np.isnan(self.pixels[..., 0])
+
+    def told(self, slopes: Floats) -> Floats:
+        """Slopes (n, m, 2, K), zero of a corner behind the camera."""
+        if self.unseen.any():
+            slopes = np.where(self.unseen[..., None, None], 0.0, slopes)
+        return slopes
 
     def by_tool(self) -> Floats:
         """Derivative (n, m, 2, 6) by a motion of the tool."""
-        toward = self.by_point @ self.turn[:, None]
+        toward = _in_axes(self.by_point, self.turn)
         side = 1.0 if self.outside else -1.0
-        spun = -side * (toward @ skew(self.arms.reshape(-1, 3)).reshape(*self.arms.shape, 3))
-        return np.concatenate([side * toward, spun], axis=-1)
+        return np.concatenate([side * toward, -side * cross(toward, self.arms[:, :, None])], axis=-1)
 
     def by_corners(self, moves: Floats) -> Floats:
         """Derivative (n, m, 2, K) by moves (m, K, 3) of the corners in the frame of the board."""
-        toward = self.by_point @ self.board_turn[:, None]
-        return np.asarray(toward @ (moves @ self.Y.T).transpose(0, 2, 1))
+        return np.asarray(_in_axes(self.by_point, self.board_turn) @ (moves @ self.Y.T).transpose(0, 2, 1))
 
-    def by(self, camera: bool, what: str) -> Floats:
-        """Derivative (n, m, 2, ...) by the pose, the intrinsics or the scale of a part."""
-        key = camera, what
-        if key not in self.kept:
-            made = {"pose": self._by_camera if camera else self._by_board, "scale": self._by_scale}
-            self.kept[key] = self.by_intrinsics if what == "intrinsics" else made[what]()
-        return self.kept[key]
+    def carried(self, camera: bool) -> Floats:
+        """Motions (n, 6, 6) of the tool that show the same as the six increments of the camera's pose, or the board's."""
+        place, pose = (self.lens, self.X) if camera else (self.sheet, self.Y_whole)
+        on_tool = camera is not self.outside
+        to_room = self.rotation if on_tool else np.broadcast_to(np.eye(3), self.rotation.shape)
+        spin = to_room @ (pose[:3, :3] @ place.spin)
+        # About the part's own origin, which the tool point lies off by this much.
+        off = -to_room @ pose[:3, 3] if on_tool else self.position - pose[:3, 3]
+        out = np.zeros((len(off), 6, 6))
+        out[:, :3, :3] = to_room @ place.origin[:3, :3]
+        out[:, :3, 3:] = cross(spin.transpose(0, 2, 1), off[:, None]).transpose(0, 2, 1)
+        out[:, 3:, 3:] = spin
+        return out if on_tool else -out
 
-    def _by_camera(self) -> Floats:
-        slid = -self.by_point @ (self.X[:3, :3].T @ self.lens.origin[:3, :3])
-        spun = self.by_point @ (skew(self.points.reshape(-1, 3)).reshape(*self.points.shape, 3) @ self.lens.spin)
-        return np.concatenate([slid, spun], axis=-1)
+    def by_scale(self) -> Floats:
+        """Derivative (n, m, 2, 1) by the scale of the board."""
+        own = _in_axes(self.by_point, self.board_turn) @ self.Y
+        return np.asarray(np.sum(own * self.nominal[:, None], axis=-1, keepdims=True))
 
-    def _by_board(self) -> Floats:
-        toward = self.by_point @ self.board_turn[:, None]
-        slid = toward @ self.sheet.origin[:3, :3]
-        spun = -toward @ (self.Y @ skew(self.corners) @ self.sheet.spin)
-        return np.concatenate([slid, spun], axis=-1)
 
-    def _by_scale(self) -> Floats:
-        toward = self.by_point @ self.board_turn[:, None]
-        grown = self.nominal @ self.Y.T
-        return np.asarray(toward @ grown[..., None])
+def cross(a: Floats, b: Floats) -> Floats:
+    """Cross products (..., 3): the row ``a`` times the matrix that crosses with ``b``."""
+    x, y, z = (b[..., k] for k in range(3))
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0] = a[..., 1] * z - a[..., 2] * y
+    out[..., 1] = a[..., 2] * x - a[..., 0] * z
+    out[..., 2] = a[..., 0] * y - a[..., 1] * x
+    return out
+
+
+def _in_axes(rows: Floats, rotation: Floats) -> Floats:
+    """Rows (n, m, 2, 3) of each view times its rotation (n, 3, 3)."""
+    return np.asarray((rows.reshape(len(rows), -1, 3) @ rotation).reshape(rows.shape))

@@ -13,7 +13,7 @@ import numpy as np
 from kilter_core.measurement.pixels import ToolErrors
 from kilter_core.measurement.rig_fit import fit_rig, placed_by
 from kilter_core.measurement.view_scatter import ViewScatter
-from kilter_core.measurement.views import Views, sight
+from kilter_core.measurement.views import Views, sight_and_slopes
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
@@ -55,10 +55,9 @@ def hand_eye(
     views = Views(first if camera is None else camera, first if board is None else board, position, rotation)
     start = placed_by(rig, views, pixels)
     fitted = fit_rig(start, views, pixels, sigma)
-    seen = sight(fitted.rig, views, pixels.shape[1], slopes=True)
-    assert seen.by_tool is not None
-    r = pixels - seen.pixels
+    seen, slopes = sight_and_slopes(fitted.rig, views, pixels.shape[1])
+    r = pixels - seen
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sqrt(np.nansum(r**2, axis=(1, 2)) / np.sum(~np.isnan(r), axis=(1, 2)))
-    scatter = ToolErrors.of(r, seen.by_tool).scatter(float(6 * (len(rig.cameras) + len(rig.boards))))
+    scatter = ToolErrors.of(r, slopes.by_tool).scatter(float(6 * (len(rig.cameras) + len(rig.boards))))
     return HandEyeCalibration(fitted.rig, start, fitted.covariance, np.asarray(left), scatter)

@@ -140,6 +140,8 @@ def check(
     anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
     rows, seen = as_seen_places(calibration, rows)
+    if seen is not None:
+        calibration = replace(calibration, marker_points=None)  # views tell the tool point itself
     noise, counts = seen if noise is None else noise, Measured()
     if held_by_sockets(rows):
         rows, counts = placed(calibration, rows)

@@ -11,7 +11,10 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.identify.cameras import with_cameras
+from kilter_core.identify.estimate import prepared
 from kilter_core.identify.plausibility.views import refuse_unrelated_views
+from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.measurement.test_pixels import ASKED, STIFF, registered_error
@@ -156,3 +159,37 @@ def test_a_fit_that_leaves_too_much_says_so() -> None:
     assert "the model lacks something" in told[0]["message"]
     good = identify(robot, rows, 0.25, ASKED)
     assert not [w for w in good.warnings if w["code"] == "too_large_to_deploy"]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_no_parameter_is_less_certain_than_its_prior(seed: int) -> None:
+    """With lens and scale free the normal equations span eleven digits: nothing of that may be left in a deviation."""
+    scene = eye_to_hand(lengths(seed), scale=1e-3)
+    rng = np.random.default_rng(seed)
+    rows = scene.observed(scene.poses(40, rng), rng, 0.1, scene.rig({"intrinsics": "free"}, UNSURE))
+    result = identify(robot_from_document(scene.drawn.document()), rows, None, ASKED)
+    assert np.all(result.fit.sigma <= 1.03 * result.fit.problem.prior_sigma)  # Student's factor of 200 numbers and more
+
+
+def test_rows_that_stand_for_views_say_all_that_pixels_say() -> None:
+    """A view's 96 numbers count as the 16 they follow: the loss, its slope, its matrix and its bend are those of pixels."""
+    scene = eye_to_hand(lengths(3), scale=1e-3)
+    rng = np.random.default_rng(3)
+    rows = scene.observed(scene.poses(20, rng), rng, 0.1, scene.rig({"intrinsics": "free"}, UNSURE))
+    measurement = Measurement.of(rows, held=True)
+    begin = with_cameras(Calibration.nominal(robot_from_document(scene.drawn.document())), rows, measurement)
+    short, values = prepared(begin, measurement, IdentifyOptions(fix=("beta_*",)), registered=True)
+    whole = short.wholly()
+    here, there = short.linearised(values), whole.linearised(values)
+    assert (len(here.r), len(there.r)) == (20 * 16, rows.pixels.size)
+    assert here.loss == pytest.approx(there.loss, rel=1e-12)
+    (H, g), (H_whole, g_whole) = short.normal_equations(values, here), whole.normal_equations(values, there)
+    size = np.sqrt(np.diag(H_whole))
+    assert np.abs((H - H_whole) / np.outer(size, size)).max() < 1e-12
+    np.testing.assert_allclose(g / size, g_whole / size, rtol=1e-9, atol=1e-9 * np.abs(g_whole / size).max())
+    step = rng.standard_normal(len(g)) / size
+    bends = short.bend(values, here, step) / size, whole.bend(values, there, step) / size
+    np.testing.assert_allclose(*bends, rtol=1e-6, atol=1e-6 * np.abs(bends[1]).max())
+    ahead, ahead_whole = (one.beyond(at, one.moved(values, step), step) for one, at in ((short, here), (whole, there)))
+    assert ahead.loss == pytest.approx(ahead_whole.loss, rel=1e-12)
+    assert ahead.J.T @ ahead.r == pytest.approx(ahead_whole.J.T @ ahead_whole.r, rel=1e-9)

@@ -18,6 +18,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.source import Source
+from kilter_core.identify.planned_views import PlannedViews
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
@@ -44,12 +45,12 @@ class Proposal:
 
 def separate(
     problem: LinearizedProblem, rows: Observations, target: Candidate, rivals: Sequence[Candidate], others: Sequence[int],
-    amplitudes: Floats, count: int, seed: int, region: Region | None = None,
+    amplitudes: Floats, count: int, seed: int, region: Region | None = None, by_views: PlannedViews | None = None,
 ) -> tuple[Proposal, ...]:  # fmt: skip
     """Best poses for telling ``target`` (with its fitted ``amplitudes``) from its rivals, best proposal first.
 
     ``others`` are library columns of the other named effects. New poses are in ``region``, else where ``rows`` were.
-    Only tool measurements can be planned for.
+    Only tool measurements can be planned for; ``by_views`` tells what a view of each pose would say.
     """
     source = problem.settings.source
     if not source.observes_tool or not source.observes_places or count < 1:
@@ -57,7 +58,9 @@ def separate(
     model = Calibration(source.model, problem.values)
     region = region or Region.of(model, rows.q)
     needs = frozenset[str]().union(*(c.effects[0].needs for c in (target, *rivals)))
-    question = _Question(problem, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes)
+    question = _Question(
+        problem, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes, by_views
+    )
     rng = np.random.default_rng(seed)
     new = _greedy(question, _pool(rows, region, needs, rng), count, "new", "")
     old = rows.select(np.flatnonzero(region.clear(rows.q)))
@@ -103,6 +106,7 @@ class _Question:
     rivals: tuple[int, ...]
     others: tuple[int, ...]
     amplitudes: Floats
+    by_views: PlannedViews | None = None
 
     def columns(self, G: Floats, W: Callable[[list[int]], Floats]) -> Floats:
         """Signature of the target first, then geometry, rivals, others, each scaled to order one; ``W`` gives columns."""
@@ -122,7 +126,12 @@ class _Question:
         return H
 
     def rows(self, observations: Observations) -> Floats:
-        """Whitened columns (V, m, p) of poses not measured yet, visited as the others were on average."""
+        """Whitened columns (V, m, p) of poses not measured yet, visited as the others were on average.
+
+        Views weigh each by its own pixels.
+        """
+        if self.by_views is not None:
+            observations = replace(observations, pose_weight=self.by_views.weights(observations))
         source = self.problem.settings.source
         linear = source.imagined(observations, self.problem.values).linear(self.problem.values)
         noise = np.mean(self.problem.settings.noise.visit[self.problem.settings.used], axis=0)

@@ -15,7 +15,7 @@ import numpy as np
 from kilter_core.identify.cameras import rig_of, unknown_rig
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES
-from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, scores_by_pose
+from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
@@ -42,9 +42,7 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     total, known = products(A, A), problem.prior_information()
     bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
     poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
-    rest = np.eye(len(total)) - bread @ total
-    spread = rest if problem.prior.precision is None else rest @ np.linalg.inv(known)
-    around = bread @ mixed(factor * total, *poses) @ bread + spread @ rest.T
+    around = sandwich(total + known, mixed(factor * total, *poses), known, known)
     scale = as_normal(problem.prior_sigma, found.freedom)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)
 

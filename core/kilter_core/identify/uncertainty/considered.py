@@ -24,17 +24,17 @@ def beside_drawn_masses(plain: Fit, fit: Fit, errors: LoadError) -> Fit:
     ``plain`` is the same fit as it ended. Predictions need none of it: loads that are off act on them as they did on the
     rows, and what that left is known.
     """
-    before = plain.problem
+    before = plain.problem.wholly()
     model = replace(before.model, effects=(*before.model.effects, errors))
     moving = before.free >= model.n_geometric  # what loads act through; the chain's own columns hardly follow them
-    problem = Problem(model, before.measurement, before.free[moving], before.weights, before.loss)
+    problem = Problem(model, before.measurement, before.free[moving], before.weights, before.loss, whole=True)
     if len(plain.J) > sum(block.r.size for block in plain.residual.blocks):
         return fit  # a filter goes on from what it knew
     parameters = errors.parameters(model.robot)
     rng = np.random.default_rng(0)
     half = rng.standard_normal((DRAWS // 2, len(parameters))) * [p.prior_sigma for p in parameters]
     drawn = np.clip(np.vstack([half, -half]), [p.lower for p in parameters], [p.upper for p in parameters])
-    J, steps = plain.J.copy(), []
+    J, steps = before.linearised(plain.values, plain.residual).J.copy(), []
     for one in drawn:
         here = problem.linearised(np.concatenate([plain.values, one]))
         J[:, moving] = here.J

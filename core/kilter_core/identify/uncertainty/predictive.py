@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.least_squares import Fit, freedom_by_group
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.kind import POINTS
 from kilter_core.measurement.pixels import PixelsAlone
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -165,6 +166,7 @@ def predictive(
     counts, since a noise from few repeats hides much. Where no noise is known the structure alone tells; as soon as it shows
     that the model lacks something, all that is left counts, for what is rough in it looks like noise.
     """
+    of_noise = freedom_by_group(fit).get(POINTS, fit.freedom or np.inf)
     left, freedom, kind = left_of(fit), repeats.freedom, fit.problem.measurement.tool.name
     sigma = fit.problem.measurement.observations.sigma
     noise = stated if stated is not None else repeats.between
@@ -173,15 +175,13 @@ def predictive(
     if noise is None:
         share = 1.0 if structure is None else structure.at_most
         inadequacy = _reaching(share * left**2, left, structure)
-        return Predictive(
-            fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, fit.freedom or np.inf, kind
-        )
+        return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, of_noise, kind)
     known = EXACT if stated is not None or repeats.between is None else freedom
     by_chance = noise**2 * float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), known))
     beyond = left**2 - noise**2 if left**2 > by_chance else 0.0
     smooth = 0.0 if structure is None else structure.share * left**2
     inadequacy = _reaching(max(beyond, smooth), left, structure)
-    return Predictive(fit.names, fit.covariance, inadequacy, noise, fit.freedom or np.inf, kind)
+    return Predictive(fit.names, fit.covariance, inadequacy, noise, of_noise, kind)
 
 
 def noise_of_rows(rows: Observations) -> float | None:
@@ -203,7 +203,7 @@ def left_of(fit: Fit) -> float:
     """Standard deviation (m) of a coordinate about the fit, corrected for what the parameters took from the poses."""
     problem, points = fit.problem, fit.residual.points
     groups = problem.measurement.observations.pose_groups()
-    if problem.loss != "linear" or len(points) != len(groups):
+    if problem.loss != "linear" or len(points) != len(groups) or len(problem.measurement.kinds) > 1:
         return float(np.mean(problem.weights.points))
     flat = points.reshape(len(points), -1)
     seen = ~np.isnan(flat)
