@@ -13,6 +13,8 @@ from collections.abc import Generator
 
 import pytest
 
+from tests.service import forked
+
 SHOWN = 40
 KEY = "cpu_s"
 
@@ -20,7 +22,7 @@ KEY = "cpu_s"
 def used_s() -> float:
     """What this process and its children that have ended took so far."""
     ended = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + ended.ru_utime + ended.ru_stime
+    return time.process_time() + ended.ru_utime + ended.ru_stime + forked.used_s()
 
 
 class CpuSeconds:

@@ -191,7 +191,7 @@ def _run_child(pipe: Connection) -> NoReturn:
     code = 1
     try:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        with suppress(BrokenPipeError, EOFError):  # whoever ordered it is gone: nothing to do
+        with suppress(BrokenPipeError, ConnectionResetError, EOFError):  # whoever ordered it is gone: nothing to do
             pipe.send(os.getpid())
             entry, spec = pipe.recv()
             enter(entry, spec, pipe)
