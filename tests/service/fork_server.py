@@ -220,7 +220,7 @@ def _run(name: str, arguments: list[str]) -> None:
         from kilter_service import supervisor
 
         own = {"Popen": forked.ForkedPopen}
-        setattr(supervisor, "subprocess", SimpleNamespace(**{**vars(supervisor.subprocess), **own}))  # noqa: B010
+        vars(supervisor)["subprocess"] = SimpleNamespace(**{**vars(supervisor.subprocess), **own})
     if name == "corrector":
         forked.fork_those_of_correctors()
     __main__.main(arguments)
@@ -228,7 +228,7 @@ def _run(name: str, arguments: list[str]) -> None:
 
 def _end(code: int) -> NoReturn:
     with suppress(BaseException):
-        threading._shutdown()  # type: ignore[attr-defined]
+        threading._shutdown()
         atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):

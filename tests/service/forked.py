@@ -101,14 +101,12 @@ class _ForksOfCorrector:
             os.kill(self.pid, 9)
 
 
-def fork_those_of_correctors() -> SimpleNamespace:
-    """Have correctors in this process fork theirs as forks of what has imported already; returns what they had before."""
+def fork_those_of_correctors() -> None:
+    """Have correctors in this process fork theirs as forks of what has imported already."""
     from kilter_service.corrector import fork_server
 
-    before = fork_server.multiprocessing
     own = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=_ForksOfCorrector)
-    setattr(fork_server, "multiprocessing", SimpleNamespace(Pipe=multiprocessing.Pipe, get_context=lambda _: own))  # noqa: B010
-    return before
+    vars(fork_server)["multiprocessing"] = SimpleNamespace(Pipe=multiprocessing.Pipe, get_context=lambda _: own)
 
 
 def forked_worker(environment: Mapping[str, str], folder: Path) -> ForkedPopen:
