@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,8 @@ from pathlib import Path
 START_DEADLINE_S = 150.0  # the first start after a change compiles the kernels
 STOP_DEADLINE_S = 20.0
 POLL_S = 0.05
+
+Start = Callable[..., subprocess.Popen[bytes]]
 
 
 @dataclass(frozen=True)
@@ -36,14 +38,14 @@ class LocalServer:
 
 
 @contextmanager
-def local_server(data: Path) -> Iterator[LocalServer]:
+def local_server(data: Path, start: Start = subprocess.Popen) -> Iterator[LocalServer]:
     """Start a server on free loopback ports and stop it by its handle afterwards; its log is ``data/server.log``."""
-    command = [str(Path(sys.executable).parent / "kilterd"), "serve", "--port", "0"]
+    command = [sys.executable, "-m", "kilter_service", "serve", "--port", "0"]
     plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment = plain | {"KILTER_DATA": str(data), "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     data.mkdir(parents=True, exist_ok=True)
     with (data / "server.log").open("wb") as log:
-        process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        process = start(command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         try:
             yield _wait_until_ready(process, data)
         finally:

@@ -6,24 +6,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import program
 from kilter_service.wire import to_metres, to_rad
 
 if TYPE_CHECKING:
-    from kilter_core.correct.program import CorrectionOptions
+    pass
 
 
 def options_of(
     limits: CorrectionLimits, temperature_c: float | None, task: str | None = None, at_limit: str | None = None
-) -> CorrectionOptions:
+) -> program.CorrectionOptions:
     """Return how to correct within the limits of a version, the arm at this temperature.
 
     ``task`` None is the default of the core, ``at_limit`` None what the limits say: as the stream has both.
     """
-    from kilter_core.correct.program import (
-        CorrectionOptions,
-    )  # loads compiled kernels: not at the start of the API process
-
-    options = CorrectionOptions(
+    options = program.CorrectionOptions(
         largest_rad=to_rad(limits.max_joint_deg),
         largest_m=to_metres(limits.max_position_mm),
         farthest_m=to_metres(limits.max_position_mm),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.contract.stream_messages import Flag, Status
+from kilter_service.core import walker
 from kilter_service.correction_uncertainty import about, from_parameters
 from kilter_service.wire import to_mm
 
@@ -94,9 +95,7 @@ def correct(
         ObservationError: times that go back, or load and temperature that change too often.
 
     """
-    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start of the process
-
-    done = correct_trajectory(calibration, rows, options)
+    done = walker.correct_trajectory(calibration, rows, options)
     stated = from_parameters(calibration, done, known, options.temperature_c)
     return Outcome(done, stated, about(done.left, stated), options.task == "pose")
 

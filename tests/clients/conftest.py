@@ -14,6 +14,7 @@ import pytest
 
 from kilter_client import Kilter
 from tests.clients.test_cli import Command
+from tests.service.forked import ForkedPopen
 
 READY_S = 120
 STOP_S = 20
@@ -26,7 +27,7 @@ def server_data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with (data / "log").open("wb") as log:
-        process = subprocess.Popen(
+        process = ForkedPopen(
             [sys.executable, "-m", "kilter_service", "serve"],
             env=environment,
             stdout=log,

@@ -19,6 +19,7 @@ import pytest
 from kilter_client import AsyncKilter, JobCancelledError, Kilter, ServerUnreachableError, again
 from tests.clients.cutting_proxy import CuttingProxy
 from tests.clients.test_restart import server_in
+from tests.service.forked import children_of
 
 Write = Callable[..., Path]
 PRESET = {"convention": "preset", "preset": "katana450-chapter4"}
@@ -167,15 +168,8 @@ def test_a_server_that_is_killed_meanwhile(
 
 def _api_of(supervisor: int) -> int:
     """The API process of a server, which may just be started again."""
-    found: list[int] = []
-
-    def there() -> bool:
-        pids = Path(f"/proc/{supervisor}/task/{supervisor}/children").read_text().split()
-        found[:] = [int(pid) for pid in pids if b"\0api\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-        return bool(found)
-
-    _until(there)
-    return found[0]
+    _until(lambda: "api" in children_of(supervisor))
+    return children_of(supervisor)["api"]
 
 
 def _until(reached: Callable[[], bool]) -> None:

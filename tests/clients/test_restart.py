@@ -16,6 +16,7 @@ import pytest
 
 from kilter_client import Kilter, ServerUnreachableError
 from kilter_client.calls import jobs as waiting
+from tests.service.forked import ForkedPopen
 
 Write = Callable[..., Path]
 READY_S = 120
@@ -27,7 +28,7 @@ def server_in(data: Path) -> Iterator[subprocess.Popen[bytes]]:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with (data / "log").open("ab") as log:
-        process = subprocess.Popen(
+        process = ForkedPopen(
             [sys.executable, "-m", "kilter_service", "serve"],
             env=environment,
             stdout=log,

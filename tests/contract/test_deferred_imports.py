@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
+import sys
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PRODUCT = ("core/kilter_core", "service/kilter_service", "clients/files", "clients/python/src", "clients/lerobot")
-MOST = 425  # import statements inside functions; only ever fewer
+MOST = 269  # import statements inside functions; only ever fewer
 
 
 INDENTED = re.compile(r"^[ \t]+(?:import|from)\s", re.MULTILINE)
@@ -37,3 +42,32 @@ def test_few_imports_stand_inside_functions() -> None:
 def test_an_import_inside_a_function_is_counted_once() -> None:
     inside = "import a\ndef f():\n    import b\n    def g():\n        from c import d\n"
     assert {text for _, text in deferred(inside)} == {"import b", "from c import d"}
+
+
+GATES = ("kilter_files.ground.later", "kilter_service.core", "kilter_client.files")
+
+
+@pytest.mark.parametrize("name", GATES)
+def test_what_a_gate_hands_out_is_what_the_types_are_checked_against(name: str) -> None:
+    """A package may call a function as one of its modules: the types would be checked against one, and the other be used."""
+    gate = importlib.import_module(name)
+    assert gate.__file__ is not None
+    (checked,) = [
+        node for node in ast.parse(Path(gate.__file__).read_text(encoding="utf-8")).body if isinstance(node, ast.If)
+    ]
+    found: dict[str, ModuleType] = {}
+    for node in checked.body:
+        assert isinstance(node, ast.Import | ast.ImportFrom)
+        for one in node.names:
+            if isinstance(node, ast.Import):
+                importlib.import_module(one.name)
+                found[one.asname or one.name] = sys.modules[one.name]
+            else:
+                package = importlib.import_module(str(node.module))
+                found[one.asname or one.name] = getattr(package, one.name, None) or importlib.import_module(
+                    f"{node.module}.{one.name}"
+                )
+    assert {one: getattr(it, "__name__", "") for one, it in found.items()} == {
+        one: getattr(gate, one)._name for one in gate.__all__
+    }
+    assert all(isinstance(it, ModuleType) for it in found.values())

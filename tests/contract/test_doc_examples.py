@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.forked import ForkedPopen
 from tools.local_server import LocalServer, local_server
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -45,7 +46,7 @@ PAGES = [page for page in sorted([*DOCS.rglob("*.md"), REPOSITORY / "README.md"]
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalServer]:
-    with local_server(tmp_path_factory.mktemp("server")) as started:
+    with local_server(tmp_path_factory.mktemp("server"), ForkedPopen) as started:
         yield started
 
 

@@ -18,6 +18,7 @@ from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.specs import Rules
 from kilter_service.settings import Settings
 from tests.corrector.live import open_stream
+from tests.service.forked import fork_those_of_correctors
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")
 
@@ -91,6 +92,12 @@ def calibration_maker() -> Callable[..., Calibration]:
 @pytest.fixture(scope="session", name="active_of")
 def active_maker() -> Callable[..., Active]:
     return active_of
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forks() -> None:
+    """The correctors of these tests have their processes forked by what has imported already."""
+    fork_those_of_correctors()
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ import json
 import re
 import shlex
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -29,6 +28,7 @@ from kilter_service.zenoh_config import authority
 from kilter_service.zenoh_config.folders import authority_in, write_folders
 from tests.corrector.conftest import MemorySource
 from tests.corrector.live import Q, until
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "how-to" / "run-a-server.md").read_text(encoding="utf-8")
@@ -45,10 +45,8 @@ def kilterd(line: str, folder: Path) -> None:
     """Run a command of the page, its folder and host being those of this machine."""
     words = shlex.split(line.replace(PLACE, str(folder)).replace(HOST, "localhost"))
     assert words[0] == "kilterd"
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", *words[1:]], cwd=REPOSITORY, capture_output=True, text=True,
-        env={"PATH": "/usr/bin:/bin", "KILTER_DATA": str(folder.parent / "data")}, check=False,
-    )  # fmt: skip
+    environment = {"PATH": "/usr/bin:/bin", "KILTER_DATA": str(folder.parent / "data")}
+    done = forked_command(*words[1:], environment=environment, folder=REPOSITORY)
     assert done.returncode == 0, done.stderr
 
 

@@ -6,8 +6,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -20,6 +18,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.ros2 import process as ros2
 from kilter_service.settings import Settings
 from tests.corrector.live import ROOT, Q, open_stream, until
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -39,10 +38,7 @@ def test_only_loopback_is_local(endpoint: str, local: bool) -> None:
 def test_beyond_this_machine_it_asks_for_a_configuration(tmp_path: Path, command: str) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment |= {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/0.0.0.0:0"}
-    done = subprocess.run(
-        [sys.executable, "-m", "kilter_service", command], cwd=REPOSITORY, env=environment, capture_output=True, text=True,
-        timeout=60, check=False,
-    )  # fmt: skip
+    done = forked_command(command, environment=environment, folder=REPOSITORY)
     assert done.returncode == 2
     assert "KILTER_ZENOH_CONFIG" in done.stderr
     assert done.stderr.strip().count("\n") == 0
@@ -64,10 +60,7 @@ def test_a_port_that_is_taken_is_said_in_one_sentence(tmp_path: Path) -> None:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
         environment |= {"KILTER_DATA": str(tmp_path), "KILTER_ZENOH_LISTEN": endpoint}
         (tmp_path / "corrector.json").write_text("of another")
-        done = subprocess.run(
-            [sys.executable, "-m", "kilter_service", "corrector"], cwd=REPOSITORY, env=environment, capture_output=True,
-            text=True, timeout=120, check=False,
-        )  # fmt: skip
+        done = forked_command("corrector", environment=environment, folder=REPOSITORY)
     assert done.returncode == 2
     assert done.stderr.strip() == (
         f"kilterd: The corrector cannot listen on {endpoint}, another program listens there: set KILTER_ZENOH_LISTEN to "

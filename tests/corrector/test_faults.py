@@ -28,6 +28,7 @@ from kilter_service.corrector.wire import Flag, Status
 from kilter_service.settings import DATABASE_FILE, Settings
 from tests.corrector.live import ROBOT, ROOT, Line, Q, on_time, open_stream, point, until
 from tests.corrector.stored import descendants, store_active
+from tests.service.forked import ForkedPopen, children_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -298,7 +299,7 @@ def test_the_stream_outlives_the_api_and_the_database(tmp_path: Path, katana: Ca
     environment |= {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     settings = Settings(data=tmp_path, site="kilter")
     store_active(settings, katana)
-    with subprocess.Popen(
+    with ForkedPopen(
         [sys.executable, "-m", "kilter_service", "serve"],
         cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
     ) as server:  # fmt: skip
@@ -307,8 +308,7 @@ def test_the_stream_outlives_the_api_and_the_database(tmp_path: Path, katana: Ca
             assert server.stdout.readline()
             with CorrectedStream(ROBOT, data=tmp_path, deadline_s=5.0, settled=True, connect_timeout_s=30.0) as stream:
                 used = [stream.correct(Q)]
-                api = next(p for p in descendants(server.pid) if b"\0api\0" in Path(f"/proc/{p}/cmdline").read_bytes())
-                os.kill(api, signal.SIGKILL)
+                os.kill(children_of(server.pid)["api"], signal.SIGKILL)
                 used += [stream.correct(Q) for _ in range(20)]
                 for file in tmp_path.glob(f"{DATABASE_FILE}*"):
                     file.unlink()

@@ -30,6 +30,7 @@ from kilter_service.corrector.session import config
 from kilter_service.corrector.specs import QuerySpec
 from kilter_service.signing.masters import Masters
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
+from tests.corrector.stored import descendants
 
 
 def peer(corrector: Corrector) -> zenoh.Session:
@@ -290,6 +291,17 @@ def test_the_stream_outlives_the_process_that_forked_it(corrector: Corrector) ->
         assert origin.alive
         assert {name: child.pid for name, child in corrector._children.items()} == before
         assert stream.correct(Q).source == "corrected"
+
+
+def test_one_forked_ahead_ends_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
+    server = fork_server.ForkServer()
+    server.start()
+    pipe = server._fork()
+    until(pipe.poll)  # it has told its id: nobody reads it, so that the pipe is reset and not only closed
+    pipe.close()
+    until(lambda: not descendants(server.pid or 0))
+    server.stop()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("ends", [False, True], ids=["stays frozen", "is killed then"])

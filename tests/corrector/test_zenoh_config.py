@@ -6,7 +6,6 @@ import base64
 import json
 import stat
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -19,14 +18,15 @@ from kilter_service.corrector.session import config, with_free_port
 from kilter_service.corrector.specs import Rules
 from kilter_service.settings import Settings
 from tests.corrector.live import ROBOT, ROOT, Q, until
+from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def write(folder: Path, *options: str) -> str:
-    command = [sys.executable, "-m", "kilter_service", "zenoh-config", "--data", str(folder), *options]
     environment = {"KILTER_SITE": "test", "PATH": "/usr/bin:/bin"}
-    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False)
+    command = ("zenoh-config", "--data", str(folder), *options)
+    done = forked_command(*command, environment=environment, folder=REPOSITORY)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -14,6 +14,7 @@ from kilter_client.setpoint import Setpoint
 from kilter_client.stream import CorrectedStream
 from kilter_service.settings import Settings
 from tests.service.conftest import REPOSITORY, wait_for
+from tests.service.forked import ForkedPopen
 
 HOME = (0.1, 0.6, 0.4, 0.3, 0.2)  # rad; the Katana's joints can go there
 
@@ -29,7 +30,7 @@ class CorrectorProcess:
         """Start it and wait until it listens."""
         environment = {**os.environ, **self.settings.environment()}
         command = [sys.executable, "-m", "kilter_service", "corrector"]
-        self.process = subprocess.Popen(command, env=environment, cwd=REPOSITORY)
+        self.process = ForkedPopen(command, env=environment, cwd=REPOSITORY)
         wait_for(self._listens)
 
     def _listens(self) -> bool:

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,7 +26,7 @@ from kilter_service.db import Database, revision
 from kilter_service.db.tables import HeartbeatRow
 from kilter_service.serving import KEEP_ALIVE_S
 from kilter_service.settings import DATABASE_FILE, Settings
-from tests.service.forked import forked_worker
+from tests.service.forked import ForkedPopen, forked_worker
 from tests.service.postgresql import database_of, programs, running_postgresql
 from tests.service.prompt_server import PromptServer
 
@@ -187,12 +186,12 @@ class WorkerProcess:
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self._settings, self._database = settings, database
-        self.process: ForkServerProcess | None = None
+        self.process: ForkedPopen | None = None
 
     def start(self) -> None:
         """Start it and wait until it says that it is alive."""
         self.process = forked_worker({**os.environ, **self._settings.environment()}, REPOSITORY)
-        wait_for(lambda: self._beats() or self.process is None or self.process.exitcode is not None)
+        wait_for(lambda: self._beats() or self.process is None or self.process.poll() is not None)
         assert self._beats()
 
     def _beats(self) -> bool:
@@ -204,17 +203,15 @@ class WorkerProcess:
         """End it as a power cut would."""
         if self.process is not None:
             self.process.kill()
-            self.process.join(10)
+            self.process.wait(10)
             self.process = None
 
     def stop(self) -> int:
         """Ask it to stop; returns its exit code."""
         assert self.process is not None
         self.process.terminate()
-        self.process.join(10)
-        code, self.process = self.process.exitcode, None
-        assert code is not None, "the worker did not stop"
-        return code
+        code, self.process = self.process.wait(10), None
+        return int(code)
 
 
 @pytest.fixture

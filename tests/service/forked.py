@@ -1,67 +1,204 @@
-"""Commands of `kilterd` as forks of a process that has imported them: processes like any other, up to three seconds sooner."""
+"""Processes of `kilterd` as forks of one that has imported them: processes like any other, seconds of imports sooner.
+
+`ForkedPopen` is a `subprocess.Popen` whose process is a fork of `tests/service/fork_server.py`, one for all processes that run
+the tests. A server's own processes are then forks too. What is tested of Python's start itself (preloaded libraries, the
+command line that the system shows, `python -m`) needs a process of its own.
+"""
 
 from __future__ import annotations
 
+import atexit
+import json
 import multiprocessing
 import os
+import select
+import socket
 import subprocess
-import tempfile
+import sys
+import time
 from collections.abc import Mapping
-from multiprocessing.context import ForkServerContext, ForkServerProcess
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-# What a worker imports at its start and with its first jobs. None of it starts a thread, so that it may be forked.
-IMPORTED = [
-    "kilter_service.program",
-    "kilter_service.serving",
-    "kilter_service.jobs.worker",
-    "kilter_core.identify",
-    "kilter_core.gap",
-    "kilter_core.evaluate",
-]
+REPOSITORY = Path(__file__).resolve().parents[2]
 DEADLINE_S = 240.0
+# What is asked for beside commands: the fork server of a corrector, a connection that keeps the server, numbers.
+CORRECTOR_FORKS, STAY, CPU, CHILDREN = "the forks of a corrector", "stay", "cpu", "children"
+ASKER = os.getpid()  # to whom the processor time counts
+_RUN_ID = "PYTEST_XDIST_TESTRUNUID"
+_RUN = os.environ.get(_RUN_ID) or str(os.getpid())
+_ADDRESS = f"\0kilter-tests-{os.getuid()}-{_RUN}"
+_LIMIT = 10.0
+_stay: list[socket.socket] = []
 
 
-def forked_worker(environment: dict[str, str], folder: Path) -> ForkServerProcess:
-    """Return a worker that is started; the process it is a fork of lives as long as this one."""
-    return _started(environment, folder, ["worker"])
+class ForkedPopen(subprocess.Popen[Any]):
+    """`subprocess.Popen` of `[sys.executable, "-m", "kilter_service", ...]`."""
+
+    _connection: socket.socket
+
+    def _execute_child(
+        self, args: Any, executable: Any, preexec_fn: Any, close_fds: Any, pass_fds: Any, cwd: Any, env: Any,
+        startupinfo: Any, creationflags: Any, shell: Any, p2cread: int, p2cwrite: int, c2pread: int, c2pwrite: int,
+        errread: int, errwrite: int, restore_signals: Any, gid: Any, gids: Any, uid: Any, umask: int,
+        start_new_session: bool, process_group: Any,
+    ) -> None:  # fmt: skip
+        *python, command = map(str, args[:4])
+        assert python == [sys.executable, "-m", "kilter_service"], args
+        ends = ((p2cread, 0), (c2pwrite, 1), (errwrite, 2))
+        places = {place: place if end == -1 else end for end, place in ends} | {fd: fd for fd in pass_fds}
+        self._connection, self.pid = _fork(
+            command, [str(one) for one in args[3:]], places, environment=os.environ if env is None else env,
+            folder=cwd or os.getcwd(), umask=umask, session=start_new_session,
+        )  # fmt: skip
+        self._child_created = True
+        self._close_pipe_fds(p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite)
+
+    def _internal_poll(self, _deadstate: Any = None, **_: Any) -> int | None:
+        if self.returncode is None:
+            self.returncode = _ended(self._connection, 0.0)
+        return self.returncode
+
+    def _wait(self, timeout: float | None) -> int:
+        if self.returncode is None:
+            self.returncode = _ended(self._connection, timeout)
+        if self.returncode is None:
+            raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
+        return int(self.returncode)
+
+
+class _ForksOfCorrector:
+    """As `multiprocessing.Process` is used for the process that forks those of a corrector."""
+
+    def __init__(self, target: Any, args: tuple[Connection], name: str) -> None:
+        assert target.__name__ == "fork_server_main"
+        self._orders, self.name = args[0], name
+        self._connection: socket.socket | None = None
+        self.pid: int | None = None
+        self._code: int | None = None
+
+    def start(self) -> None:
+        """Have it forked."""
+        places = {place: place for place in range(3)} | {3: self._orders.fileno()}
+        self._connection, self.pid = _fork(CORRECTOR_FORKS, [], places)
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until it has ended."""
+        if self._connection is not None and self._code is None:
+            self._code = _ended(self._connection, timeout)
+
+    def is_alive(self) -> bool:
+        """Whether it runs."""
+        self.join(0.0)
+        return self._code is None
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self.pid is not None and self.is_alive():
+            os.kill(self.pid, 9)
+
+
+def fork_those_of_correctors() -> None:
+    """Have correctors in this process fork theirs as forks of what has imported already."""
+    from kilter_service.corrector import fork_server
+
+    own = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=_ForksOfCorrector)
+    vars(fork_server)["multiprocessing"] = SimpleNamespace(Pipe=multiprocessing.Pipe, get_context=lambda _: own)
+
+
+def forked_worker(environment: Mapping[str, str], folder: Path) -> ForkedPopen:
+    """Return a worker that is started."""
+    return ForkedPopen([sys.executable, "-m", "kilter_service", "worker"], env=environment, cwd=folder)
 
 
 def forked_command(
     *arguments: str, environment: Mapping[str, str], folder: Path, umask: int = -1, deadline_s: float = DEADLINE_S
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, as `subprocess.run` would."""
-    with tempfile.TemporaryDirectory(prefix="kilter-said-") as said:
-        out, err = Path(said) / "out", Path(said) / "err"
-        process = _started(dict(environment), folder, list(arguments), out=str(out), err=str(err), umask=umask)
-        process.join(deadline_s)
-        if process.exitcode is None:
+    command = [sys.executable, "-m", "kilter_service", *arguments]
+    with ForkedPopen(
+        command, env=environment, cwd=folder, umask=umask, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        try:
+            out, err = process.communicate(timeout=deadline_s)
+        except subprocess.TimeoutExpired as error:
             process.kill()
-            process.join()
-            raise AssertionError(f"kilterd {' '.join(arguments)} does not end: {err.read_text()}")
-        return subprocess.CompletedProcess(arguments, process.exitcode, out.read_text(), err.read_text())
+            said = process.communicate()[1]
+            raise AssertionError(f"kilterd {' '.join(arguments)} does not end: {said}") from error
+        return subprocess.CompletedProcess(arguments, process.returncode, out, err)
 
 
-def _started(environment: dict[str, str], folder: Path, arguments: list[str], **how: Any) -> ForkServerProcess:
-    context: ForkServerContext = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(IMPORTED)
-    process = context.Process(target=_run, args=(environment, str(folder), arguments), kwargs=how)
-    process.start()
-    return process
+def used_s() -> float:
+    """Processor time of the processes that this one asked for and that have ended; with it that of theirs."""
+    return float(_told(CPU, ASKER)) if _stay else 0.0
 
 
-def _run(
-    environment: dict[str, str], folder: str, arguments: list[str], out: str = "", err: str = "", umask: int = -1
-) -> None:
-    from kilter_service.__main__ import main
+def children_of(pid: int) -> dict[str, int]:
+    """Process ids of the processes that a forked one started, by command."""
+    return dict(_told(CHILDREN, pid))
 
-    os.environ.clear()
-    os.environ.update(environment)
-    os.chdir(folder)
-    if umask >= 0:
-        os.umask(umask)
-    for number, file in ((1, out), (2, err)):
-        if file:
-            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT, 0o600), number)
-    main(arguments)
+
+def _told(what: str, asker: int) -> Any:
+    with _connected() as connection:
+        connection.send(json.dumps({"run": what, "asker": asker}).encode())
+        return json.loads(connection.recv(1 << 16))
+
+
+def _fork(
+    name: str, arguments: list[str], places: Mapping[int, int], *, environment: Mapping[str, str] | None = None,
+    folder: Any = ".", umask: int = -1, session: bool = False,
+) -> tuple[socket.socket, int]:  # fmt: skip
+    """Ask for a process whose file with each number is the one of this process; returns its connection and its id."""
+    if not _stay:
+        _stay.append(_connected())
+        atexit.register(_stay[0].close)
+        _stay[0].send(json.dumps({"run": STAY}).encode())
+    connection = _connected()
+    asked = {
+        "run": name, "arguments": arguments, "places": list(places), "asker": ASKER, "parent": os.getpid(),
+        "session": session, "umask": umask,
+        "environment": dict(os.environ if environment is None else environment), "folder": os.path.abspath(folder),
+    }  # fmt: skip
+    socket.send_fds(connection, [json.dumps(asked).encode()], list(places.values()))
+    return connection, int(json.loads(connection.recv(64)))
+
+
+def _ended(connection: socket.socket, timeout: float | None) -> int | None:
+    """Exit code, negative for a signal; None when it has not ended in time."""
+    if not select.select([connection], [], [], timeout)[0]:
+        return None
+    said = connection.recv(64)
+    connection.close()
+    return int(json.loads(said)) if said else -9  # the server was killed, and nobody knows any more
+
+
+def _connected() -> socket.socket:
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    deadline = time.monotonic() + _LIMIT
+    while True:
+        try:
+            connection.connect(_ADDRESS)
+        except ConnectionRefusedError:  # nobody listens, or not yet
+            assert time.monotonic() < deadline, "the process that forks does not listen"
+            with suppress(OSError):  # another has just begun
+                _start_server()
+        else:
+            return connection
+
+
+def _start_server() -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(_ADDRESS)
+        listener.listen(128)
+        listener.set_inheritable(True)
+        path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH"))))
+        os.posix_spawn(  # nobody waits for it: it ends with the last connection, of whichever process
+            sys.executable,
+            [sys.executable, "-m", "tests.service.fork_server", str(listener.fileno())],
+            {**os.environ, _RUN_ID: _RUN, "PYTHONPATH": path},
+            file_actions=[(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)],
+        )

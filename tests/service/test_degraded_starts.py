@@ -20,6 +20,7 @@ from kilter_service.db import Database
 from kilter_service.settings import Settings
 from kilter_service.supervisor import MOST_ENDS
 from tests.service.conftest import wait_for
+from tests.service.forked import ForkedPopen, children_of
 from tests.service.made_versions import store_version
 from tests.service.test_compensation import add
 from tests.service.test_serve import REPOSITORY, Server, children
@@ -48,7 +49,7 @@ def test_a_nearly_full_disk_and_a_worker_that_can_never_run_are_named_and_setpoi
         pytest.skip("the database is not on that disk, and the worker's lock is beside another one")
     lock = small_disk / "data" / "kilter.sqlite.worker.lock"
     lock.mkdir(parents=True)
-    server = Server(settings.model_copy(update={"data": small_disk / "data"}))
+    server = Server(settings.model_copy(update={"data": small_disk / "data"}), ForkedPopen)
     try:
         missing = server.ready["missing"]
         assert missing.keys() == {"disk", "worker"}
@@ -57,10 +58,10 @@ def test_a_nearly_full_disk_and_a_worker_that_can_never_run_are_named_and_setpoi
         assert f"{lock}" in missing["worker"]
         assert "times in a row. Mend what it says" in missing["worker"]
         assert server.ready["zenoh"].startswith("tcp/127.0.0.1:")
-        assert children(server.process.pid).keys() >= {"api", "corrector"}
+        assert children_of(server.process.pid).keys() >= {"api", "corrector"}
         lock.rmdir()  # the remedy: it starts by itself
         wait_for(lambda: missing_of(server.ready["url"]) == {"disk"})
-        assert children(server.process.pid).keys() == {"api", "worker", "corrector"}
+        assert children_of(server.process.pid).keys() == {"api", "worker", "corrector"}
     finally:
         assert server.stop() == 0
         assert server.process.stdout is not None
@@ -105,7 +106,7 @@ def test_an_api_that_can_never_run_does_not_end_the_stream_that_an_arm_follows(
     """The server above the stream was killed and started again: its stream process went on alone meanwhile."""
     add(client, "arm")  # a stream that corrects nobody does not go on
     client.post(f"/v1/versions/{store_version(database, 'arm', 1)}/activate").raise_for_status()
-    first = Server(settings)
+    first = Server(settings, ForkedPopen)
     stream = json.loads(settings.corrector_file.read_text())["endpoints"]["stream"]
     first.process.kill()
     first.process.wait()

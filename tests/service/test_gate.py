@@ -21,6 +21,7 @@ from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
+from tests.service.forked import ForkedPopen
 
 from .conftest import REPOSITORY, ready
 
@@ -182,7 +183,7 @@ def secure(tmp_path_factory: pytest.TempPathFactory, migrated: Path, certificate
     ready(settings, migrated)
     command = [sys.executable, "-m", "kilter_service", "api"]
     environment = {**os.environ, **settings.environment()}
-    with subprocess.Popen(command, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as api:
+    with ForkedPopen(command, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as api:
         assert api.stdout is not None
         document = json.loads(api.stdout.readline())
         os.environ["KILTER_DATA"], before = document["data"], os.environ.get("KILTER_DATA")

@@ -27,6 +27,7 @@ from kilter_service.health import pulse as pulses
 from kilter_service.health import service, store
 from kilter_service.health.pulse import Pulse
 from kilter_service.settings import Settings
+from tests.service.forked import ForkedPopen
 from tests.service.postgresql import own_postgresql, programs, running_postgresql
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -228,7 +229,7 @@ def test_a_corrector_that_is_stopped_from_outside_is_missed(
     environment = {**os.environ, **settings.environment()}
     command = [sys.executable, "-m", "kilter_service", "corrector"]
     found = lambda: client.get("/v1/health").json()["checks"]["corrector"]  # noqa: E731
-    with subprocess.Popen(command, env=environment, cwd=REPOSITORY) as process:
+    with ForkedPopen(command, env=environment, cwd=REPOSITORY) as process:
         try:
             until(lambda: bool(spoken(database, "corrector")))
             assert found()["ok"]

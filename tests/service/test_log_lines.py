@@ -22,7 +22,7 @@ import pytest
 from kilter_service import child_output
 from kilter_service.auth.token import admin_token
 from kilter_service.settings import Settings
-from tests.service.test_serve import children
+from tests.service.forked import ForkedPopen, children_of, forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ROTATION = REPOSITORY / "deploy" / "logrotate" / "kilter"
@@ -32,12 +32,12 @@ Until = Callable[..., None]
 
 
 @contextmanager
-def running(command: str, settings: Settings, log: Path, **more: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+def running(command: str, settings: Settings, log: Path, **more: str) -> Iterator[tuple[ForkedPopen, str]]:
     """A process of Kilter whose standard error goes to a file, and its address."""
     environment = {**os.environ, **settings.environment(), **more}
     arguments = [sys.executable, "-m", "kilter_service", command]
     with log.open("wb") as file:
-        process = subprocess.Popen(arguments, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=file)
+        process = ForkedPopen(arguments, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=file)
     assert process.stdout is not None
     with process:
         try:
@@ -56,7 +56,7 @@ def test_every_line_is_json_whatever_happens_to_the_processes(settings: Settings
             client.post("/v1/robots", json={"name": "arm", "convention": "preset", "preset": "ur10"}).raise_for_status()
             until(lambda: "POST /v1/robots 201" in log.read_text())  # or the API is killed before it writes the line
             for name in ("worker", "api"):
-                os.kill(children(server.pid)[name], signal.SIGKILL)
+                os.kill(children_of(server.pid)[name], signal.SIGKILL)
             until(lambda: all(f"{name} " in log.read_text() for name in ("worker", "api")))
             until(lambda: ready(client))
     lines = [json.loads(line) for line in log.read_text().splitlines()]
@@ -88,6 +88,7 @@ def test_warnings_and_what_nobody_caught_are_lines_too(tmp_path: Path) -> None:
 import threading, warnings
 from kilter_service.observability import logs
 from kilter_service.settings import Settings
+from tests.service.forked import ForkedPopen, children_of, forked_command
 logs.configure(Settings(log_format="json"), "api")
 warnings.warn("kernels cannot be kept")
 thread = threading.Thread(target=lambda: {}["a"], name="watcher")
@@ -131,10 +132,7 @@ def test_a_rotation_of_the_access_log_loses_no_request(settings: Settings, until
     rules.write_text(ROTATION.read_text(encoding="utf-8").replace("/var/log/kilter/", f"{folder}/"), encoding="utf-8")
     rules.chmod(0o600)
     sent, stop = Counter[str](), threading.Event()
-    prepare = subprocess.run(
-        [sys.executable, "-m", "kilter_service", "migrate"],
-        env={**os.environ, **settings.environment()}, capture_output=True, timeout=60, check=True,
-    )  # fmt: skip
+    prepare = forked_command("migrate", environment={**os.environ, **settings.environment()}, folder=REPOSITORY)
     assert prepare.returncode == 0
     with running("api", settings, tmp_path / "log") as (_, url):
 

@@ -34,6 +34,7 @@ from kilter_service.metrics.service import HELD_BACK
 from kilter_service.observability import logs, tracing
 from kilter_service.observability.requests import UNKNOWN
 from kilter_service.settings import Settings
+from tests.service.forked import ForkedPopen
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"
 Until = Callable[..., None]
@@ -218,7 +219,7 @@ def test_request_and_job_share_their_identifiers_from_client_to_worker(
     }
     logged = {name: (tmp_path / f"{name}.log").open("w+") for name in ("api", "worker")}
     running = {
-        name: subprocess.Popen(
+        name: ForkedPopen(
             [sys.executable, "-m", "kilter_service", name],
             env=environment,
             stdout=subprocess.PIPE,

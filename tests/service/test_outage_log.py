@@ -22,6 +22,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.failure_log import Failing, log_failure
 from kilter_service.health.pulse import Pulse
 from kilter_service.settings import Settings
+from tests.service.forked import ForkedPopen
 from tests.service.postgresql import PostgreSql, own_postgresql, programs
 
 Until = Callable[..., None]
@@ -54,7 +55,7 @@ def test_each_part_of_a_server_says_in_one_line_that_its_database_is_away(
     environment = {**os.environ, **settings.environment()}
     with (
         log.open("w") as file,
-        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=file) as server,
+        ForkedPopen(command, env=environment, stdout=subprocess.PIPE, stderr=file) as server,
     ):
         try:
             assert server.stdout is not None

@@ -45,10 +45,10 @@ def children(pid: int) -> dict[str, int]:
 class Server:
     """A server in a process of its own, and its ready line."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, start: Callable[..., subprocess.Popen[bytes]] = subprocess.Popen) -> None:
         environment = {**os.environ, **settings.environment()}
         command = [sys.executable, "-m", "kilter_service", "serve"]
-        self.process = subprocess.Popen(command, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE)
+        self.process = start(command, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE)
         watch = threading.Timer(90, self.process.kill)
         watch.start()
         assert self.process.stdout is not None
@@ -91,10 +91,7 @@ def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
     # The socket belongs to the supervisor: a request waits for the new API process instead of failing.
     assert httpx.get(f"{url}/v1/health/live", timeout=30).status_code == 200
 
-    second = subprocess.run(
-        [sys.executable, "-m", "kilter_service", "serve"],
-        env={**os.environ, **settings.environment()}, cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+    second = run("serve", **settings.environment())
     assert second.returncode == 1
     assert "A server runs in" in second.stderr
 

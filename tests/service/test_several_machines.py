@@ -24,6 +24,7 @@ from kilter_service.db import Database
 from kilter_service.db.tables import ActivationRow, FleetRobotRow, HeartbeatRow, JobRow, VersionRow
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess
+from tests.service.forked import ForkedPopen
 from tests.service.postgresql import database_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -38,7 +39,7 @@ class Api:
     def __init__(self, folder: Path, url: str) -> None:
         self.settings = Settings(data=folder, database_url=url, port=0)
         environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
-        self.process = subprocess.Popen(
+        self.process = ForkedPopen(
             [sys.executable, "-m", "kilter_service", "api"],
             env={**environment, **self.settings.environment()}, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip

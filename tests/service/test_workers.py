@@ -177,7 +177,7 @@ def test_postgresql_restarts_in_the_middle_and_nothing_is_lost(fleet: Fleet, cam
     assert [fleet.get(job)["state"] for job in (running, waiting)] == ["succeeded", "succeeded"]
     assert fleet.get(running)["attempts"] == 1  # it went on computing
     assert [fleet.versions_of(job) for job in (running, waiting)] == [1, 1]
-    assert all(one.process is None or one.process.exitcode is None for one in fleet.workers)
+    assert all(one.process is None or one.process.poll() is None for one in fleet.workers)
 
 
 def test_what_a_replaced_run_computed_is_dropped(client: httpx.Client, database: Database, katana: Any) -> None:

@@ -9,6 +9,7 @@ from kilter_service.acceptance import words
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors, Remark
+from kilter_service.core import predictive
 from kilter_service.db import Database, Session
 from kilter_service.db.row import days_since
 from kilter_service.errors import ServiceError
@@ -108,11 +109,12 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
 
 
 def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iterable[Part]:
-    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_service.acceptance.rows import judged
 
     calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
-    known = Predictive.from_document(versions.covariance(session, version_id), versions.get(session, version_id).report)
+    known = predictive.Predictive.from_document(
+        versions.covariance(session, version_id), versions.get(session, version_id).report
+    )
     if known is None:
         raise ServiceError(
             f"Version {version_id} does not say how well it is known: identify again.", code="nothing_held_out"

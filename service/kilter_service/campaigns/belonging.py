@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
 from kilter_files.ground.later import pa
+from kilter_service.core import belonging, compare, core_model
 from kilter_service.tables.assemble import observations
 from kilter_service.tables.columns import Column, has
 
@@ -71,15 +72,11 @@ def judged(robot: Robot, rows: Observations) -> Judged:
 
     Sessions are judged one by one: the instrument or the tool may have moved between them, and a job says how it takes that.
     """
-    from kilter_core.identify.compare import setups
-    from kilter_core.identify.plausibility.belonging import refuse_mixed_up  # compiled kernels: not at the start
-    from kilter_core.model import Calibration
-
-    begin = Calibration.nominal(robot)
+    begin = core_model.Calibration.nominal(robot)
     warnings: list[dict[str, Any]] = []
-    for part in setups(rows):
+    for part in compare.setups(rows):
         try:
-            warnings += [one for one in refuse_mixed_up(begin, part) if one not in warnings]
+            warnings += [one for one in belonging.refuse_mixed_up(begin, part) if one not in warnings]
         except ObservationError as error:
             if error.code in MIXED_UP:
                 return Judged(error)

@@ -13,6 +13,7 @@ from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.campaigns.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
+from kilter_service.core import units
 from kilter_service.tables.columns import Column
 
 if TYPE_CHECKING:
@@ -213,11 +214,7 @@ class RowRules:
 
     def _check_unit(self, column: Column) -> None:
         """Refuse points that fit the robot in another unit only."""
-        from kilter_core.identify.plausibility.units import (
-            unit_factor,
-        )  # loads compiled kernels; needed only for a suspicious upload
-
-        factor = unit_factor(self.robot, *self._sample[0])
+        factor = units.unit_factor(self.robot, *self._sample[0])
         if factor is None:
             return
         stated = column.name.rpartition("_")[2]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
+from kilter_service.core import core_levers, core_stated
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
@@ -35,18 +36,14 @@ class Active:
     @cached_property
     def levers_mm(self) -> list[float | None]:
         """How far each joint moves the tool at most, mm per rad or per mm; None where nothing bounds it."""
-        from kilter_core.correct.levers import levers  # loads compiled kernels: the supervisor has none
-
-        found = zip(levers(self.program).tolist(), self.joint_kinds, strict=True)
+        found = zip(core_levers.levers(self.program).tolist(), self.joint_kinds, strict=True)
         per_unit = (m if kind == "prismatic" else to_mm(m) for m, kind in found)
         return [round(size, 3) if size < math.inf else None for size in per_unit]
 
     @cached_property
     def promised(self) -> dict[str, Any]:
         """Task of the correction, what it does at its limits, how fast it changes at most; null for kinds without a joint."""
-        from kilter_core.correct.stated import stated
-
-        found = stated(self.program)
+        found = core_stated.stated(self.program)
         kinds = self.joint_kinds or ("revolute",) * self.program.n_joints
 
         def most(values: Floats, kind: str, shown: Callable[[float], float]) -> float | None:

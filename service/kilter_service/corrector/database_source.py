@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
+from kilter_service.core import program
 from kilter_service.corrector.active import Active, version_number, workspace_of
 
 if TYPE_CHECKING:
@@ -82,7 +83,6 @@ class DatabaseSource:
 
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
-    from kilter_core.correct.program import compile_program
     from kilter_service.correction_limits import options_of
 
     options = options_of(version.limits, temperature_c)
@@ -91,7 +91,7 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         version_id=version.id,
         number=version_number(version.sha256),
         epoch=version.epoch,
-        program=compile_program(version.calibration, options),
+        program=program.compile_program(version.calibration, options),
         largest_deg=version.limits.max_joint_deg,
         largest_mm=version.limits.max_position_mm,
         ramp_s=options.ramp_s,

@@ -25,6 +25,7 @@ from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, NamedTuple, NoReturn
 
 from kilter_service.child import Child, running
+from kilter_service.core import program
 from kilter_service.corrector.orphan import Found
 from kilter_service.corrector.specs import QuerySpec, StreamSpec, enter
 from kilter_service.errors import ServiceError
@@ -168,10 +169,9 @@ def fork_server_main(orders: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system buries them
     gc.disable()  # all that is made now lasts: a fifth of the time to import it was looking for garbage
-    from kilter_core.correct.program import warm_up
     from kilter_service.corrector import fast_path, loop, queries  # noqa: F401  # the forked need not import them
 
-    warm_up()
+    program.warm_up()
     fast_path.warm_up()
     gc.collect()
     gc.freeze()  # what is never looked at stays shared
@@ -191,7 +191,7 @@ def _run_child(pipe: Connection) -> NoReturn:
     code = 1
     try:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        with suppress(BrokenPipeError, EOFError):  # whoever ordered it is gone: nothing to do
+        with suppress(BrokenPipeError, ConnectionResetError, EOFError):  # whoever ordered it is gone: nothing to do
             pipe.send(os.getpid())
             entry, spec = pipe.recv()
             enter(entry, spec, pipe)

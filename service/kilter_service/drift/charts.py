@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from kilter_service.contract.drift import ControlChart
+from kilter_service.core import core_history
 from kilter_service.drift.records import StoredCheck
 
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
@@ -29,16 +30,14 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
     names = sorted(set.intersection(*map(set, numbers))) if numbers else []
     if not names:
         return []
-    from kilter_core.watch.history import alarm_limit, chart
-
-    limit = alarm_limit(len(names), RUN_LENGTH)
+    limit = core_history.alarm_limit(len(names), RUN_LENGTH)
     summed = [k for k, one in enumerate(made) if one.result["verdict"] == "ok"]
     felt = [made[k].result.get("temperature_c") for k in summed]
     known = None if not felt or any(value is None for value in felt) else np.array(felt, dtype=np.float64)
     out = []
     for name in names:
         values = np.array([one[name][0] for one in numbers])
-        found = chart(values[summed], limit, known)
+        found = core_history.chart(values[summed], limit, known)
         words, unit = numbers[0][name][1:]
         out.append(
             ControlChart(

@@ -7,10 +7,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from kilter_service.contract.versions import Version
+from kilter_service.core import core_model
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
-    from kilter_core.model import Calibration
 
 
 class Arm(Protocol):
@@ -42,11 +42,9 @@ class Exportable:
         return self.arm.document
 
     @cached_property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> core_model.Calibration:
         """Core's calibration."""
-        from kilter_core.model import Calibration  # loads compiled kernels: not at the start of the API process
-
-        return Calibration.from_document(self.arm.robot(), self.document)
+        return core_model.Calibration.from_document(self.arm.robot(), self.document)
 
 
 class Written(NamedTuple):

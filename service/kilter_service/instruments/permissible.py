@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from kilter_service.core import core_uncertainty
 from kilter_service.wire import from_um
 
 if TYPE_CHECKING:
@@ -12,8 +13,6 @@ if TYPE_CHECKING:
 
 def permissible(instrument: Instrument | None) -> Any:
     """Return an instrument's permissible error as core has it; None without one."""
-    from kilter_core.evaluate.uncertainty import PermissibleError
-
     if instrument is None:
         return None
-    return PermissibleError(from_um(instrument.mpe_um), from_um(instrument.mpe_um_per_m))
+    return core_uncertainty.PermissibleError(from_um(instrument.mpe_um), from_um(instrument.mpe_um_per_m))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.spread import evenly
+from kilter_service.core import core_measurement, core_uncertainty
 from kilter_service.instruments.permissible import permissible
 
 if TYPE_CHECKING:
@@ -29,15 +30,12 @@ def budget_of(
     refit: Sequence[str] = (),
 ) -> dict[str, Any] | None:
     """Return the budget of rows as a document; None where a version knows nothing of itself, or no place is measured."""
-    from kilter_core.evaluate.uncertainty import Budget
-    from kilter_core.measurement import Measurement
-
     if known is None or (rows.position is None and rows.markers is None):
         return None
     if len(rows) > MOST_ROWS and not refit:  # frames are known by all rows that they were fitted to
         rows = rows.select(evenly(len(rows), MOST_ROWS))
-    measurement = Measurement.of(rows, calibration.marker_points, held=True)
-    found = Budget.of(calibration, known, measurement, permissible(instrument), refit)
+    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
+    found = core_uncertainty.Budget.of(calibration, known, measurement, permissible(instrument), refit)
     return None if found is None else {"instrument": instrument and instrument.name, **found.to_document()}
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_core.observations.spread import evenly
+from kilter_service.core import core_model
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.versions import ability, preview
 
@@ -14,14 +15,12 @@ MOST_POSES = 500  # looked at, evenly chosen
 
 def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that it refuses too many poses, with what helps; activation looks again."""
-    from kilter_core.model import Calibration
-
     version = output.version
     if version is None or not job.campaigns:
         return output
     q = np.concatenate([rows.q for rows in job.campaigns.values()])
     q = q[evenly(len(q), MOST_POSES)]
-    calibration = Calibration.from_document(job.robot, version.calibration)
+    calibration = core_model.Calibration.from_document(job.robot, version.calibration)
     try:
         found = preview.at_poses(calibration, None, version.limits, q)
         objection = ability.of_poses(calibration, found, version.limits)

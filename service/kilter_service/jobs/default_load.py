@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.core import core_effects
 from kilter_service.jobs.kind import JobInput, JobOutput
 
 READ = frozenset({"moments", "payload_kg"})
@@ -35,9 +36,9 @@ def unstated(kind: str, job: JobInput) -> dict[str, Any] | None:
 
 def _following(kind: str, job: JobInput) -> list[str]:
     """Effects that the job identifies, tests or carries, by id, that read the load."""
-    from kilter_core.effects import EFFECTS
-
-    reading = [e.id for e in EFFECTS.values() if e.needs & READ and not e.nuisance and e.stage != "measurement"]
+    reading = [
+        e.id for e in core_effects.EFFECTS.values() if e.needs & READ and not e.nuisance and e.stage != "measurement"
+    ]
     own = [] if job.calibration is None else [e.id for e in job.calibration.model.effects]
     if kind == "gap":
         asked = [str(e if isinstance(e, str) else e.id) for e in getattr(job.options, "effects", None) or ()]

@@ -5,33 +5,34 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
+from kilter_service.core import core_versions
 from kilter_service.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.identify.fleet.versions import FleetVersion
+    pass
 
 
-def fleet_versions(session: Session, robot_id: int, allowed: Collection[str] | None) -> tuple[FleetVersion, ...]:
+def fleet_versions(
+    session: Session, robot_id: int, allowed: Collection[str] | None
+) -> tuple[core_versions.FleetVersion, ...]:
     """Return a version of every other robot in use with the same nominal chain: the active one, else the newest.
 
     Of robots only those ``allowed`` to whoever asked, None: all. Versions that were identified with a prior of the type, or
     continue one that was, are passed over: a fleet must not learn from itself.
     """
-    from kilter_core.identify.fleet.versions import FleetVersion, same_type
-
     robot, found = robots.core_robot(session, robot_id), []
     for other in robots.others_in_use(session, robot_id):
         if other.chain is None or (allowed is not None and other.name not in allowed):
             continue
-        if not same_type(robot, other.robot()):
+        if not core_versions.same_type(robot, other.robot()):
             continue
         made = _of_robot(session, other.id)
         if made is not None:
             calibration, covariance = versions.calibration(session, made.id), versions.covariance(session, made.id)
-            found.append(FleetVersion.of(other.name, made.id, calibration, covariance))
+            found.append(core_versions.FleetVersion.of(other.name, made.id, calibration, covariance))
     return tuple(found)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from kilter_service.core import core_model, predictive
 from kilter_service.jobs.plain import plain
 
 if TYPE_CHECKING:
@@ -13,15 +14,13 @@ if TYPE_CHECKING:
 
 def with_limits(output: JobOutput, job: JobInput) -> JobOutput:
     """Set the limits of the version, and say in its report what it does within them."""
-    from kilter_core.identify.uncertainty.predictive import Predictive
-    from kilter_core.model import Calibration
     from kilter_service.versions.suggested import WORKSPACE, suggested
 
     version = output.version
     if version is None:
         return output
-    calibration = Calibration.from_document(job.robot, version.calibration)
-    known = Predictive.from_document(version.covariance, version.report)
+    calibration = core_model.Calibration.from_document(job.robot, version.calibration)
+    known = predictive.Predictive.from_document(version.covariance, version.report)
     limits, workspace = suggested(calibration, known, version.limits)
     report = {**version.report, WORKSPACE: plain(workspace)}
     return replace(output, version=replace(version, limits=limits, report=report))

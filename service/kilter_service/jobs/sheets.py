@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
+from kilter_service.core import bar_length, core_model, sheet_order
 from kilter_service.jobs.setups import LAID_AGAIN
 from kilter_service.wire import to_mm
 
@@ -47,18 +48,15 @@ def bar_lengths(
 
     ``again(campaign, rows)`` is the same identification with other rows of a campaign, None of one that was not fitted.
     """
-    from kilter_core.identify.bar_length import explains_better, other_lengths, scaled
-    from kilter_core.model import Calibration
-
-    nominal = Calibration.nominal(robot)
-    asked = [(name, rows, *one) for name, rows in campaigns for one in other_lengths(nominal, rows)]
+    nominal = core_model.Calibration.nominal(robot)
+    asked = [(name, rows, *one) for name, rows in campaigns for one in bar_length.other_lengths(nominal, rows)]
     out = []
     for campaign, rows, bar, read, length in asked:
-        other = again(campaign, scaled(rows, bar, length / read))
+        other = again(campaign, bar_length.scaled(rows, bar, length / read))
         if other is None:
-            wrong = bar in {number for number, _, _ in other_lengths(found.calibration, rows)}
+            wrong = bar in {number for number, _, _ in bar_length.other_lengths(found.calibration, rows)}
         else:
-            wrong = explains_better(other.fit, found.fit)
+            wrong = bar_length.explains_better(other.fit, found.fit)
         if wrong:
             out.append(_other_length(campaign, bar, read, length))
     return out
@@ -84,11 +82,7 @@ def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
 
 def _judged(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[dict[str, Any]]:
     """Judge all sheets together: they are of one arm, and an order that helps one of them must not spoil another."""
-    from kilter_core.identify.plausibility.sheet_order import (
-        sheet_orders,
-    )  # compiled kernels: only the worker needs them
-
-    for (name, _), found in zip(drawn, sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
+    for (name, _), found in zip(drawn, sheet_order.sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
         if found is None:
             continue
         if found.wrong:

@@ -6,6 +6,7 @@ import hashlib
 import json
 from typing import Any, NamedTuple
 
+from kilter_service.core import core_documents, core_resolved
 from kilter_service.robots.documents import core_document
 
 
@@ -25,11 +26,8 @@ def resolve(posted: dict[str, Any]) -> Resolved:
         RobotError: the document cannot be an arm.
 
     """
-    from kilter_core.arm.documents import robot_from_document  # imports scipy: not at the start of the API process
-    from kilter_core.arm.documents.resolved import resolved_document
-
     understood = core_document(posted)
-    chain = resolved_document(robot_from_document(understood.document))
+    chain = core_resolved.resolved_document(core_documents.robot_from_document(understood.document))
     return Resolved(chain, sha256_of(chain), source_sha256(posted), understood.notes)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from sqlalchemy import Select, delete, func, select
 
 from kilter_service.caller import allowed_robots, may_see
+from kilter_service.core import core_resolved
 from kilter_service.db import Session
 from kilter_service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from kilter_service.errors import ServiceError
@@ -46,8 +47,6 @@ class StoredRobot(NamedTuple):
             ServiceError: there is no chain.
 
         """
-        from kilter_core.arm.documents.resolved import robot_from_resolved
-
         if self.chain is None:
             raise ServiceError(
                 f"Robot {self.name!r} was stored by an earlier Kilter, and its document could not be resolved when the "
@@ -55,7 +54,7 @@ class StoredRobot(NamedTuple):
                 code="robot_invalid",
                 robot=self.name,
             )
-        return robot_from_resolved(self.name, self.chain)
+        return core_resolved.robot_from_resolved(self.name, self.chain)
 
 
 def add(

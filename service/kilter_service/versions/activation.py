@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
+from kilter_service.core import program
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.robots import compensation
@@ -85,11 +86,11 @@ def _with_controller(database: Database, verdict: Verdict, version_id: str) -> V
 
 def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
     """Effects of a version that setpoints are not corrected for."""
-    from kilter_core.correct.program import CorrectionOptions, compile_program
-
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
-    return list(compile_program(calibration, CorrectionOptions(temperature_c=temperature_c)).unsupported)
+    return list(
+        program.compile_program(calibration, program.CorrectionOptions(temperature_c=temperature_c)).unsupported
+    )
 
 
 def _refuse_retired(session: Session, version_id: str) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations.motions import is_trajectory, segments
+from kilter_service.core import contacts
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
@@ -21,9 +22,7 @@ Ints = NDArray[np.int64]
 
 def fitted_by_order(rows: Observations, fraction: float, training: Training) -> Ints:
     """Indices of the rows that a job of an earlier release fitted when a fraction was held out."""
-    from kilter_core.measurement.contacts import placements
-
-    search, placed = training.kind == "gap", placements(rows)
+    search, placed = training.kind == "gap", contacts.placements(rows)
     if search and is_trajectory(rows):
         held = _of_motions(rows, fraction, training.seed)
     elif search and training.unasked and placed is None:

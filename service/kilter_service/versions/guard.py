@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
+from kilter_service.core import compare, core_model
 from kilter_service.db import Database, Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import own_errors, store, wire
@@ -83,10 +84,8 @@ def judge_unstored(
     active: str | None,
 ) -> Verdict:
     """Compare what a job has found, before it is stored, with the version ``active`` and with registration only."""
-    from kilter_core.model import Calibration
-
     with database.reading() as session:
-        new = Calibration.from_document(robots.core_robot(session, robot_id), calibration)
+        new = core_model.Calibration.from_document(robots.core_robot(session, robot_id), calibration)
         cases = _cases(session, robot_id, new, [training], active, report)
         rival = None if active is None else store.get(session, active).report
     own = objections_of(report, limits)
@@ -172,18 +171,18 @@ class Case:
 
     def verdict(self, own: list[Objection]) -> Verdict:
         """Compare, and say what speaks against the version."""
-        from kilter_core.identify.compare import Difference, pooled
-
         found = [part for part in self._parts() if part is not None]
         own = [*own, *self.unpredictable]
         if not found:
             self.warn("nothing_to_compare", NOTHING)
             return Verdict(self.active, tuple(own), None, tuple(self.warnings))
-        new, plain = (pooled([getattr(part, name) for part in found]) for name in ("new", "plain"))
+        new, plain = (compare.pooled([getattr(part, name) for part in found]) for name in ("new", "plain"))
         with_rival = [part for part in found if part.rival is not None]
-        rival = pooled([part.rival for part in with_rival if part.rival is not None])
-        against_plain = Difference.of(new, plain)
-        against_rival = Difference.of(pooled([part.new for part in with_rival]), rival) if with_rival else None
+        rival = compare.pooled([part.rival for part in with_rival if part.rival is not None])
+        against_plain = compare.Difference.of(new, plain)
+        against_rival = (
+            compare.Difference.of(compare.pooled([part.new for part in with_rival]), rival) if with_rival else None
+        )
         compared = Comparison(
             rows=sum(part.rows for part in found),
             poses=len(new),
@@ -199,31 +198,27 @@ class Case:
         return Verdict(self.active, (*own, *worse), compared, tuple(self.warnings))
 
     def _parts(self) -> list[Part | None]:
-        from kilter_core.identify.compare import FEWEST_POSES, lacking, poses_of, setups, thinned
-
         for message in self.unseen.left_out.values():
             self.warn("campaign_not_compared", message)
         usable = {c: rows for c, rows in self.unseen.rows.items() if self._usable(c, rows)}
-        total = sum(poses_of(rows) for rows in usable.values())
+        total = sum(compare.poses_of(rows) for rows in usable.values())
         share = min(1.0, MOST_POSES / max(total, 1))
         if share < 1.0:
             self.warn("poses_thinned", f"{MOST_POSES} of {total} poses were compared, evenly chosen.")
         out: list[Part | None] = []
         for campaign, rows in usable.items():
-            missing = [] if self.rival is None else lacking(self.rival, rows)
+            missing = [] if self.rival is None else compare.lacking(self.rival, rows)
             if missing:
                 self.warn(
                     "active_not_compared", f"Version {self.active} needs {', '.join(missing)}; {campaign} has none."
                 )
-            for setup in setups(rows):
-                chosen = thinned(setup, max(FEWEST_POSES, round(share * poses_of(setup))))
+            for setup in compare.setups(rows):
+                chosen = compare.thinned(setup, max(compare.FEWEST_POSES, round(share * compare.poses_of(setup))))
                 out.append(self._compared(campaign, chosen, None if missing else self.rival))
         return out
 
     def _usable(self, campaign: str, rows: Observations) -> bool:
-        from kilter_core.identify.compare import lacking
-
-        missing = lacking(self.new, rows)
+        missing = compare.lacking(self.new, rows)
         if rows.position is None and rows.markers is None:
             self.warn("campaign_not_compared", f"Campaign {campaign} has no measured position: it was not compared.")
         elif missing:
@@ -233,19 +228,16 @@ class Case:
             return True
         return False
 
-    def _compared(self, campaign: str, rows: Observations, rival: Calibration | None) -> Part | None:
+    def _compared(self, campaign: str, rows: Observations, rival: core_model.Calibration | None) -> Part | None:
         """The errors at one set-up of a campaign; None, and a warning, when it cannot be compared."""
-        from kilter_core.identify.compare import FEWEST_POSES, poses_of
-        from kilter_core.model import Calibration
-
-        if poses_of(rows) < FEWEST_POSES:
+        if compare.poses_of(rows) < compare.FEWEST_POSES:
             message = (
-                f"{poses_of(rows)} poses of campaign {campaign} have a set-up of their own: "
-                f"fewer than {FEWEST_POSES} tell nothing."
+                f"{compare.poses_of(rows)} poses of campaign {campaign} have a set-up of their own: "
+                f"fewer than {compare.FEWEST_POSES} tell nothing."
             )
             self.warn("campaign_not_compared", message)
             return None
-        plain = self._errors(Calibration.nominal(self.new.robot), rows)
+        plain = self._errors(core_model.Calibration.nominal(self.new.robot), rows)
         if isinstance(plain, str):
             self.warn("campaign_not_compared", f"Campaign {campaign} was not compared: {plain}")
             return None
@@ -268,10 +260,8 @@ class Case:
 
     def _fits_nothing(self, campaign: str, rows: Observations, errors: Sequence[Floats]) -> bool:
         """Whether no model explains the rows, which then say nothing about any; a warning names them."""
-        from kilter_core.identify.compare import said_of_misfit
-
         best = min(float(np.mean(found)) for found in errors)
-        said = said_of_misfit(self.new.robot, rows, best)
+        said = compare.said_of_misfit(self.new.robot, rows, best)
         if said is not None:
             message = (
                 f"Campaign {campaign} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct "
@@ -283,11 +273,9 @@ class Case:
     @staticmethod
     def _errors(calibration: Calibration, rows: Observations) -> Floats | str:
         """Errors by pose, or why there are none: what a fit of nonsense raises is of many kinds."""
-        from kilter_core.identify.compare import errors_by_pose
-
         try:
             with np.errstate(all="ignore"):
-                found = errors_by_pose(calibration, rows)
+                found = compare.errors_by_pose(calibration, rows)
         except CoreError as error:
             return error.message
         except (ArithmeticError, ValueError):  # also of linear algebra without a solution

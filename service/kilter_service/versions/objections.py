@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits, Objection
+from kilter_service.core import core_another_arm
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -44,10 +45,8 @@ def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[O
 
 def of_calibration(calibration: Calibration, said: Sequence[Objection]) -> list[Objection]:
     """Return what the arm of a version says against it, where its report has not: earlier releases did not look."""
-    from kilter_core.identify.plausibility.another_arm import another_arm  # compiled kernels
-
     codes = {one.code for one in said}
-    found = [Objection(code=w["code"], message=w["message"]) for w in another_arm(calibration)]
+    found = [Objection(code=w["code"], message=w["message"]) for w in core_another_arm.another_arm(calibration)]
     return [one for one in found if one.code not in codes]
 
 

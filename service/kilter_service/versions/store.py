@@ -11,6 +11,7 @@ from sqlalchemy import and_, func, or_, select
 
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import core_model, predictive
 from kilter_service.db import Session
 from kilter_service.db.audited import note
 from kilter_service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
@@ -23,7 +24,6 @@ from kilter_service.robots.resolved import sha256_of
 from kilter_service.versions.records import ActivationRecord, VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
 
@@ -193,12 +193,10 @@ def active_of_robots(session: Session) -> list[VersionRecord]:
     return [_record(row, robot, _entry(entry)) for row, robot, entry in session.execute(robots.visible(query))]
 
 
-def calibration(session: Session, version_id: str) -> Calibration:
+def calibration(session: Session, version_id: str) -> core_model.Calibration:
     """Build core's calibration of a version."""
-    from kilter_core.model import Calibration  # loads compiled kernels: not at the start of the API process
-
     row = _row(session, version_id)
-    return Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
+    return core_model.Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
 
 
 def covariance(session: Session, version_id: str) -> dict[str, Any]:
@@ -206,12 +204,10 @@ def covariance(session: Session, version_id: str) -> dict[str, Any]:
     return dict(_row(session, version_id).covariance)
 
 
-def known(session: Session, version_id: str) -> Predictive | None:
+def known(session: Session, version_id: str) -> predictive.Predictive | None:
     """Return how far a version says the arm may be from it; None when it has no covariance."""
-    from kilter_core.identify.uncertainty.predictive import Predictive
-
     row = _row(session, version_id)
-    return Predictive.from_document(row.covariance, row.report)
+    return predictive.Predictive.from_document(row.covariance, row.report)
 
 
 def active_stamp(session: Session) -> int:

@@ -13,6 +13,7 @@ from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_poses, rounded_poses
 from kilter_service.campaigns import store as campaigns
+from kilter_service.core import holding_out, holdout
 from kilter_service.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
@@ -77,8 +78,6 @@ class Archive:
 
         A motion may have a few by chance: an arm at rest reads the same twice.
         """
-        from kilter_core.gap.evidence.holding_out import copies
-
         rows = self.rows(campaign_id)
         if rows is None:
             return 0
@@ -86,7 +85,7 @@ class Archive:
         for training in store.trainings(self.session, version):
             trained.add(training)
         marked = int(trained.mask(campaign_id).sum())
-        return max([marked, *(len(copies(part, rows)) for part in trained.parts())])
+        return max([marked, *(len(holding_out.copies(part, rows)) for part in trained.parts())])
 
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
@@ -176,10 +175,8 @@ class _Trained:
 
 def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
     """Indices of the rows that a job fits when a fraction is held out."""
-    from kilter_core.identify.holdout import split
-
     if training.by_content:
-        return split(rows, fraction, training.seed)[0]
+        return holdout.split(rows, fraction, training.seed)[0]
     return fitted_by_order(rows, fraction, training)
 
 

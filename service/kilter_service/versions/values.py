@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kilter_core.parameters import reported
+from kilter_service.core import transforms
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -23,15 +24,13 @@ class Value(NamedTuple):
 
 def wire_values(calibration: Calibration) -> dict[str, Value]:
     """Return every parameter by name; base and tool as x, y, z and rx, ry, rz of the frame (URDF order)."""
-    from kilter_core.transforms import xyz_rpy_from_pose
-
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     out = {}
     for parameter, value in zip(model.parameters, values, strict=True):
         unit, scale = reported(parameter.unit)
         out[parameter.name] = Value(float(value) * scale, unit)
     for which, T in (("base", model.T_base), ("tool", model.T_tool)):
-        xyz, rpy = xyz_rpy_from_pose(np.asarray(T))
+        xyz, rpy = transforms.xyz_rpy_from_pose(np.asarray(T))
         numbers = [*(xyz * 1e3), *np.degrees(rpy)]
         out |= {f"{which}_{k}": Value(float(v), unit) for (k, unit), v in zip(FRAME, numbers, strict=True)}
     return out

@@ -19,6 +19,7 @@ from kilter_client.cli import run
 from kilter_client.parts import parts, send_whole
 from tests.clients.answered import document
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
+from tests.service.forked import ForkedPopen
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (6, 3))
 
@@ -192,7 +193,7 @@ def start_server(data: Path) -> subprocess.Popen[bytes]:
     """A server in a process group of its own, ready."""
     environment = os.environ | {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with (data / "log").open("ab") as log:
-        process = subprocess.Popen(
+        process = ForkedPopen(
             [sys.executable, "-m", "kilter_service", "serve"], env=environment, stdout=log, stderr=log,
             stdin=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
+from kilter_service.core import core_measurement, core_watch_check, estimate, metrics, predictive
 from kilter_service.drift import wire
 from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.job_preview import JobPreview
@@ -37,12 +38,10 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     """Return what the core says of the rows."""
-    from kilter_core.watch import check as check_arm
-
     options: DriftOptions = job.options
     calibration = calibration_of(job)
     noise = to_metres_if_known(options.noise_mm)
-    return check_arm(
+    return core_watch_check.check(
         calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
     )
 
@@ -72,21 +71,19 @@ def calibration_of(job: JobInput) -> Calibration:
     return found
 
 
-def known_of(job: JobInput) -> Predictive:
+def known_of(job: JobInput) -> predictive.Predictive:
     """What the version knows of itself.
 
     Raises:
         OptionError: there is no version, or it knows nothing.
 
     """
-    from kilter_core.identify.uncertainty.predictive import Predictive
-
     if job.calibration is None:
         raise OptionError(
             "The robot has no active version to check against: activate one, or name it in options.version.",
             option="version",
         )
-    known = Predictive.from_document(job.covariance or {}, job.report)
+    known = predictive.Predictive.from_document(job.covariance or {}, job.report)
     if known is None:
         raise OptionError(
             f"Version {job.version_id} does not say how well it is known: identify one from measurements of the tool, and "
@@ -97,8 +94,6 @@ def known_of(job: JobInput) -> Predictive:
 
 
 def _document(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:
-    from kilter_core.watch.check import FALSE_ALARM
-
     # How far balls in a socket are from each other is not an error of the tool: it lacks what moves all of them alike.
     measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
@@ -106,7 +101,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
         "agreed_at": None if job.fit.agreed_at is None else job.fit.agreed_at.isoformat(),
         "remedy": wire.remedy(found), "causes": [documents[one.cause.name] for one in found.causes],
-        "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": FALSE_ALARM,
+        "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "misfit_mm": to_mm(found.misfit),
         "noise_mm": to_mm(found.noise),
@@ -124,13 +119,9 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
 
     Base and tool of the nominal robot are not fitted to a few poses beside it: they would take up most of the errors.
     """
-    from kilter_core.identify.estimate import refitted
-    from kilter_core.measurement import Measurement
-    from kilter_core.measurement.metrics import Errors
-
     calibration = calibration_of(job)
-    measurement = Measurement.of(rows, calibration.marker_points, held=True)
-    errors = Errors.of(refitted(calibration, measurement, found.new_setup), measurement)
+    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
+    errors = metrics.Errors.of(estimate.refitted(calibration, measurement, found.new_setup), measurement)
     ((campaign, _),) = job.campaigns.items()
     budget = budget_of(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
     return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}

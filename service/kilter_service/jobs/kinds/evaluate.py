@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
+from kilter_service.core import compare, core_evaluate, core_model, iso9283, predictive
 from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
@@ -31,18 +32,15 @@ def check(options: EvaluateOptions) -> None:
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Compare the version named (else the active one, else the nominal robot) with the rows of every campaign."""
-    from kilter_core.evaluate import evaluate  # compiled kernels: only the worker needs them
-    from kilter_core.identify.uncertainty.predictive import Predictive
-
     options: EvaluateOptions = job.options
     if options.metrics == "iso9283":
         return _iso9283(job, _calibration(job), progress)
-    known = Predictive.from_document(job.covariance or {}, job.report)
+    known = predictive.Predictive.from_document(job.covariance or {}, job.report)
     metrics, rows, warnings = {}, {}, []
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
         calibration = _calibration(job, campaign)
-        metrics[campaign] = evaluate(calibration, seen, options.refit, known)
+        metrics[campaign] = core_evaluate.evaluate(calibration, seen, options.refit, known)
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
         metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)
@@ -53,17 +51,15 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(result | {"warnings": warnings})
 
 
-def _calibration(job: JobInput, campaign: str | None = None) -> Calibration:
+def _calibration(job: JobInput, campaign: str | None = None) -> core_model.Calibration:
     """The version, as it predicts the rows of a campaign; else the nominal robot."""
-    from kilter_core.model import Calibration
-
-    return (job.calibration if campaign is None else job.applied_to(campaign)) or Calibration.nominal(job.robot)
+    return (job.calibration if campaign is None else job.applied_to(campaign)) or core_model.Calibration.nominal(
+        job.robot
+    )
 
 
 def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[str, Any]:
-    from kilter_core.evaluate.iso9283 import Trial, criteria
-
-    return criteria(Trial.of(commanded.predict(rows), rows), asked)
+    return iso9283.criteria(iso9283.Trial.of(commanded.predict(rows), rows), asked)
 
 
 def _flattering(campaign: str, fitted: int, rows: int) -> list[dict[str, Any]]:
@@ -78,16 +74,15 @@ def _flattering(campaign: str, fitted: int, rows: int) -> list[dict[str, Any]]:
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Evaluate some of the rows, or see which criteria all of them support."""
-    from kilter_core.evaluate import evaluate
-    from kilter_core.identify.compare import thinned
-
     options: EvaluateOptions = job.options
     calibration = _calibration(job)
     found.learn_from(*job.campaigns.values())
     for campaign, rows in job.campaigns.items():
         with found.noting_refusals():
             if options.metrics == "errors":
-                evaluate(job.applied_to(campaign) or calibration, thinned(rows, MOST_CHECKED), options.refit, None)
+                core_evaluate.evaluate(
+                    job.applied_to(campaign) or calibration, compare.thinned(rows, MOST_CHECKED), options.refit, None
+                )
                 continue
             refused = _criteria(calibration.wanted(), rows, options.criteria)["refused"]
             found.missing += [Lack(f"{one['symbol']} of {campaign}", one["message"], REMEDY) for one in refused]

@@ -12,6 +12,7 @@ from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
 from kilter_service.jobs.cancellable import cancellable
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -23,7 +24,6 @@ from kilter_service.versions.store import HELD_OUT
 from kilter_service.wire import to_metres
 
 if TYPE_CHECKING:
-    from kilter_core.gap import GapOptions as Asked
     from kilter_core.gap import GapReport
     from kilter_core.gap.of_type import KnownType
 
@@ -38,9 +38,7 @@ def check(options: GapOptions) -> None:
         OptionError: an effect that is not searched for, or an option of one that the gap search chooses itself.
 
     """
-    from kilter_core.gap.search.wanted import wanted
-
-    wanted(_core(options).effects)
+    core_wanted.wanted(_core(options).effects)
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -50,19 +48,16 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
 
 def _search(job: JobInput, progress: Progress) -> JobOutput:
     """Search all campaigns together; the version made holds the named effects and the geometry fitted with them."""
-    from kilter_core.gap import find_gap  # compiled kernels: only the worker needs them
-    from kilter_core.gap.evidence.holding_out import parted, share_of
-
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
     progress(0.0, "fitting the geometry")
-    train, held = parted(rows, validation, options.seed)
+    train, held = holding_out.parted(rows, validation, options.seed)
     known = _of_type(job, train)
     start = job.calibration if known is None else known.start
-    report = find_gap(job.robot, rows, options, start, validation, progress, confirmation)
+    report = core_gap.find_gap(job.robot, rows, options, start, validation, progress, confirmation)
     if known is not None:
         report = replace(report, warnings=(*known.warnings(), *report.warnings))
-    share = share_of(rows, None) if validation is None and held is not None else None
+    share = holding_out.share_of(rows, None) if validation is None and held is not None else None
     found = report.to_document()
     aside = _set_aside(job, found.pop("set_aside"), found.pop("held_aside"))
     result = plain(
@@ -83,11 +78,9 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
 
 def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
     """The prior of the type, judged by the rows that are searched; None where it was not asked for."""
-    from kilter_core.gap.of_type import known_type
-
     if job.options.prior is None:
         return None
-    return known_type(job.robot, rows, _core(job.options), job.calibration, job.fleet)
+    return of_type.known_type(job.robot, rows, _core(job.options), job.calibration, job.fleet)
 
 
 def _set_aside(
@@ -102,21 +95,18 @@ def _set_aside(
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be searched and held out, and which effects these rows can test."""
-    from kilter_core.gap.check import check_gap
-    from kilter_core.gap.evidence.holding_out import parted
-
     options = _core(job.options)
     with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
         found.learn_from(rows)
-        train, held = parted(rows, validation, options.seed)
+        train, held = holding_out.parted(rows, validation, options.seed)
         known = _of_type(job, train)
         start = job.calibration if known is None else known.start
         if isinstance(validation, Observations):
             found.hold("campaigns", validation)
         elif held is not None:
             found.hold("unasked" if validation is None else "fraction", held)
-        found.search = check_gap(job.robot, rows, options, start, validation, confirmation)
+        found.search = core_check.check_gap(job.robot, rows, options, start, validation, confirmation)
         found.seconds = found.search.seconds
         if found.search.poses < found.search.of:
             found.limited.append(
@@ -132,9 +122,7 @@ def _label(effect: str, joints: tuple[int, ...] | None) -> str:
 
 def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
     """The poses to measure next as a file, None without any."""
-    from kilter_core.gap.report.next_poses import wire_scale
-
-    scale = wire_scale(job.robot)
+    scale = next_poses.wire_scale(job.robot)
     made = [
         Pose(
             q=np.array(row["q_deg"]) / scale,
@@ -192,11 +180,9 @@ def _version(
     return VersionContent(stored.calibration.to_document(), plain(document), plain(stored.covariance()), limits)
 
 
-def _core(options: GapOptions) -> Asked:
+def _core(options: GapOptions) -> core_gap.GapOptions:
     """What was asked, as the core has it: whatever was not keeps the core's default."""
-    from kilter_core.gap import GapOptions as Asked
-
-    return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
+    return core_gap.GapOptions.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
 GAP = JobKind(

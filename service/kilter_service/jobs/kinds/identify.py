@@ -12,6 +12,7 @@ from kilter_core.types import one_by_one
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import belonging, core_identify, core_identify_check, core_model, holdout, measurement_of_rows
 from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -22,8 +23,7 @@ from kilter_service.jobs.setups import FRAMES, Setups
 from kilter_service.jobs.sheets import bar_lengths, doubts
 
 if TYPE_CHECKING:
-    from kilter_core.identify import Folds, Identification, Prior
-    from kilter_core.identify import IdentifyOptions as Asked
+    from kilter_core.identify import Folds, Identification
 
 
 NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
@@ -41,15 +41,15 @@ def check(options: IdentifyOptions) -> None:
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Identify the robot from all campaigns together."""
-    from kilter_core.identify import identify  # compiled kernels: only the worker needs them
-
     options = _core(job.options)
     setups = Setups(options.refit, job.devices)
     named = _named(job)
     remarks = doubts(job.robot, named, job.devices, job.options.sheet_order)
     train, validation = _rows(job, setups)
     each = job.each or one_by_one
-    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each, job.fleet)
+    found = core_identify.identify(
+        job.robot, train, validation, options, job.calibration, progress, _prior(job), each, job.fleet
+    )
     report = found.to_document()
     remarks += bar_lengths(found, job.robot, named, lambda name, rows: _refit(job, name, rows))
     report |= {f"{which}_refitted": setups.named(report[f"{which}_refitted"]) for which in FRAMES}
@@ -69,23 +69,18 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
 
 def _refit(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
     """The same fit with other rows of a campaign; None where the campaign was not fitted."""
-    from kilter_core.identify import identify
-
     if campaign not in job.campaigns:
         return None
     other = replace(job, campaigns={**job.campaigns, campaign: rows})
     train, validation = _rows(other, Setups(job.options.refit, job.devices))
     held = validation if isinstance(validation, float) else None  # the same rows are fitted
-    return identify(job.robot, train, held, _core(job.options), job.calibration, None, _prior(job), fleet=job.fleet)
+    return core_identify.identify(
+        job.robot, train, held, _core(job.options), job.calibration, None, _prior(job), fleet=job.fleet
+    )
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be fitted and held out, and which parameters the poses tell."""
-    from kilter_core.identify import Folds
-    from kilter_core.identify.check import check_identification
-    from kilter_core.identify.holdout import fold_splits, split
-    from kilter_core.identify.measurement_of_rows import between_rows, measurement_for
-
     options = _core(job.options)
     with found.noting_refusals():
         doubts(job.robot, _named(job), job.devices, job.options.sheet_order)
@@ -94,58 +89,51 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         _refuse_mixed_up(job, train, validation)
         if isinstance(validation, Observations):
             found.hold("campaigns", validation)
-        elif isinstance(validation, Folds):
+        elif isinstance(validation, core_identify.Folds):
             found.hold("folds", train)
-            next(fold_splits(train, validation.folds, options.seed))
+            next(holdout.fold_splits(train, validation.folds, options.seed))
         elif validation is not None:
-            measurement_for(train, options)
-            inside, outside = split(train, validation, options.seed)
+            measurement_of_rows.measurement_for(train, options)
+            inside, outside = holdout.split(train, validation, options.seed)
             found.hold("fraction", train.select(outside))
             train = train.select(inside)
-            options = between_rows(options, train)
-        found.identification = check_identification(job.robot, train, options, job.calibration, job.fleet)
+            options = measurement_of_rows.between_rows(options, train)
+        found.identification = core_identify_check.check_identification(
+            job.robot, train, options, job.calibration, job.fleet
+        )
         found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
 
 
 def _refuse_mixed_up(job: JobInput, train: Observations, validation: Observations | float | Folds | None) -> None:
-    from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-    from kilter_core.model import Calibration
-
-    begin = job.calibration or Calibration.nominal(job.robot)
+    begin = job.calibration or core_model.Calibration.nominal(job.robot)
     for rows in (train, validation):
         if isinstance(rows, Observations):
-            refuse_mixed_up(begin, rows)
+            belonging.refuse_mixed_up(begin, rows)
 
 
 def _named(job: JobInput) -> list[tuple[str, Observations]]:
     return [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
 
 
-def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | float | Folds | None]:
+def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | float | core_identify.Folds | None]:
     """Rows to fit or to split, and what validates, poses and sessions numbered apart."""
-    from kilter_core.identify import Folds
-
     parts = numbered(setups.marked(_named(job)))
     if isinstance(job.validation, dict):
         train, held = parts[: len(job.campaigns)], parts[len(job.campaigns) :]
         return Observations.concatenate(train), Observations.concatenate(held)
-    validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
+    validation = core_identify.Folds(job.validation) if isinstance(job.validation, int) else job.validation
     return Observations.concatenate(parts), validation
 
 
-def _prior(job: JobInput) -> Prior | None:
+def _prior(job: JobInput) -> core_identify.Prior | None:
     """What the start knows of its parameters, for the methods that continue from it."""
-    from kilter_core.identify import Prior
-
     known = job.covariance or {}
-    return Prior(tuple(known["names"]), np.array(known["matrix"])) if known.get("names") else None
+    return core_identify.Prior(tuple(known["names"]), np.array(known["matrix"])) if known.get("names") else None
 
 
-def _core(options: IdentifyOptions) -> Asked:
+def _core(options: IdentifyOptions) -> core_identify.IdentifyOptions:
     """What was asked, as the core has it: whatever was not keeps the core's default."""
-    from kilter_core.identify import IdentifyOptions as Asked
-
-    return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
+    return core_identify.IdentifyOptions.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
 IDENTIFY = JobKind("identify", IdentifyOptions, check, run, version_option="start", preview_job=preview_job)

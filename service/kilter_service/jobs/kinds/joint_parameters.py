@@ -11,6 +11,7 @@ from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
+from kilter_service.core import core_inclinometer_poses, inclinometers, link_encoders
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
@@ -77,10 +78,8 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         found.missing += [Lack(w.get("joint", w["code"]), w["message"], REMEDY) for w in measured.result["warnings"]]
 
 
-def _log_of_campaigns(job: JobInput) -> Log:
+def _log_of_campaigns(job: JobInput) -> inclinometers.Log:
     """Readings of all campaigns, mountings numbered apart."""
-    from kilter_core.procedures.inclinometers import Log
-
     encoders = [name for name, rows in job.campaigns.items() if rows.link_q is not None or rows.tilt is None]
     if encoders:
         raise OptionError(
@@ -93,25 +92,21 @@ def _log_of_campaigns(job: JobInput) -> Log:
         rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
         for rows in job.campaigns.values()
     ]
-    return Log.of(Observations.concatenate(numbered(parts)), to_rad(job.options.resolution_deg))
+    return inclinometers.Log.of(Observations.concatenate(numbered(parts)), to_rad(job.options.resolution_deg))
 
 
 def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
-    from kilter_core.procedures.inclinometers import as_calibration, joint_parameters, weightless_joints
-
-    found, warnings = joint_parameters(robot, log)
-    warnings += [_at_the_tool(robot.joints[j].name) for j in weightless_joints(robot)]
+    found, warnings = inclinometers.joint_parameters(robot, log)
+    warnings += [_at_the_tool(robot.joints[j].name) for j in inclinometers.weightless_joints(robot)]
     result = {"measured_by": "inclinometer", "parameters": [_row(p) for p in found], "warnings": warnings}
-    return JobOutput(result, _content(as_calibration(robot, found), found, result))
+    return JobOutput(result, _content(inclinometers.as_calibration(robot, found), found, result))
 
 
 def _by_encoders(job: JobInput) -> JobOutput:
-    from kilter_core.procedures.link_encoders import as_calibration, link_joints
-
     if job.validation is not None and not isinstance(job.validation, dict):
         raise OptionError("Name campaigns in validation: motions are held out whole.", option="validation")
     held = job.validation or {}
-    found = link_joints(job.robot, list(job.campaigns.values()), list(held.values()))
+    found = link_encoders.link_joints(job.robot, list(job.campaigns.values()), list(held.values()))
     rows = [p for joint in found for p in joint.parameters]
     result: dict[str, Any] = {
         "measured_by": "link-side encoder",
@@ -119,7 +114,7 @@ def _by_encoders(job: JobInput) -> JobOutput:
         "joints": [_spreads(job.robot, joint, list(job.campaigns), list(held)) for joint in found],
         "warnings": [_dead(job.robot, joint) for joint in found if joint.dead is not None],
     }
-    return JobOutput(result, _content(as_calibration(job.robot, found), rows, result))
+    return JobOutput(result, _content(link_encoders.as_calibration(job.robot, found), rows, result))
 
 
 def _content(calibration: Calibration, found: list[JointParameter], result: dict[str, Any]) -> VersionContent:
@@ -171,16 +166,14 @@ def _joint(robot: Robot, name: str) -> int:
     return names.index(name)
 
 
-def _log(robot: Robot, options: Options) -> Log:
-    from kilter_core.procedures.inclinometers import Log
-
+def _log(robot: Robot, options: Options) -> inclinometers.Log:
     for number, reading in enumerate(options.readings):
         if len(reading.q_deg) != robot.n_joints:
             raise OptionError(
                 f"Reading {number + 1} has {len(reading.q_deg)} joint values, the robot {robot.n_joints}.",
                 option="q_deg",
             )
-    return Log(
+    return inclinometers.Log(
         q=np.array([r.q_deg for r in options.readings]) * joint_scale_back(robot),
         joint=np.array([_joint(robot, r.joint) for r in options.readings], dtype=np.int64),
         axis=np.array([AXES.index(r.axis) for r in options.readings], dtype=np.int64),
@@ -194,8 +187,6 @@ def _log(robot: Robot, options: Options) -> Log:
 
 def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     """Configurations to read, and the same as a table to fill in."""
-    from kilter_core.plan.inclinometer_poses import inclinometer_poses
-
     joint = _joint(robot, str(options.propose))
     scale = joint_scale(robot)
     configurations: list[dict[str, Any]] = []
@@ -204,7 +195,9 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     joints = [f"q{i}_{unit}" for i, unit in enumerate(joint_units(robot), 1)]
     lines = [",".join(["joint", "axis", *joints, "payload_kg", *centre, "series", "reading_deg"])]
     at = [to_metres(value) for value in com]
-    for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed, at):
+    for c in core_inclinometer_poses.inclinometer_poses(
+        robot, joint, options.count, options.payloads_kg, options.seed, at
+    ):
         q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
         axis = AXES[c.axis]
         configurations.append({"joint": options.propose, "axis": axis, "payload_kg": c.payload_kg, "q_deg": q})

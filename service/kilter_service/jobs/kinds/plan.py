@@ -12,6 +12,19 @@ from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.core import (
+    core_effects,
+    core_gap,
+    core_model,
+    core_region,
+    core_view_poses,
+    core_watch,
+    core_watch_check,
+    d_optimal,
+    iso9283_poses,
+    predictive,
+    separation,
+)
 from kilter_service.drift import wire
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
@@ -116,10 +129,6 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
     """The few poses of a check, with what they will show."""
-    from kilter_core.identify.uncertainty.predictive import Predictive
-    from kilter_core.watch import check_poses
-    from kilter_core.watch.check import FALSE_ALARM
-
     options: PlanOptions = job.options
     beyond = [joint for joint in options.without_joints if joint > job.robot.n_joints]
     if beyond:
@@ -127,18 +136,18 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
             f"options.without_joints has joint {beyond[0]}: the robot has {job.robot.n_joints}.",
             option="without_joints",
         )
-    known = Predictive.from_document(job.covariance or {}, job.report)
+    known = predictive.Predictive.from_document(job.covariance or {}, job.report)
     if known is None:
-        known = Predictive((), np.zeros((0, 0)), 0.0, to_metres(NOISE_MM))
+        known = predictive.Predictive((), np.zeros((0, 0)), 0.0, to_metres(NOISE_MM))
     noise = to_metres_if_known(options.noise_mm)
     if noise is None and known.noise == 0.0 and known.inadequacy == 0.0:
         noise = to_metres(NOISE_MM)
-    plan = check_poses(
+    plan = core_watch.check_poses(
         _begin(job), known, _count(job), _region(job), noise=noise, without=options.without_joints, seed=options.seed,
         progress=progress,
     )  # fmt: skip
     shown = {
-        "false_alarm": FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
+        "false_alarm": core_watch_check.FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
         "unseen": [wire.cause_words(one) for one in plan.found.unseen],
         "faint": [wire.faint_sentence(one) for one in plan.faint],
     }  # fmt: skip
@@ -168,19 +177,15 @@ def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | Non
 
 
 def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
-    from kilter_core.plan.iso9283_poses import iso_poses
-
     if job.options.method in CYCLES:
         return _cycles(job, CYCLES[job.options.method])
-    q = iso_poses(job.robot, _count(job), job.options.seed, _room(job))
+    q = iso9283_poses.iso_poses(job.robot, _count(job), job.options.seed, _room(job))
     return document_of(job.robot, [Pose(row) for row in q])
 
 
 def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
     """The same poses again and again; ``count`` cycles, pose_id the standard's number, session the cycle."""
-    from kilter_core.plan.iso9283_poses import five_poses
-
-    q = five_poses(job.robot, seed=job.options.seed, region=_room(job))
+    q = iso9283_poses.five_poses(job.robot, seed=job.options.seed, region=_room(job))
     cycles = range(1, (job.options.count or CYCLES_DEMANDED) + 1)
     poses = [Pose(q[number - 1], pose_id=number, session=cycle) for cycle in cycles for number in order]
     return {**document_of(job.robot, poses), "cycles": len(cycles), "cycles_demanded": CYCLES_DEMANDED}
@@ -189,9 +194,6 @@ def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
 def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method == "iso9283":
         return _iso(job, progress)
-    from kilter_core.plan.d_optimal import d_optimal_poses
-    from kilter_core.plan.view_poses import view_poses
-
     given: dict[str, Any] = {
         "count": _count(job),
         "effects": _made(job),
@@ -203,24 +205,20 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         "payload_com": [to_metres(value) for value in job.options.payload_com_mm or ()],
     }
     if job.options.method == "views":
-        rows = view_poses(_with_cameras(job), driven=job.driven, **given)
+        rows = core_view_poses.view_poses(_with_cameras(job), driven=job.driven, **given)
     else:
-        rows = d_optimal_poses(_begin(job), fleet=None if job.options.prior is None else job.fleet, **given)
+        rows = d_optimal.d_optimal_poses(_begin(job), fleet=None if job.options.prior is None else job.fleet, **given)
     return document_of(job.robot, poses_of(rows))
 
 
 def _with_cameras(job: JobInput) -> Calibration:
     """What is planned with, and where its cameras and boards stand."""
-    from kilter_core.plan.view_poses import placed_by_views
-
     seen = [rows for rows in numbered(job.campaigns.values()) if rows.pixels is not None]
-    return placed_by_views(_begin(job), Observations.concatenate(seen) if seen else None)
+    return core_view_poses.placed_by_views(_begin(job), Observations.concatenate(seen) if seen else None)
 
 
-def _begin(job: JobInput) -> Calibration:
-    from kilter_core.model import Calibration
-
-    return job.calibration or Calibration.nominal(job.robot)
+def _begin(job: JobInput) -> core_model.Calibration:
+    return job.calibration or core_model.Calibration.nominal(job.robot)
 
 
 def _within(job: JobInput) -> str:
@@ -230,11 +228,9 @@ def _within(job: JobInput) -> str:
     return "limits" if standard or job.driven is None else options.within
 
 
-def _region(job: JobInput) -> Region:
+def _region(job: JobInput) -> core_region.Region:
     """Where poses may be: as far as the arm was driven before unless ``within`` says limits, above floor, in the box."""
-    from kilter_core.model.region import Region
-
-    region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
+    region = core_region.Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
     region = region.above(to_metres_if_known(job.options.floor_mm)).within(_box(job.options))
     return region.outside(_keep_out(job.options))
 
@@ -271,20 +267,15 @@ def _corners(box_mm: Floats, option: str) -> Floats:
 
 
 def _made(job: JobInput) -> list[Effect]:
-    from kilter_core.effects import effect_from_document
-
     named = [{"id": one} if isinstance(one, str) else one.model_dump(mode="json") for one in job.options.effects]
-    return [effect_from_document(one).on(job.robot) for one in named]
+    return [core_effects.effect_from_document(one).on(job.robot) for one in named]
 
 
 def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     """Poses that tell the two effects named apart, or what the gap search that made the version left undecided."""
-    from kilter_core.gap import GapOptions, plan_separation
-    from kilter_core.gap.report.separation import undecided
-
     wanted: list[Any] = list(named_effects(job.options))
     if not wanted:
-        open_ = undecided(job.origin or {})
+        open_ = separation.undecided(job.origin or {})
         if open_ is None:
             raise OptionError(
                 "There is nothing to tell apart: name two effects, or a version of a gap search that left something undecided.",
@@ -292,13 +283,13 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
             )
         wanted = [named for named in open_ if named is not None]
     progress(0.1, "what was measured")
-    plan = plan_separation(
+    plan = core_gap.plan_separation(
         job.robot,
         Observations.concatenate(numbered(job.campaigns.values())) if job.campaigns else None,
         wanted[0],
         wanted[1] if len(wanted) > 1 else None,
         _count(job),
-        GapOptions(noise_mm=job.options.noise_mm, seed=job.options.seed),
+        core_gap.GapOptions(noise_mm=job.options.noise_mm, seed=job.options.seed),
         job.calibration,
         _region(job),
     )

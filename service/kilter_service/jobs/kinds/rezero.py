@@ -8,6 +8,7 @@ import numpy as np
 
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import core_evaluate, core_report, core_watch
 from kilter_service.drift import wire
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -61,28 +62,25 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 
 def _found(job: JobInput) -> Rezeroed:
-    from kilter_core.watch import rezero
-
     options: RezeroOptions = job.options
     rows, known = rows_of(job), known_of(job)
     noise = to_metres_if_known(options.noise_mm)
-    return rezero(calibration_of(job), rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c)
+    return core_watch.rezero(
+        calibration_of(job), rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c
+    )
 
 
 def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
     """The report of the start with the parameters as they are now, and the errors on these rows."""
-    from kilter_core.evaluate import evaluate
-    from kilter_core.identify.report import rows_of as parameter_rows
-
     start = {key: value for key, value in (job.report or {}).items() if key not in OF_THE_START}
     names = [name for name in found.known.names if name in found.calibration.names]
     sigma = np.sqrt(np.diag(found.known.covariance))[[found.known.names.index(name) for name in names]]
     before = {row["name"]: row for row in (job.report or {}).get("parameters") or []}
     told = np.array([name in found.names or bool(before.get(name, {}).get("identifiable", True)) for name in names])
     ((_, rows),) = job.campaigns.items()
-    errors = evaluate(found.calibration, rows, [], found.known)
+    errors = core_evaluate.evaluate(found.calibration, rows, [], found.known)
     return start | {
-        "parameters": parameter_rows(found.calibration, names, sigma, told),
+        "parameters": core_report.rows_of(found.calibration, names, sigma, told),
         "metrics": {"train": {stage: errors[stage] for stage in STAGES}},
     }  # fmt: skip
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.spread import evenly
+from kilter_service.core import workspace
 from kilter_service.jobs.plotly_figures.arrows import arrows
 from kilter_service.jobs.plotly_figures.layout import (
     BLUE,
@@ -52,9 +53,7 @@ def identify_figures(found: Identification, report: Mapping[str, Any], job: JobI
 
 def uncertainty_figure(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
     """Draw the uncertainty of the fit at poses within the limits, from the side and from above."""
-    from kilter_core.identify.uncertainty.workspace import Workspace
-
-    space = Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
+    space = workspace.Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
     some = evenly(len(space.measured), MOST_MEASURED)
     low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
     data: list[Document] = []

@@ -8,6 +8,7 @@ from typing import Any
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import Job, NewJob
+from kilter_service.core import registry
 from kilter_service.db import Database
 from kilter_service.jobs import checking
 from kilter_service.jobs import service as jobs
@@ -68,9 +69,7 @@ def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, An
 
 def effects_in_words() -> dict[str, str]:
     """Return the effects that a model may have, by id, with what each is."""
-    from kilter_core.effects.registry import EFFECTS  # imports numpy: not at the start of the API process
-
-    return {name: effect.summary for name, effect in sorted(EFFECTS.items())}
+    return {name: effect.summary for name, effect in sorted(registry.EFFECTS.items())}
 
 
 def checked(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:

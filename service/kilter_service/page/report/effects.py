@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
+from kilter_service.core import registry
 from kilter_service.db import Database
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
@@ -36,8 +37,6 @@ class Contributions:
 
 def effects_of(database: Database, version: Version, search: GapResult | None) -> Contributions:
     """Say of each effect what it is and what it does."""
-    from kilter_core.effects.registry import EFFECTS  # compiled kernels: not at the start of the API process
-
     named = {one.id: one for one in (search.effects if search is not None else None) or []}
     moved = contributions.moved_by_each(database, version.id)
     sizes = {one.effect: [one.rms_mm, one.largest_mm] for one in moved.effects}
@@ -47,7 +46,7 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
     for effect, (rms, largest, here) in zip(version.effects, words.in_one_unit(lengths), strict=True):
         found = named.get(effect)
         joints = words.of_joints(found.joints) if found is not None and found.joints else ""
-        kind = EFFECTS.get(effect)
+        kind = registry.EFFECTS.get(effect)
         what = kind.summary if kind is not None else ""
         shown.append(Effect(effect, joints, what, rms, largest, here))
     return Contributions(moved.poses, shown, moved.plot(SHADES[1:], 620.0) if moved.effects else None)

@@ -19,6 +19,7 @@ from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
+from kilter_client.files import files_calibration, files_homing
 
 if TYPE_CHECKING:
     from kilter_files.formats.lerobot.homing import Homed
@@ -70,18 +71,15 @@ def homing(
     Only zeros that the version tells are written: those whose 95 % interval leaves 0 out.
     """
     check_numpy()
-    from kilter_files.formats.lerobot.calibration import read_calibration
-    from kilter_files.formats.lerobot.homing import with_zero_offsets
-
     if output.resolve() == calibration.resolve():
         raise UsageError(f"{output} is the calibration itself, which stays as it is: name another file.")
-    found = read_calibration(calibration)
+    found = files_calibration.read_calibration(calibration)
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
         told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     zeros = told.get("zero_offsets", [])
     offsets = _to_write(zeros, uncertain)
-    text, changes = with_zero_offsets(found, offsets, norm_mode, servos)
+    text, changes = files_homing.with_zero_offsets(found, offsets, norm_mode, servos)
     if all(one.before == one.after for one in changes):
         raise UsageError(_NOTHING.format(version=version, states=", ".join(_state(one) for one in zeros)))
     write(output, text.encode())

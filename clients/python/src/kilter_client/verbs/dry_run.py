@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.calls import campaigns, robots
 from kilter_client.errors import KilterError, ObservationError
+from kilter_client.files import files_refusals, files_summary
 from kilter_client.given import Data, rows_of
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.campaigns import conditions_of
@@ -78,15 +79,12 @@ def checked_here(
     prepared: Prepared, conditions: Mapping[str, Any], why: KilterError | None, joints: list[Document] | None = None
 ) -> Document:
     """Return what can be said without a server; ``why`` is the reason for which the robot's joints are not known."""
-    from kilter_files.look.refusals import refusals
-    from kilter_files.look.summary import columns_of, summary
-
     unknown = (
         f"joints and their limits, and whether the rows belong to the robot ({why.detail.rstrip('.')})" if why else ""
     )
-    return summary(prepared, conditions) | {
+    return files_summary.summary(prepared, conditions) | {
         "left_out": [text for text in prepared.warnings if "left out" in text],
-        "refused": refusals(columns_of(prepared), joints, prepared.lines),
+        "refused": files_refusals.refusals(files_summary.columns_of(prepared), joints, prepared.lines),
         "odd": [],
         "not_checked": unknown,
     }

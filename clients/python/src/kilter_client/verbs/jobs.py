@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, cast
 
 from kilter_client.calls import jobs as calls
+from kilter_client.files import readings
 from kilter_client.progress import Watching, watched
 from kilter_client.results.record import Record, Records
 from kilter_client.steps import Document, Steps
@@ -162,9 +163,7 @@ def joint_parameters(
     """
     chosen: dict[str, Any] = dict(options)
     if readings_file is not None:
-        from kilter_files.rig.readings import read_readings
-
-        chosen["readings"] = read_readings(Path(fspath(readings_file)))
+        chosen["readings"] = readings.read_readings(Path(fspath(readings_file)))
     wanted = asked("joint_parameters", robot, campaigns, chosen, validation, name)
     return cast("JointParametersResult", (yield from run(wanted, progress, timeout_s)))
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from kilter_client.calls import meshes as calls
 from kilter_client.errors import UsageError
+from kilter_client.files import files_link_meshes
 from kilter_client.results.record import Records
 from kilter_client.steps import Steps
 from kilter_client.verbs.things import Thing, reference
@@ -71,13 +72,12 @@ def set_urdf_meshes(
 
     """
     from kilter_client.typed.robots import Mesh
-    from kilter_files.robots.link_meshes import link_meshes
 
     name = reference("robot", robot)
     folders = {package: Path(fspath(folder)) for package, folder in (packages or {}).items()}
     asked = yield from calls.of_urdf(name)
     made = []
-    for one in link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
+    for one in files_link_meshes.link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
         put = yield from calls.put(name, one.link, one.content, "stl", "mm")
         made.append(Mesh.read(put))
     return Records(Mesh, made)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from kilter_client.calls import robots
 from kilter_client.errors import RobotError
+from kilter_client.files import files_found, files_postures, one_target, rigid
 from kilter_client.steps import Document, Steps
 
 if TYPE_CHECKING:
@@ -51,8 +52,6 @@ class Understood:
 
 def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoints) -> Steps[Understood]:
     """Find the joints that poses mean: one call for the joints that the targets before them have, one for the poses."""
-    from kilter_files.formats.programs.poses.rigid import to_document
-
     poses = _in_order(programs)
     if not poses:
         return Understood({}, {})
@@ -64,7 +63,7 @@ def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoin
     name = str(robot["name"])
     try:
         known = (yield from robots.forward(name, rows)) if rows else []
-        found = yield from robots.inverse(name, [*known, *(to_document(_flange(pose)) for pose in poses)])
+        found = yield from robots.inverse(name, [*known, *(rigid.to_document(_flange(pose)) for pose in poses)])
     except RobotError as error:
         return Understood({}, dict.fromkeys(poses, error.detail.rstrip(".")))
     return _chosen(poses, found, dict(zip(before, rows, strict=True)), _limits(robot), joints.signs)
@@ -72,17 +71,13 @@ def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoin
 
 def _in_order(programs: Sequence[Program]) -> list[PoseTarget]:
     """The poses whose frames are known, in the order of the moves to them where it is known."""
-    from kilter_files.formats.programs.one_target import PoseTarget
-
-    visits = [one for program in programs for one in program.visits if isinstance(one, PoseTarget)]
+    visits = [one for program in programs for one in program.visits if isinstance(one, one_target.PoseTarget)]
     rest = [pose for program in programs for pose in program.cartesian]
     return [pose for pose in dict.fromkeys([*visits, *rest]) if not pose.why_left()]
 
 
 def _is_joints(near: JointTarget | PoseTarget | None) -> bool:
-    from kilter_files.formats.programs.one_target import JointTarget
-
-    return isinstance(near, JointTarget)
+    return isinstance(near, one_target.JointTarget)
 
 
 def _limits(robot: Document) -> list[tuple[float, float]]:
@@ -93,10 +88,8 @@ def _limits(robot: Document) -> list[tuple[float, float]]:
 
 def _flange(pose: PoseTarget) -> Rigid:
     """The flange in the frame of the robot's root."""
-    from kilter_files.formats.programs.poses.rigid import Rigid
-
     bases, tool = pose.frames()
-    placed = Rigid()
+    placed = rigid.Rigid()
     for base in bases:
         placed = placed.then(base.pose())
     return placed.then(pose.notation.pose(pose.numbers)).then(tool.pose().inverse())
@@ -109,15 +102,13 @@ def _chosen(
     limits: Sequence[tuple[float, float]],
     signs: Sequence[float],
 ) -> Understood:
-    from kilter_files.formats.programs.poses.postures import by_configuration, posture_at
-
     known: dict[int, Found | str] = {}
     for (near, joints), postures in zip(before.items(), found, strict=False):
-        known[near] = posture_at(joints, postures) or "the target before it is at a singularity"
+        known[near] = files_postures.posture_at(joints, postures) or "the target before it is at a singularity"
     for pose, postures in zip(poses, found[len(before) :], strict=True):
         stated = pose.configuration
         known[id(pose)] = (
-            by_configuration(stated, postures, limits, signs)
+            files_postures.by_configuration(stated, postures, limits, signs)
             if stated is not None
             else _following(pose, postures, known, limits)
         )
@@ -138,14 +129,12 @@ def _following(
     limits: Sequence[tuple[float, float]],
 ) -> Found | str:
     """The posture that follows the target before each move to a pose; all moves must come to the same."""
-    from kilter_files.formats.programs.poses.postures import NOT_STATED, after
-
     chosen: list[Found] = []
     for use in pose.uses:
-        near = known.get(id(use.near), BEFORE) if use.near is not None else NOT_STATED
+        near = known.get(id(use.near), BEFORE) if use.near is not None else files_postures.NOT_STATED
         if isinstance(near, str):
-            return near if near in (NOT_STATED, BEFORE) else BEFORE
-        one = after(near, postures, limits, straight=use.straight)
+            return near if near in (files_postures.NOT_STATED, BEFORE) else BEFORE
+        one = files_postures.after(near, postures, limits, straight=use.straight)
         if isinstance(one, str):
             return one
         chosen.append(one)
@@ -157,13 +146,11 @@ def not_kept(
     robot: str, corrected: Sequence[tuple[PoseTarget, Sequence[float]]], understood: Understood, joints: ProgramJoints
 ) -> Steps[dict[PoseTarget, str]]:
     """Name the poses at which the controller would not find these corrected joints of the robot (deg) by what is stated."""
-    from kilter_files.formats.programs.poses.postures import posture_at
-
     flanges = (yield from robots.forward(robot, [q for _, q in corrected])) if corrected else []
     found = (yield from robots.inverse(robot, flanges)) if flanges else []
     out: dict[PoseTarget, str] = {}
     for (pose, q), postures in zip(corrected, found, strict=True):
-        one, stated = posture_at(q, postures), pose.configuration
+        one, stated = files_postures.posture_at(q, postures), pose.configuration
         if one is None:
             out[pose] = "the correction takes it to a singularity"
         elif not (
@@ -182,20 +169,17 @@ def rewritten(
     joints: ProgramJoints,
 ) -> Steps[list[dict[Span, str]]]:
     """Write each pose anew, so that the nominal arm has these joints of the robot there: texts by their places."""
-    from kilter_files.formats.programs.found import written
-    from kilter_files.formats.programs.poses.rigid import of_document
-
     flanges = (yield from robots.forward(robot, joints_deg)) if places else []
     out: list[dict[Span, str]] = []
     for (program, pose), flange, q in zip(places, flanges, joints_deg, strict=True):
         bases, tool = pose.frames()
-        placed = of_document(flange).then(tool.pose())
+        placed = rigid.of_document(flange).then(tool.pose())
         for base in bases:
             placed = base.pose().inverse().then(placed)
         numbers = pose.notation.near(placed, pose.numbers)
         decimals = pose.notation.decimals
         new = {
-            span: written(program.text[slice(*span)], numbers[k], decimals[k])
+            span: files_found.written(program.text[slice(*span)], numbers[k], decimals[k])
             for k, span in enumerate(pose.spans)
             if pose.notation.moved(k, pose.numbers[k], numbers[k])
         }

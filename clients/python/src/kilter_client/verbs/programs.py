@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
+from kilter_client.files import files_found, files_reading, one_target
 from kilter_client.given import signs_of
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
@@ -90,11 +91,8 @@ def filter(  # noqa: A001 - a verb, as the command is called
 
 
 def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None) -> list[Program]:
-    from kilter_files.formats.programs.found import Stated
-    from kilter_files.formats.programs.reading import read_programs
-
-    stated = Stated(_frames(bases, "base"), _frames(tools, "tool"))
-    programs = read_programs(Path(fspath(path)), stated)
+    stated = files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"))
+    programs = files_reading.read_programs(Path(fspath(path)), stated)
     _refuse_other_numbers(stated, programs[0].dialect)
     return programs
 
@@ -167,12 +165,15 @@ def _done(
     programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: str, version: Thing | None
 ) -> Steps[AllDone]:
     """Correct all targets in one call."""
-    from kilter_files.formats.programs.one_target import PoseTarget
-    from kilter_files.formats.programs.reading import visited
-
-    places = [place for place in visited(programs) if place[1] not in understood.left and _known(place[1], understood)]
+    places = [
+        place
+        for place in files_reading.visited(programs)
+        if place[1] not in understood.left and _known(place[1], understood)
+    ]
     rows = [
-        [*understood.joints_deg[target]] if isinstance(target, PoseTarget) else joints.of_robot(target.joints_deg)
+        [*understood.joints_deg[target]]
+        if isinstance(target, one_target.PoseTarget)
+        else joints.of_robot(target.joints_deg)
         for _, target in places
     ]
     if not rows:
@@ -215,9 +216,7 @@ def _kept(
 
 
 def _is_pose(target: JointTarget | PoseTarget) -> TypeGuard[PoseTarget]:
-    from kilter_files.formats.programs.one_target import PoseTarget
-
-    return isinstance(target, PoseTarget)
+    return isinstance(target, one_target.PoseTarget)
 
 
 def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from kilter_client.calls import robots as calls
 from kilter_client.errors import UsageError
+from kilter_client.files import read
 from kilter_client.given import Data, rows_of
 from kilter_client.results.record import Records
 from kilter_client.steps import Steps
@@ -272,14 +273,12 @@ def _document(
                 "document (k.convert_robot) to change it."
             )
         return {"name": name or preset, "convention": "preset", "preset": preset}
-    from kilter_files.robots.read import Described, described_document, read_robot
-
-    described = Described(
+    described = read.Described(
         name, given.base_link, given.tip_link, given.convention, given.model, given.turned, given.follows
     )
     if isinstance(source, Mapping):
-        return described_document(source, described)
-    return read_robot(Path(fspath(source or "")), described)
+        return read.described_document(source, described)
+    return read.read_robot(Path(fspath(source or "")), described)
 
 
 def robot(name: Thing) -> Steps[RobotReport]:

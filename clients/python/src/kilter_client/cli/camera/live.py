@@ -13,6 +13,15 @@ from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.errors import UsageError
+from kilter_client.files import (
+    files_feeds,
+    files_newest,
+    files_run,
+    files_server,
+    files_session,
+    files_taken,
+    files_target,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -47,27 +56,21 @@ def live(
 ) -> None:
     """Show a camera's picture on a page of this machine, with corners and what is missing, and take views at rest."""
     check_numpy()
-    from kilter_files.rig.live.feeds import Folder, feed_of
-    from kilter_files.rig.live.newest import newest
-    from kilter_files.rig.live.server import page_of
-    from kilter_files.rig.live.session import Session, follow
-    from kilter_files.rig.live.taken import Taken
-    from kilter_files.rig.see.run import Looker
-    from kilter_files.rig.see.target import check_apart, read_target
-
-    targets = [read_target(path) for path in board]
-    check_apart(targets)
-    feed, stop = feed_of(source), Event()
-    if output is None and not isinstance(feed, Folder):
+    targets = [files_target.read_target(path) for path in board]
+    files_target.check_apart(targets)
+    feed, stop = files_feeds.feed_of(source), Event()
+    if output is None and not isinstance(feed, files_feeds.Folder):
         raise UsageError("Say where pictures go: -o DIR.")
     if joints is not None and output is None:
         raise UsageError("--joints writes a table beside the pictures: say where they go, -o DIR.")
-    session = Session(Looker(targets), Taken(output, joints), feed.name, wanted=views)
-    with page_of(session, port) as address:
+    session = files_session.Session(
+        files_run.Looker(targets), files_taken.Taken(output, joints), feed.name, wanted=views
+    )
+    with files_server.page_of(session, port) as address:
         # Told at once, for the document comes when the page has gone; stdout keeps to that one document.
         note(json.dumps({"address": address}) if as_json else f"{address}  (end with Ctrl-C)")
         try:
-            follow(session, newest(feed, stop))
+            files_session.follow(session, files_newest.newest(feed, stop))
         except KeyboardInterrupt:
             pass  # the usual end
         finally:

@@ -13,6 +13,15 @@ from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import FileError, UsageError
+from kilter_client.files import (
+    bag_pictures,
+    files_poses,
+    files_run,
+    files_second,
+    files_sources,
+    files_target,
+    joint_log,
+)
 from kilter_client.results.rows import saved
 from kilter_files.formats.reader import LogHints
 from kilter_files.rig.see.as_parquet import check_pyarrow, write_parquet
@@ -103,17 +112,15 @@ def see(
     _check_output(output)
     if camera is not None and intrinsics is not None:
         raise UsageError("Give --camera, or --intrinsics to find them, not both.")
-    from kilter_files.rig.see.run import Looker
-    from kilter_files.rig.see.second import second_of
-    from kilter_files.rig.see.target import check_apart, read_target
-
-    targets = [read_target(path) for path in board]
-    check_apart(targets)
+    targets = [files_target.read_target(path) for path in board]
+    files_target.check_apart(targets)
     known = None if camera is None else read_camera(camera, camera_name)
     order = tuple(joint_order.split(",")) if joint_order else ()
     bag = _bag(pictures, joints, every, topic, joints_topic, order)
     source, poses = bag or _files(pictures, joints, every, starts_s)
-    looker = Looker(targets, poses, known, intrinsics, second_of(targets) if cross_check else None)
+    looker = files_run.Looker(
+        targets, poses, known, intrinsics, files_second.second_of(targets) if cross_check else None
+    )
     seen = _looked(looker, source, output, camera_name, as_json)
     document = described(seen, looker, mount, camera_name)
     beside = output.with_suffix(".json")
@@ -122,11 +129,10 @@ def see(
 
 
 def _files(pictures: list[Path], joints: Path | None, every: int, starts_s: float) -> tuple[Pictures, Poses | None]:
-    from kilter_files.rig.see.poses import read_poses
-    from kilter_files.rig.see.sources import source_of
-
-    source = source_of(pictures, every)
-    return source, None if joints is None else read_poses(joints, source.count(), bool(source.videos), starts_s)
+    source = files_sources.source_of(pictures, every)
+    return source, None if joints is None else files_poses.read_poses(
+        joints, source.count(), bool(source.videos), starts_s
+    )
 
 
 def _bag(
@@ -134,10 +140,7 @@ def _bag(
     order: tuple[str, ...],
 ) -> tuple[Pictures, Poses] | None:  # fmt: skip
     """The pictures and joints of a bag; None of files."""
-    from kilter_files.formats.joints.joint_log import log_of_bag
-    from kilter_files.rig.see.bag_pictures import is_bag, pictures_of_bag
-
-    if not any(map(is_bag, pictures)):
+    if not any(map(bag_pictures.is_bag, pictures)):
         if topic or joints_topic or order:
             raise UsageError("--topic, --joints-topic and --joint-order are of a bag: name its folder or file.")
         return None
@@ -145,7 +148,9 @@ def _bag(
         raise UsageError(f"{pictures[0]}: give one bag at a time, and nothing beside it.")
     if joints is not None:
         raise UsageError(f"{pictures[0]}: joints of a bag are its own (--joints-topic); leave --joints out.")
-    found = pictures_of_bag(pictures[0], topic, log_of_bag(pictures[0], LogHints(joints_topic, order)), every)
+    found = bag_pictures.pictures_of_bag(
+        pictures[0], topic, joint_log.log_of_bag(pictures[0], LogHints(joints_topic, order)), every
+    )
     return found, found.poses()
 
 

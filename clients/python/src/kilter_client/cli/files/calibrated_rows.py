@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.cli.files.inspect import check_numpy
+from kilter_client.files import files_calibration
 
 if TYPE_CHECKING:
     from kilter_files.tables.joint_log import JointLog
@@ -28,6 +29,4 @@ def servo_conditions(calibration: Path | None) -> dict[str, Any]:
     if calibration is None:
         return {}
     check_numpy()
-    from kilter_files.formats.lerobot.calibration import read_calibration
-
-    return {CONDITION: read_calibration(calibration).sha256}
+    return {CONDITION: files_calibration.read_calibration(calibration).sha256}

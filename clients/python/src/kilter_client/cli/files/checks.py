@@ -9,6 +9,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.errors import UsageError
+from kilter_client.files import clock_checks, cut_recording, files_arm
 
 if TYPE_CHECKING:
     from kilter_files.match.arm import Arm
@@ -27,33 +28,25 @@ def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float 
         UsageError: times the wrong way round, or ``--piecewise`` without a robot.
 
     """
-    from kilter_files.match.clock_checks import Checks
-
     if since is not None and until is not None and not since < until:
         raise UsageError(f"--since {since:g} --until {until:g}: the first must be earlier than the second.")
     if piecewise and robot is None:
         raise UsageError("--piecewise needs the robot's model: name it with --robot or --model.")
     start, end = -float("inf") if since is None else since, float("inf") if until is None else until
-    return Checks(None if robot is None else model_of(robot), piecewise, unchecked, start, end)
+    return clock_checks.Checks(None if robot is None else model_of(robot), piecewise, unchecked, start, end)
 
 
 def model_of(robot: str) -> Arm:
     """Return the model of a robot of the server."""
-    from kilter_files.match.arm import arm_of
-
     with Kilter() as kilter:
-        return arm_of(kilter.robots.check(kilter.robots.get(robot)["document"]))
+        return files_arm.arm_of(kilter.robots.check(kilter.robots.get(robot)["document"]))
 
 
 def cut_by(recording: Recording, without: Sequence[str] | None) -> Recording:
     """Return a recording without some markers."""
-    from kilter_files.tables.cut_recording import without as left_out
-
-    return left_out(recording, without) if without else recording
+    return cut_recording.without(recording, without) if without else recording
 
 
 def in_time(recording: Recording, checks: Checks) -> Recording:
     """Return the part of a recording that counts."""
-    from kilter_files.tables.cut_recording import between
-
-    return between(recording, checks.since_s, checks.until_s)
+    return cut_recording.between(recording, checks.since_s, checks.until_s)

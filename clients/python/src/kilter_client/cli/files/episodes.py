@@ -12,6 +12,7 @@ from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.inspect import Calibration, JointOrder, NormMode, check_numpy
 from kilter_client.cli.output import emit, say
+from kilter_client.files import files_episodes, files_moved
 from kilter_files.formats.reader import LogHints
 
 MOVED = 3  # exit code, as of `kilter check`
@@ -44,13 +45,11 @@ def episodes(
 ) -> None:
     """Name the joints that stand elsewhere from one episode to the next: exit code 0 none, 3 a zero may have moved."""
     check_numpy()
-    from kilter_files.formats.lerobot.episodes import episodes_of
-    from kilter_files.formats.lerobot.moved import moves_of
-
     order = arguments.split_names([joint_order or ""])
-    found = episodes_of(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
+    found = files_episodes.episodes_of(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
     moves = [
-        vars(move) | {"signals": list(move.signals), "means": MEANS[move.what]} for move in moves_of(found, least_deg)
+        vars(move) | {"signals": list(move.signals), "means": MEANS[move.what]}
+        for move in files_moved.moves_of(found, least_deg)
     ]
     document = {"dataset": str(dataset), "episodes": len(found.numbers), "joints": list(found.joints), "least_deg": least_deg,
                 "moves": moves, "untold": UNTOLD}  # fmt: skip

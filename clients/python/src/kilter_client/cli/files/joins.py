@@ -13,6 +13,7 @@ from kilter_client.cli.files.match import joints_of
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
+from kilter_client.files import ballbar, dwells, files_ballbar_join, files_tilt_join
 from kilter_files import read_joints
 
 Joints = Annotated[Path, typer.Argument(help="The joint log.", metavar="JOINTS", show_default=False, exists=True)]
@@ -41,11 +42,8 @@ def ballbar_join(
 ) -> None:
     """Join a ball bar's log with the joint log by the angle of each run: lengths with their joints, for kilter upload."""
     check_numpy()
-    from kilter_files.formats.logs.ballbar import read_ballbar
-    from kilter_files.rig.ballbar_join import join_ballbar
-
-    bar = read_ballbar(file, radius_mm)
-    table, report = join_ballbar(bar, read_joints(joints, joints_map), zero_deg)
+    bar = ballbar.read_ballbar(file, radius_mm)
+    table, report = files_ballbar_join.join_ballbar(bar, read_joints(joints, joints_map), zero_deg)
     write(output, table.to_csv())
     emit({"file": str(output), "notes": table.notes, "warnings": table.warnings} | report, as_json, _show)
 
@@ -84,14 +82,13 @@ def tilt_join(
 ) -> None:
     """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
     check_numpy()
-    from kilter_files.match.dwells import RestOptions
-    from kilter_files.rig.tilt_join import TiltOptions, join_tilts
-
     names = [name.removesuffix(":m") for name in joints_of(robot)]
     if joint not in names:
         raise UsageError(f"--joint {joint}: the robot has {', '.join(names)}.")
-    options = TiltOptions(names.index(joint) + 1, axis, by, channel, unit, RestOptions(None, shortest, settle))
-    columns, report = join_tilts(file, before, read_joints(joints, joints_map), names, options)
+    options = files_tilt_join.TiltOptions(
+        names.index(joint) + 1, axis, by, channel, unit, dwells.RestOptions(None, shortest, settle)
+    )
+    columns, report = files_tilt_join.join_tilts(file, before, read_joints(joints, joints_map), names, options)
     centre = three("--payload-com-mm", payload_com_mm) or []
     place = [f"payload_com_{k}_mm" for k in "xyz"] if centre else []
     head = ["joint", "axis", *columns, "payload_kg", *place, "series"]

@@ -27,6 +27,7 @@ from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
+from kilter_client.files import dwells, frames_by_time, matching, rigid_body
 from kilter_files import read_joints
 from kilter_files.formats.opening import open_recording
 from kilter_files.formats.reader import LogHints
@@ -103,15 +104,12 @@ def match(
     check_numpy()
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
-    from kilter_files.match.dwells import RestOptions
-    from kilter_files.match.rigid_body import tool_as_markers
-
     found = cut_by(open_recording(recording, rate, allow_cut, unit), without)
     order, servos = arguments.split_names([joint_order or ""]), (calibration, norm_mode, zero)
     log = _log(joints, joints_map, topic, order, servos, robot or model, as_json)
     checks = checks_of(model or robot, piecewise, unchecked, since, until)
     if tcp is not None and (tool is not None or found.kind.startswith("tool-")):
-        found = tool_as_markers(found, tool)
+        found = rigid_body.tool_as_markers(found, tool)
     if by != "order":
         found = in_time(found, checks)
     body = None if tcp is None else _body(in_time(found, checks), tcp)
@@ -122,7 +120,7 @@ def match(
     if by == "frames":
         document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:
-        options = RestOptions(rest_speed, shortest, settle)
+        options = dwells.RestOptions(rest_speed, shortest, settle)
         document = _dwells(found, log, body, by, (options, checks), out, robot, wanted, as_json)
     emit(document, as_json, _show)
 
@@ -141,9 +139,9 @@ def _log(
 
 def _body(recording: Recording, tcp: str) -> Body:
     """Find the rigid body of the markers, with the tool point that is given or digitised in another recording."""
-    from kilter_files.match.rigid_body import find_body, names_a_file
-
-    return find_body(recording, open_recording(Path(tcp)) if names_a_file(recording, tcp) else tcp)
+    return rigid_body.find_body(
+        recording, open_recording(Path(tcp)) if rigid_body.names_a_file(recording, tcp) else tcp
+    )
 
 
 def joints_of(robot: str | None) -> list[str]:
@@ -159,9 +157,7 @@ def _dwells(
     found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
     wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    from kilter_files.match.matching import match_dwells
-
-    matched = match_dwells(found, log, by, options[0], body, options[1])
+    matched = matching.match_dwells(found, log, by, options[0], body, options[1])
     _tell(matched.report, as_json)
     rows = matched.report["dwells"]
     table: Table = Table({n: v.tolist() for n, v in matched.columns.items()}, list(range(1, rows + 1)))
@@ -178,15 +174,18 @@ def _frames(
     as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_client.parts import parts
-    from kilter_files.match.frames_by_time import match_frames
-    from kilter_files.match.matching import clock_report, frame_rows
 
-    pieces, warnings = match_frames(found, log, checks)
-    report = {"clock": clock_report(pieces, found.duration_s), "warnings": [*found.warnings, *log.warnings, *warnings]}
+    pieces, warnings = frames_by_time.match_frames(found, log, checks)
+    report = {
+        "clock": matching.clock_report(pieces, found.duration_s),
+        "warnings": [*found.warnings, *log.warnings, *warnings],
+    }
     _tell(report, as_json)
     if not robot:
         return report | {"frames": found.frames}
-    return report | _send(lambda: parts(frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json)
+    return report | _send(
+        lambda: parts(matching.frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json
+    )
 
 
 def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: bool) -> dict[str, Any]:

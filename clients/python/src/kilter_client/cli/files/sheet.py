@@ -13,6 +13,7 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.files import ballbar, drawn_circle, files_height, files_report
 from kilter_client.plots import draw
 from kilter_files import read_joints
 from kilter_files.ground.faults import head_of
@@ -87,14 +88,10 @@ def sheet_read(
         raise UsageError(f"--plot {plot}: end it in .png or .svg.")
     reading = read(file, radius_mm, page, bars_mm, allow_gaps)
     if output is not None:
-        from kilter_files.rig.sheet.report import to_csv
-
-        write(output, to_csv(reading))
+        write(output, files_report.to_csv(reading))
         note(f"{output}: {len(reading.angle_deg)} angles", as_json)
     if plot is not None:
-        from kilter_files.rig.sheet.report import figure
-
-        draw(figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
+        draw(files_report.figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
         note(f"{plot}: drawn", as_json)
     emit(reading.to_document(), as_json, _show_reading)
 
@@ -139,15 +136,18 @@ def sheet_join(
     if take_command is not None and not 0 < take_command < 100:
         raise UsageError(f"--take-command {take_command:g}: give mm above 0, for example 1.")
     check_numpy()
-    from kilter_files.rig.drawn_circle import Frame, JoinOptions, join, read_points, register
-    from kilter_files.rig.height import read_calibration, read_heights
-
-    volts = None if calibration is None else read_calibration(calibration)
-    heights = None if height is None else read_heights(height, channel, volts, height_time)
+    volts = None if calibration is None else files_height.read_calibration(calibration)
+    heights = None if height is None else files_height.read_heights(height, channel, volts, height_time)
     circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
-    frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm, faces_down)
+    frame = (
+        drawn_circle.Frame.own()
+        if points is None
+        else drawn_circle.register(points, drawn_circle.read_points(points), circle.radius_mm, faces_down)
+    )
     log = read_joints(joints, joints_map)
-    joined = join(circle, log, heights, frame, JoinOptions(starts_s=height_starts_s, taken_mm=take_command))
+    joined = drawn_circle.join(
+        circle, log, heights, frame, drawn_circle.JoinOptions(starts_s=height_starts_s, taken_mm=take_command)
+    )
     joined.table.notes.append(
         f"upload it with --device {'ballbar' if circle.is_bar else 'pencil'}: identify then checks which quarter is the first, "
         "and gives it a base of its own"
@@ -159,17 +159,15 @@ def sheet_join(
 
 def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Circle:
     """Errors of the circle in a scan, or in a ball bar's log."""
-    from kilter_files.rig.drawn_circle import Circle
-
     if head_of(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and head_of(file, 2) != b"\xff\xd8":
-        from kilter_files.formats.logs.ballbar import BAR_SIGMA_MM, read_ballbar
-
-        bar = read_ballbar(file, radius_mm)
+        bar = ballbar.read_ballbar(file, radius_mm)
         out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
-        return Circle(file, bar.nominal_mm, turn, out, np.full(len(out), BAR_SIGMA_MM), None, None, True)
+        return drawn_circle.Circle(
+            file, bar.nominal_mm, turn, out, np.full(len(out), ballbar.BAR_SIGMA_MM), None, None, True
+        )
     found = read(file, radius_mm, page, bars_mm, allow_gaps)
     turn = np.radians(found.angle_deg)
-    return Circle(
+    return drawn_circle.Circle(
         file, found.sheet.radius_mm, turn, found.out_mm, found.out_sigma_mm, found.along_mm, found.along_sigma_mm
     )
 

@@ -1,0 +1,149 @@
+"""Modules of the core that are imported when they are first used: the API and the commands start without their kernels.
+
+They load numpy, scipy and compiled code, which a start must not wait for. ``from kilter_service.core import compare`` stands
+for ``kilter_core.identify.compare``; what is named after a package begins with ``core_``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kilter_files.ground.later import Later
+
+__all__ = [
+    "bar_length",
+    "belonging",
+    "compare",
+    "contacts",
+    "core_another_arm",
+    "core_check",
+    "core_documents",
+    "core_effects",
+    "core_evaluate",
+    "core_gap",
+    "core_history",
+    "core_identify",
+    "core_identify_check",
+    "core_inclinometer_poses",
+    "core_levers",
+    "core_measurement",
+    "core_model",
+    "core_region",
+    "core_report",
+    "core_resolved",
+    "core_stated",
+    "core_uncertainty",
+    "core_versions",
+    "core_view_poses",
+    "core_wanted",
+    "core_watch",
+    "core_watch_check",
+    "d_optimal",
+    "estimate",
+    "holding_out",
+    "holdout",
+    "inclinometers",
+    "iso9283",
+    "iso9283_poses",
+    "link_encoders",
+    "measurement_of_rows",
+    "metrics",
+    "next_poses",
+    "of_type",
+    "predictive",
+    "program",
+    "registry",
+    "separation",
+    "sheet_order",
+    "transforms",
+    "units",
+    "walker",
+    "workspace",
+]
+
+if TYPE_CHECKING:
+    import kilter_core.watch.check as core_watch_check
+    from kilter_core import effects as core_effects
+    from kilter_core import evaluate as core_evaluate
+    from kilter_core import gap as core_gap
+    from kilter_core import identify as core_identify
+    from kilter_core import measurement as core_measurement
+    from kilter_core import model as core_model
+    from kilter_core import transforms
+    from kilter_core import watch as core_watch
+    from kilter_core.arm import documents as core_documents
+    from kilter_core.arm.documents import resolved as core_resolved
+    from kilter_core.correct import levers as core_levers
+    from kilter_core.correct import program, walker
+    from kilter_core.correct import stated as core_stated
+    from kilter_core.effects import registry
+    from kilter_core.evaluate import iso9283
+    from kilter_core.evaluate import uncertainty as core_uncertainty
+    from kilter_core.gap import check as core_check
+    from kilter_core.gap import of_type
+    from kilter_core.gap.evidence import holding_out
+    from kilter_core.gap.report import next_poses, separation
+    from kilter_core.gap.search import wanted as core_wanted
+    from kilter_core.identify import bar_length, compare, estimate, holdout, measurement_of_rows
+    from kilter_core.identify import check as core_identify_check
+    from kilter_core.identify import report as core_report
+    from kilter_core.identify.fleet import versions as core_versions
+    from kilter_core.identify.plausibility import another_arm as core_another_arm
+    from kilter_core.identify.plausibility import belonging, sheet_order, units
+    from kilter_core.identify.uncertainty import predictive, workspace
+    from kilter_core.measurement import contacts, metrics
+    from kilter_core.model import region as core_region
+    from kilter_core.plan import d_optimal, iso9283_poses
+    from kilter_core.plan import inclinometer_poses as core_inclinometer_poses
+    from kilter_core.plan import view_poses as core_view_poses
+    from kilter_core.procedures import inclinometers, link_encoders
+    from kilter_core.watch import history as core_history
+else:
+    core_documents = Later("kilter_core.arm.documents")
+    core_resolved = Later("kilter_core.arm.documents.resolved")
+    core_levers = Later("kilter_core.correct.levers")
+    program = Later("kilter_core.correct.program")
+    core_stated = Later("kilter_core.correct.stated")
+    walker = Later("kilter_core.correct.walker")
+    core_effects = Later("kilter_core.effects")
+    registry = Later("kilter_core.effects.registry")
+    core_evaluate = Later("kilter_core.evaluate")
+    iso9283 = Later("kilter_core.evaluate.iso9283")
+    core_uncertainty = Later("kilter_core.evaluate.uncertainty")
+    core_gap = Later("kilter_core.gap")
+    core_check = Later("kilter_core.gap.check")
+    holding_out = Later("kilter_core.gap.evidence.holding_out")
+    of_type = Later("kilter_core.gap.of_type")
+    next_poses = Later("kilter_core.gap.report.next_poses")
+    separation = Later("kilter_core.gap.report.separation")
+    core_wanted = Later("kilter_core.gap.search.wanted")
+    core_identify = Later("kilter_core.identify")
+    bar_length = Later("kilter_core.identify.bar_length")
+    core_identify_check = Later("kilter_core.identify.check")
+    compare = Later("kilter_core.identify.compare")
+    estimate = Later("kilter_core.identify.estimate")
+    core_versions = Later("kilter_core.identify.fleet.versions")
+    holdout = Later("kilter_core.identify.holdout")
+    measurement_of_rows = Later("kilter_core.identify.measurement_of_rows")
+    core_another_arm = Later("kilter_core.identify.plausibility.another_arm")
+    belonging = Later("kilter_core.identify.plausibility.belonging")
+    sheet_order = Later("kilter_core.identify.plausibility.sheet_order")
+    units = Later("kilter_core.identify.plausibility.units")
+    core_report = Later("kilter_core.identify.report")
+    predictive = Later("kilter_core.identify.uncertainty.predictive")
+    workspace = Later("kilter_core.identify.uncertainty.workspace")
+    core_measurement = Later("kilter_core.measurement")
+    contacts = Later("kilter_core.measurement.contacts")
+    metrics = Later("kilter_core.measurement.metrics")
+    core_model = Later("kilter_core.model")
+    core_region = Later("kilter_core.model.region")
+    d_optimal = Later("kilter_core.plan.d_optimal")
+    core_inclinometer_poses = Later("kilter_core.plan.inclinometer_poses")
+    iso9283_poses = Later("kilter_core.plan.iso9283_poses")
+    core_view_poses = Later("kilter_core.plan.view_poses")
+    inclinometers = Later("kilter_core.procedures.inclinometers")
+    link_encoders = Later("kilter_core.procedures.link_encoders")
+    transforms = Later("kilter_core.transforms")
+    core_watch = Later("kilter_core.watch")
+    core_watch_check = Later("kilter_core.watch.check")
+    core_history = Later("kilter_core.watch.history")
