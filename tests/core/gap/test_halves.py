@@ -7,9 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.evidence.halves import half_of
 from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from tests.core.gap import many_joints
 from tests.core.gap.simulated import campaign, katana
 
 NAMES = ("axial_compliance", "backlash", "eccentricity", "unknown_smooth_curve", "unknown_field")
@@ -86,3 +91,20 @@ def test_seen_again_beside_what_is_left_is_replicated_and_no_more_than_the_class
     assert told is not None
     assert told.with_it < told.without
     assert "replicated; something else remains" in report.sentence
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_half_of_a_clean_campaign_leaves_its_noise(seed: int) -> None:
+    """Chi-square of a half over its freedom is one: with the freedom of all rows, noise looked like a third of itself."""
+    made = many_joints.campaign(seed, 7, {})
+    robot = robot_from_document(made.document)
+    problem = prepare_data(Calibration.nominal(robot), Observations(**made.columns), QUICK).problem
+    first = problem.settings.group < 39
+    scale = (problem.settings.noise.coordinate / many_joints.NOISE_M) ** 2
+    for side in (first, ~first):
+        gram, numbers = half_of(problem, side)
+        rows = problem.G[side[problem.row_visit]]
+        assert numbers == 3 * int(side.sum())
+        rank = np.linalg.matrix_rank(rows * problem.settings.source.prior_sigma, tol=1e-3)
+        assert gram.nu == pytest.approx(numbers - rank, abs=1.0)
+        assert gram.yy * scale / gram.nu == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / gram.nu))

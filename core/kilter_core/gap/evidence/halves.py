@@ -8,7 +8,7 @@ shape without a cause that what is left may have.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,9 +17,11 @@ from scipy.stats import chi2, norm
 
 from kilter_core.gap.evidence.guarded import Guarded
 from kilter_core.gap.evidence.smooth import is_curve, own_curve
-from kilter_core.gap.evidence.stability import reweighted
+from kilter_core.gap.evidence.stability import SMALLEST, reweighted
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
@@ -85,9 +87,24 @@ class Sides:
         return first, second
 
     def _named(self, side: Bools) -> list[Candidate]:
-        problem, selector = self.search.problem, self.search.selector
-        gram = reweighted(problem, side[problem.row_visit].astype(np.float64))
+        gram, rows = half_of(self.search.problem, side)
+        selector = replace(self.search.selector, rows=rows)
         return [selector.scorer.candidates[k] for k in selector.searched(gram, self.search.critical, self.most)]
+
+
+def half_of(problem: LinearizedProblem, side: Bools) -> tuple[Gram, int]:
+    """The linearised problem on some visits (V,) alone, with the freedom that these leave, and their numbers.
+
+    With the freedom of all rows, what a half leaves would pass for noise of half its variance and less: one name too many
+    makes that smaller still, and a search on seven axes ended in eleven shapes that explained everything.
+    """
+    weight = side[problem.row_visit].astype(np.float64)
+    settings, U = problem.settings, problem.U[side[problem.row_visit]]
+    share = float((side & settings.used).sum()) / float(settings.used.sum())
+    numbers = share * settings.numbers / settings.inflation
+    along = np.linalg.eigvalsh(U.T @ U)
+    nu = numbers - float(np.sum(along / (along + SMALLEST)))
+    return replace(reweighted(problem, weight), nu=max(nu, 1.0)), max(2, int(numbers))
 
 
 def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
