@@ -89,7 +89,8 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
     alone = replace(selector, pairs=scorer.absolute)
     many = problem.rows > MANY  # the candidates of a resample are those of the data
     other = problem.gram.with_data(problem.gram.c, problem.gram.yy)
-    _, again = timed(lambda: select(other if many else reweighted(problem, drawn[problem.row_visit]), alone, selector.names(chosen) + 2))
+    weight, most = drawn[problem.row_visit], selector.names(chosen) + 2
+    _, again = timed(lambda: select(other if many else reweighted(problem, weight), alone, most))
     _, fit = timed(lambda: refit(problem.settings, problem.values, selector.columns(chosen)))
     _, looked = timed(lambda: outliers(problem))
     left = problem.gram.given(selector.columns(chosen))

@@ -41,6 +41,7 @@ def test_an_effect_that_lasts_rises_as_its_class_beside_what_else_is_left(beside
     assert effect.claim.said == "class"  # two loads would name it, but it may be a part of what is left
     told = beside.to_document()["effects"][0]["halves"]
     assert told["named"] == [True, True]
+    assert told["joints"] == [2]
     assert told["with_mm"] < told["without_mm"]
     assert told["apart_sigma"] < 3.0
     assert "adequate" not in effect.gates
@@ -108,3 +109,25 @@ def test_a_half_of_a_clean_campaign_leaves_its_noise(seed: int) -> None:
         rank = np.linalg.matrix_rank(rows * problem.settings.source.prior_sigma, tol=1e-3)
         assert gram.nu == pytest.approx(numbers - rank, abs=1.0)
         assert gram.yy * scale / gram.nu == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / gram.nu))
+
+
+def test_halves_say_at_which_joints_of_a_family_they_agree() -> None:
+    """Play at all joints, at one of which only in the first half of the campaign."""
+    play = 4e-4 * np.array([1.0, -1.0, 1.0, 1.2, 1.5, 2.0, 4.0])
+    before, after = (
+        many_joints.campaign(3, 7, {"backlash": one}, same_sides=False)
+        for one in (play, np.where(np.arange(7) == 3, 0.0, play))
+    )
+    first = before.columns["pose_id"] < 39
+    position = np.where(first[:, None], before.columns["position"], after.columns["position"])
+    rows = Observations(**before.columns | {"position": position, "t": 1000.0 * ~first + np.arange(len(first))})
+    options = replace(QUICK, effects=("backlash",))
+    report = find_gap(robot_from_document(before.document), rows, options, validation=0)
+    (effect,) = report.effects
+    assert effect.evidence.candidate.joints == tuple(range(7))
+    told = effect.evidence.halves
+    assert told is not None
+    assert told.named == (True, True)
+    assert told.joints == (0, 1, 2, 4, 5, 6)
+    assert told.to_document()["joints"] == [1, 2, 3, 5, 6, 7]
+    assert not told.lasts  # its amount at joint 4 is not the same

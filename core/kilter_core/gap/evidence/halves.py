@@ -16,6 +16,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from kilter_core.gap.evidence.guarded import Guarded
+from kilter_core.gap.evidence.intervals import all_shown
 from kilter_core.gap.evidence.smooth import is_curve, own_curve
 from kilter_core.gap.evidence.stability import SMALLEST, reweighted
 from kilter_core.gap.search.candidates import Candidate
@@ -37,6 +38,7 @@ class Halves:
 
     ``named`` of either half, amplitudes ``apart`` in combined standard deviations, mean errors of the other half's
     poses ``predicted`` with and without it (None for joint data), and by how many deviations it stands ``beside`` shapes.
+    ``joints`` (from 0) are those of it at which both halves name it, or its class, and show it; None where it acts at none.
     """
 
     named: tuple[bool, bool]
@@ -44,6 +46,7 @@ class Halves:
     predicted: Guarded
     beside: float
     length: bool  # whether the errors are lengths
+    joints: tuple[int, ...] | None = None
 
     @property
     def lasts(self) -> bool:
@@ -58,6 +61,7 @@ class Halves:
             "with_mm": mm(told.with_it) if self.length else None,
             "without_mm": mm(told.without) if self.length else None, "better": told.better,
             "beside_shapes_sigma": self.beside,
+            "joints": None if self.joints is None else [j + 1 for j in self.joints],
         }  # fmt: skip
 
 
@@ -119,9 +123,37 @@ def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
     errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides.visits), strict=True)]
     with_it, without = (np.concatenate([e[k] for e in errors]) for k in (0, 1))
     own = [candidates[k] for k in (place, *rivals)]
-    first, second = (any(_same(c, one) for c in named for one in own) for named in sides.named)
-    told = Guarded.of(with_it, without)
-    return Halves((first, second), apart, told, _beside(search, place), search.problem.settings.source.observes_tool)
+    again = [[c for c in named if any(_same(c, one) for one in own)] for named in sides.named]
+    told, length = Guarded.of(with_it, without), search.problem.settings.source.observes_tool
+    joints = _joints_of_both(search, place, again, fits)
+    return Halves((bool(again[0]), bool(again[1])), apart, told, _beside(search, place), length, joints)
+
+
+def _joints_of_both(
+    search: SearchResult, place: int, again: Sequence[Sequence[Candidate]], fits: Sequence[_Fit]
+) -> tuple[int, ...] | None:
+    """Joints of a name at which both halves name it or its class, and show it: a family may come again at others."""
+    candidate = search.selector.scorer.candidates[place]
+    if candidate.joints is None:
+        return None
+    named = [{j for c in own for j in c.joints or candidate.joints} for own in again]
+    shown = [_joints_shown(search, candidate, *fit.amounts) for fit in fits]
+    return tuple(j for j in candidate.joints if all(j in own for own in (*named, *shown)))
+
+
+def _joints_shown(search: SearchResult, candidate: Candidate, amounts: Floats, covariance: Floats) -> set[int]:
+    """Joints whose amounts differ from zero in a half: 5 % over all of them, by Holm's steps."""
+    robot, start, chances = search.problem.settings.source.model.robot, 0, dict[int, float]()
+    for effect in candidate.effects:
+        own = slice(start, start + len(effect.parameters(robot)))
+        start, a = own.stop, amounts[own]
+        size = float(a @ np.linalg.pinv(covariance[own, own], hermitian=True) @ a)
+        chances |= dict.fromkeys(effect.joints or (), float(chi2.sf(size, len(a))))
+    first = sorted(chances, key=chances.__getitem__)
+    last = next(
+        (n for n, j in enumerate(first) if not all_shown([chances[k] for k in first[: n + 1]], len(first))), None
+    )
+    return set(first[:last])
 
 
 def _first_half(search: SearchResult) -> Bools:
