@@ -9,9 +9,13 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.halves import half_of
+from kilter_core.gap.evidence.halves import _Searched, half_of
 from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
+from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap import many_joints
@@ -131,3 +135,22 @@ def test_halves_say_at_which_joints_of_a_family_they_agree() -> None:
     assert told.joints == (0, 1, 2, 4, 5, 6)
     assert told.to_document()["joints"] == [1, 2, 3, 5, 6, 7]
     assert not told.lasts  # its amount at joint 4 is not the same
+
+
+@pytest.mark.parametrize(("size", "came"), [(3.5, True), (0.0, False)])
+def test_an_effect_of_several_joints_too_faint_to_be_named_in_a_half_can_come_again_there(
+    size: float, came: bool
+) -> None:
+    """Three joints together are beyond chance, but not the best of a library at one in a billion."""
+    rng = np.random.default_rng(2)
+    W = rng.standard_normal((100, 4))
+    W /= np.linalg.norm(W, axis=0)
+    y = W[:, :3] @ np.full(3, size) + rng.standard_normal(100)
+    gram = Gram(W.T @ W, W.T @ y, float(y @ y), 100.0)
+    family = Candidate("backlash", (0, 1, 2), (0, 1, 2), FAMILY, False, False, "joint", ())
+    single = Candidate("backlash", (0,), (0,), JOINT, False, False, "joint", ())
+    selector = Selector(Scorer.of([family, single], True, np.inf), 100, np.full(4, np.inf))
+    assert selector.searched(gram, 1e-9, 4) == ()
+    half = _Searched(gram, selector, ())
+    assert half.again(0, ()) == ([family] if came else [])
+    assert half.again(1, ()) == []  # of one joint the half's own search decides

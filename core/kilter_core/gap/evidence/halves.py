@@ -23,11 +23,13 @@ from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.select import Selector
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one
 BESIDE = 3.0  # standard deviations by which it must differ from zero beside every smooth shape
+AGAIN = 0.01  # chance below which an effect of several joints is there beside what a half names
 POSES_PER_HALF = 12  # poses of a half: fewer hold no geometry
 RANK = 1e-8  # share of the largest singular value below which a direction of a half is not seen
 
@@ -85,15 +87,39 @@ class Sides:
         return min(len(np.unique(settings.group[side & settings.used])) for side in self.visits) >= POSES_PER_HALF
 
     @cached_property
-    def named(self) -> tuple[list[Candidate], list[Candidate]]:
+    def searched(self) -> tuple[_Searched, _Searched]:
         """What the selection on each half alone names."""
-        first, second = (self._named(side) for side in self.visits)
+        first, second = (self._searched(side) for side in self.visits)
         return first, second
 
-    def _named(self, side: Bools) -> list[Candidate]:
+    def _searched(self, side: Bools) -> _Searched:
         gram, rows = half_of(self.search.problem, side)
         selector = replace(self.search.selector, rows=rows)
-        return [selector.scorer.candidates[k] for k in selector.searched(gram, self.search.critical, self.most)]
+        return _Searched(gram, selector, tuple(selector.searched(gram, self.search.critical, self.most)))
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """A half, and the places of what it names."""
+
+    gram: Gram
+    selector: Selector
+    chosen: tuple[int, ...]
+
+    def again(self, place: int, rivals: Sequence[int]) -> list[Candidate]:
+        """What the half names of an effect or its rivals; of several joints the effect too, if it is there beside the rest.
+
+        A half rarely has poses enough to name every joint as the best of a whole library. What is asked of it is whether
+        the effect came again.
+        """
+        candidates = self.selector.scorer.candidates
+        own = [candidates[k] for k in (place, *rivals)]
+        named = [candidates[k] for k in self.chosen if any(_same(candidates[k], one) for one in own)]
+        if named or len(candidates[place].joints or ()) < 2:
+            return named
+        given = self.gram.given(self.selector.columns(self.chosen))
+        there = self.selector.scorer.tail_of(given, place) < AGAIN
+        return [candidates[place]] if there else []
 
 
 def half_of(problem: LinearizedProblem, side: Bools) -> tuple[Gram, int]:
@@ -115,15 +141,14 @@ def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
     """Ask both halves of the poses; ``rivals`` are the places that count as the same name. None with too few poses."""
     if not sides.able:
         return None
-    search, candidates = sides.search, sides.search.selector.scorer.candidates
+    search = sides.search
     fits = [_fitted(search, place, side) for side in sides.visits]
     (a, A), (b, B) = (fit.amounts for fit in fits)
     away = float((a - b) @ np.linalg.pinv(A + B, hermitian=True) @ (a - b))
     apart = float(norm.isf(max(float(chi2.sf(away, len(a))), 1e-300) / 2.0))
     errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides.visits), strict=True)]
     with_it, without = (np.concatenate([e[k] for e in errors]) for k in (0, 1))
-    own = [candidates[k] for k in (place, *rivals)]
-    again = [[c for c in named if any(_same(c, one) for one in own)] for named in sides.named]
+    again = [half.again(place, rivals) for half in sides.searched]
     told, length = Guarded.of(with_it, without), search.problem.settings.source.observes_tool
     joints = _joints_of_both(search, place, again, fits)
     return Halves((bool(again[0]), bool(again[1])), apart, told, _beside(search, place), length, joints)
