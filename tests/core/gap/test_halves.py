@@ -138,9 +138,7 @@ def test_halves_say_at_which_joints_of_a_family_they_agree() -> None:
 
 
 @pytest.mark.parametrize(("size", "came"), [(3.5, True), (0.0, False)])
-def test_an_effect_of_several_joints_too_faint_to_be_named_in_a_half_can_come_again_there(
-    size: float, came: bool
-) -> None:
+def test_an_effect_too_faint_to_be_named_in_a_half_can_come_again_there(size: float, came: bool) -> None:
     """Three joints together are beyond chance, but not the best of a library at one in a billion."""
     rng = np.random.default_rng(2)
     W = rng.standard_normal((100, 4))
@@ -153,4 +151,5 @@ def test_an_effect_of_several_joints_too_faint_to_be_named_in_a_half_can_come_ag
     assert selector.searched(gram, 1e-9, 4) == ()
     half = _Searched(gram, selector, ())
     assert half.again(0, ()) == ([family] if came else [])
-    assert half.again(1, ()) == []  # of one joint the half's own search decides
+    beside = _Searched(gram, selector, (1,))  # with one of its joints in, the others still have to be there
+    assert beside.again(0, ()) == [single]

@@ -29,7 +29,7 @@ from kilter_core.types import Bools, Floats
 
 AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one
 BESIDE = 3.0  # standard deviations by which it must differ from zero beside every smooth shape
-AGAIN = 0.01  # chance below which an effect of several joints is there beside what a half names
+AGAIN = 0.01  # chance below which an effect is there beside all that a half names
 POSES_PER_HALF = 12  # poses of a half: fewer hold no geometry
 RANK = 1e-8  # share of the largest singular value below which a direction of a half is not seen
 
@@ -107,15 +107,15 @@ class _Searched:
     chosen: tuple[int, ...]
 
     def again(self, place: int, rivals: Sequence[int]) -> list[Candidate]:
-        """What the half names of an effect or its rivals; of several joints the effect too, if it is there beside the rest.
+        """What the half names of an effect or its rivals; or the effect, if it is there beside all that the half names.
 
-        A half rarely has poses enough to name every joint as the best of a whole library. What is asked of it is whether
-        the effect came again.
+        A half rarely has poses enough to name everything as the best of a whole library. What is asked of it is whether the
+        effect came again.
         """
         candidates = self.selector.scorer.candidates
         own = [candidates[k] for k in (place, *rivals)]
         named = [candidates[k] for k in self.chosen if any(_same(candidates[k], one) for one in own)]
-        if named or len(candidates[place].joints or ()) < 2:
+        if named:
             return named
         given = self.gram.given(self.selector.columns(self.chosen))
         there = self.selector.scorer.tail_of(given, place) < AGAIN

@@ -13,7 +13,7 @@ from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 
-TRACE = 1e-3  # chance below which a family is tried beside what may imitate it
+TRACE = 1e-3  # chance below which a family is tried beside what may imitate it, and a joint is no noise
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 
 
@@ -104,10 +104,13 @@ class CandidateSets:
             out.append(p if self.signed(gram, chosen, k) else 1.0)
         return out
 
-    def significant(self, gram: Gram, rest: Sequence[int], members: Sequence[int], critical: float) -> tuple[int, ...]:
-        """Of joints beside the ``rest`` those that are significant, the least so dropped first."""
+    def shown(self, gram: Gram, rest: Sequence[int], members: Sequence[int]) -> tuple[int, ...]:
+        """Of joints beside the ``rest`` those that leave a trace, the faintest let go first; one at least.
+
+        A joint that is there and not significant speaks for its family; one that noise could be speaks for nothing.
+        """
         left = tuple(members)
-        while left and max(tails := self.tails(gram, (*rest, *left))[len(rest) :]) >= critical:
+        while len(left) > 1 and max(tails := self.tails(gram, (*rest, *left))[len(rest) :]) >= TRACE:
             left = tuple(k for n, k in enumerate(left) if n != int(np.argmax(tails)))
         return left
 

@@ -185,12 +185,12 @@ class Selector(CandidateSets):
                 continue
             rest, problem = tuple(k for k in chosen if k not in own), self.without(gram, own)
             variance = self.variance(problem, (*rest, family[0]))
-            members = self.significant(gram, rest, self._members(problem, rest, family[0], variance), critical)
+            members = self.shown(gram, rest, self._members(problem, rest, family[0], variance))
             whole = self.criterion(problem, (*rest, family[0]), variance)
             better = self.criterion(problem, (*rest, *members), variance) > whole + self._family_margin(
                 family[0], members
             )
-            if better and members:
+            if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
                 chosen = (*rest, *members)
             elif self.signed(gram, (*rest, family[0]), family[0]):
                 chosen = (*rest, family[0])
