@@ -13,7 +13,7 @@ from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 
-TRACE = 1e-3  # chance below which a family is tried beside what may imitate it, and a joint is no noise
+TRACE = 1e-3  # chance below which a family is tried beside what may imitate it; above it a joint may be noise
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 
 
