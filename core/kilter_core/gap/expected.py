@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from kilter_core.gap.evidence.halves import half_of
 from kilter_core.gap.evidence.intervals import MOST_ROWS
 from kilter_core.gap.evidence.stability import FEW, MANY, reweighted
 from kilter_core.gap.evidence.testability import Testability, to_search
@@ -26,7 +27,6 @@ from kilter_core.gap.search.outliers import outliers
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.scan import Scorer, null_of
 from kilter_core.gap.search.select import HIDING, Selector
-from kilter_core.types import Floats
 
 T = TypeVar("T")
 
@@ -80,19 +80,17 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
     def select(gram: Gram, by: Selector, most: int) -> tuple[int, ...]:
         return by.searched(gram, null.critical(options.alpha), most)
 
-    def part(weight: Floats) -> Gram:
-        return reweighted(problem, weight[problem.row_visit])
-
     chosen, first = timed(lambda: select(problem.gram, selector, options.max_effects))
     visits = np.arange(len(problem.settings.used))
     before = 2 * visits < len(visits)
-    sides = [part(np.asarray(side, dtype=np.float64)) for side in (before, ~before)]
-    _, halves = timed(lambda: [select(side, selector, options.max_effects) for side in sides])
+    sides = [half_of(problem, side) for side in (before, ~before)]
+    _, halves = timed(lambda: [select(half, replace(selector, rows=n), options.max_effects) for half, n in sides])
     drawn = np.random.default_rng(options.seed).exponential(size=len(visits))
     alone = replace(selector, pairs=scorer.absolute)
     many = problem.rows > MANY  # the candidates of a resample are those of the data
     other = problem.gram.with_data(problem.gram.c, problem.gram.yy)
-    _, again = timed(lambda: select(other if many else part(drawn), alone, selector.names(chosen) + 2))
+    weight, most = drawn[problem.row_visit], selector.names(chosen) + 2
+    _, again = timed(lambda: select(other if many else reweighted(problem, weight), alone, most))
     _, fit = timed(lambda: refit(problem.settings, problem.values, selector.columns(chosen)))
     _, looked = timed(lambda: outliers(problem))
     left = problem.gram.given(selector.columns(chosen))

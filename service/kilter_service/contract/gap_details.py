@@ -154,6 +154,9 @@ class Halves(Stored):
     beside_shapes_sigma: float | None = Field(
         None, description="Standard deviations by which it differs from zero beside every smooth shape without a cause."
     )
+    joints: list[int] | None = Field(
+        None, description="Its joints at which both halves name it, or its class, from 1; null: it acts at none."
+    )
 
 
 class NamedEffect(AtJoints):

@@ -78,13 +78,20 @@ def hidden(seed: int, axes: int, effects: tuple[str, ...], share: float) -> dict
     return out
 
 
-def campaign(seed: int, axes: int, truth: dict[str, Floats], poses: int = 78, revisited: int = 20) -> Campaign:
-    """Random poses, some of them visited three times, from either side and with either load, of an arm with errors."""
+def campaign(
+    seed: int, axes: int, truth: dict[str, Floats], poses: int = 78, revisited: int = 20, same_sides: bool = True
+) -> Campaign:
+    """Random poses, some of them visited three times, from either side and with either load, of an arm with errors.
+
+    Unless a pose is visited from the ``same_sides`` again nothing tells the noise but what the fit leaves.
+    """
     rng = np.random.default_rng([seed, axes, 6])
     rows, mass, com, limits = SEVEN if axes == 7 else SIX
     pose = np.concatenate([np.arange(poses), np.repeat(np.arange(revisited), 2)])
     q = rng.uniform(-limits, limits, (poses, axes))[pose]
     side = rng.choice([-1.0, 1.0], (poses, axes))[pose]
+    if not same_sides:
+        side = np.random.default_rng([seed, axes, 7]).choice([-1.0, 1.0], side.shape)
     payload = rng.choice(LOADS_KG, poses)[pose]
     made = rows + rng.normal(size=rows.shape) * np.array([1e-3, 3e-4, 3e-4, 1e-3])
     tool, base = TOOL + 1e-3 * rng.normal(size=3), BASE + 2e-3 * rng.normal(size=3)

@@ -7,9 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.evidence.halves import _Searched, half_of
 from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.gap.search.select import Selector
+from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from tests.core.gap import many_joints
 from tests.core.gap.simulated import campaign, katana
 
 NAMES = ("axial_compliance", "backlash", "eccentricity", "unknown_smooth_curve", "unknown_field")
@@ -36,6 +45,7 @@ def test_an_effect_that_lasts_rises_as_its_class_beside_what_else_is_left(beside
     assert effect.claim.said == "class"  # two loads would name it, but it may be a part of what is left
     told = beside.to_document()["effects"][0]["halves"]
     assert told["named"] == [True, True]
+    assert told["joints"] == [2]
     assert told["with_mm"] < told["without_mm"]
     assert told["apart_sigma"] < 3.0
     assert "adequate" not in effect.gates
@@ -86,3 +96,60 @@ def test_seen_again_beside_what_is_left_is_replicated_and_no_more_than_the_class
     assert told is not None
     assert told.with_it < told.without
     assert "replicated; something else remains" in report.sentence
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_half_of_a_clean_campaign_leaves_its_noise(seed: int) -> None:
+    """Chi-square of a half over its freedom is one: with the freedom of all rows, noise looked like a third of itself."""
+    made = many_joints.campaign(seed, 7, {})
+    robot = robot_from_document(made.document)
+    problem = prepare_data(Calibration.nominal(robot), Observations(**made.columns), QUICK).problem
+    first = problem.settings.group < 39
+    scale = (problem.settings.noise.coordinate / many_joints.NOISE_M) ** 2
+    for side in (first, ~first):
+        gram, numbers = half_of(problem, side)
+        rows = problem.G[side[problem.row_visit]]
+        assert numbers == 3 * int(side.sum())
+        rank = np.linalg.matrix_rank(rows * problem.settings.source.prior_sigma, tol=1e-3)
+        assert gram.nu == pytest.approx(numbers - rank, abs=1.0)
+        assert gram.yy * scale / gram.nu == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / gram.nu))
+
+
+def test_halves_say_at_which_joints_of_a_family_they_agree() -> None:
+    """Play at all joints, at one of which only in the first half of the campaign."""
+    play = 4e-4 * np.array([1.0, -1.0, 1.0, 1.2, 1.5, 2.0, 4.0])
+    before, after = (
+        many_joints.campaign(3, 7, {"backlash": one}, same_sides=False)
+        for one in (play, np.where(np.arange(7) == 3, 0.0, play))
+    )
+    first = before.columns["pose_id"] < 39
+    position = np.where(first[:, None], before.columns["position"], after.columns["position"])
+    rows = Observations(**before.columns | {"position": position, "t": 1000.0 * ~first + np.arange(len(first))})
+    options = replace(QUICK, effects=("backlash",))
+    report = find_gap(robot_from_document(before.document), rows, options, validation=0)
+    (effect,) = report.effects
+    assert effect.evidence.candidate.joints == tuple(range(7))
+    told = effect.evidence.halves
+    assert told is not None
+    assert told.named == (True, True)
+    assert told.joints == (0, 1, 2, 4, 5, 6)
+    assert told.to_document()["joints"] == [1, 2, 3, 5, 6, 7]
+    assert not told.lasts  # its amount at joint 4 is not the same
+
+
+@pytest.mark.parametrize(("size", "came"), [(3.5, True), (0.0, False)])
+def test_an_effect_too_faint_to_be_named_in_a_half_can_come_again_there(size: float, came: bool) -> None:
+    """Three joints together are beyond chance, but not the best of a library at one in a billion."""
+    rng = np.random.default_rng(2)
+    W = rng.standard_normal((100, 4))
+    W /= np.linalg.norm(W, axis=0)
+    y = W[:, :3] @ np.full(3, size) + rng.standard_normal(100)
+    gram = Gram(W.T @ W, W.T @ y, float(y @ y), 100.0)
+    family = Candidate("backlash", (0, 1, 2), (0, 1, 2), FAMILY, False, False, "joint", ())
+    single = Candidate("backlash", (0,), (0,), JOINT, False, False, "joint", ())
+    selector = Selector(Scorer.of([family, single], True, np.inf), 100, np.full(4, np.inf))
+    assert selector.searched(gram, 1e-9, 4) == ()
+    half = _Searched(gram, selector, ())
+    assert half.again(0, ()) == ([family] if came else [])
+    beside = _Searched(gram, selector, (1,))  # with one of its joints in, the others still have to be there
+    assert beside.again(0, ()) == [single]

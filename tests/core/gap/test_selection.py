@@ -132,3 +132,34 @@ def test_a_name_beyond_those_allowed_stays_out_and_a_joint_of_one_that_is_in_doe
     assert search.names(found) == 2
     everything = search.searched(gram, CRITICAL, 1)
     assert {search.scorer.candidates[k].id for k in everything} in ({"compliance"}, {"bending"}, {"growth"}, {"play"})
+
+
+def imitating(seed):
+    """Three joints of one effect, which seven of another imitate but for a trace, and four joints of a third."""
+    rng = np.random.default_rng(seed)
+    W = rng.standard_normal((300, 21))
+    W[:, [0, 2, 4]] = W[:, 7:14] @ rng.standard_normal((7, 3)) / np.sqrt(7.0) + 0.25 * W[:, [0, 2, 4]]
+    W /= np.linalg.norm(W, axis=0)
+    present = [0, 2, 4, 8, 10, 14, 16, 17, 20]
+    y = W[:, present] @ (np.array([16.0] * 3 + [25.0] * 6)) + rng.standard_normal(300)
+    candidates = []
+    for k, name in enumerate(("compliance", "clearance", "play")):
+        columns = range(7 * k, 7 * k + 7)
+        candidates += [candidate(name, (c,), joints=(c - 7 * k,)) for c in columns]
+        candidates.append(candidate(name, columns, FAMILY, tuple(range(7))))
+    gram = gram_of(W, y)
+    return selector(candidates, gram, 300, absolute=False), gram, present
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_families_that_imitate_each_other_end_at_the_joints_that_have_them(seed):
+    """Without whole families tried beside the set, and joints that noise could be let go, a third ended at a family."""
+    search, gram, present = imitating(seed)
+    assert search.columns(search.searched(gram, CRITICAL, 8)) == present
+
+
+def test_no_family_is_asked_where_each_effect_acts_at_one_joint():
+    search, gram, _ = imitating(0)
+    single = [k for k, c in enumerate(search.scorer.candidates) if c.level == JOINT and c.columns[0] in (2, 9, 17)]
+    assert search.faint_families(gram, single) == []
+    assert search.faint_families(gram, [*single, single[0] + 1]) != []

@@ -5,12 +5,24 @@ Loads and deflections are those of the blind generator, nothing of which is comp
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, GapReport, find_gap
+from kilter_core.gap.evidence.unseen import _shown_members
 from kilter_core.gap.search import candidates
+from kilter_core.gap.search.candidates import FAMILY
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import fitted
+from kilter_core.gap.search.prepare import Prepared, prepare_data
+from kilter_core.gap.search.scan import Null, Scorer
+from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from tests.core.gap import many_joints
 from tests.core.off_zero import OffZero, soft_elbow
 
 # Gravity puts little load on the last joint, and its gear is stiff: five joints show their compliance, it does not.
@@ -60,3 +72,32 @@ def test_no_refit_leaves_an_amplitude_beyond_what_is_physical(monkeypatch: pytes
     assert held == {name for name, v in named.items() if v == 5e-6}
     assert all(p["plausible"] for p in report.stored.parameters() if p["name"] in named)
     assert np.isfinite(report.gap["after_mm"])
+
+
+def test_one_family_in_twenty_keeps_a_joint_that_has_nothing() -> None:
+    """Play at two joints of seven under noise of its own, 300 times: five joints more are asked each time."""
+    made = many_joints.campaign(0, 7, {})
+    robot, rows = robot_from_document(made.document), Observations(**made.columns)
+    options = GapOptions(effects=("backlash",))
+    prepared = prepare_data(Calibration.nominal(robot), rows, options)
+    family = next(k for k, c in enumerate(prepared.library.candidates) if c.level == FAMILY)
+    rng, W = np.random.default_rng(1), prepared.problem.W
+    strong = W[:, [1, 4]] @ np.array([15.0, -15.0])
+    kept = [_kept(prepared, family, strong + rng.standard_normal(len(W))) for _ in range(300)]
+    assert all({1, 4} <= joints for joints in kept)
+    assert sum(joints != {1, 4} for joints in kept) <= 25
+
+
+def _kept(prepared: Prepared, family: int, y: np.ndarray) -> set[int]:
+    """Joints of a family that is the only name, where these are the data."""
+    problem = prepared.problem
+    y = y - problem.U @ (problem.U.T @ y)
+    scorer = Scorer.of(prepared.library.candidates, problem.settings.trusted, np.inf)
+    selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
+    problem = replace(problem, y=y, c=problem.W.T @ y)
+    columns = list(scorer.candidates[family].columns)
+    values = problem.values.copy()
+    values[len(values) - len(problem.A) + np.array(columns)] = fitted(problem, columns)[0]
+    problem = replace(problem, values=values)
+    found = SearchResult(problem, selector, (family,), Null(np.ones(1), None), 1e-4, ())
+    return {effect.joints[0] for effect, _ in _shown_members(found, scorer.candidates[family])}

@@ -8,7 +8,7 @@ shape without a cause that what is left may have.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,15 +16,20 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from kilter_core.gap.evidence.guarded import Guarded
+from kilter_core.gap.evidence.intervals import all_shown
 from kilter_core.gap.evidence.smooth import is_curve, own_curve
-from kilter_core.gap.evidence.stability import reweighted
+from kilter_core.gap.evidence.stability import SMALLEST, reweighted
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.select import Selector
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one
 BESIDE = 3.0  # standard deviations by which it must differ from zero beside every smooth shape
+AGAIN = 0.01  # chance below which an effect is there beside all that a half names
 POSES_PER_HALF = 12  # poses of a half: fewer hold no geometry
 RANK = 1e-8  # share of the largest singular value below which a direction of a half is not seen
 
@@ -35,6 +40,7 @@ class Halves:
 
     ``named`` of either half, amplitudes ``apart`` in combined standard deviations, mean errors of the other half's
     poses ``predicted`` with and without it (None for joint data), and by how many deviations it stands ``beside`` shapes.
+    ``joints`` (from 0) are those of it at which both halves name it, or its class, and show it; None where it acts at none.
     """
 
     named: tuple[bool, bool]
@@ -42,6 +48,7 @@ class Halves:
     predicted: Guarded
     beside: float
     length: bool  # whether the errors are lengths
+    joints: tuple[int, ...] | None = None
 
     @property
     def lasts(self) -> bool:
@@ -56,6 +63,7 @@ class Halves:
             "with_mm": mm(told.with_it) if self.length else None,
             "without_mm": mm(told.without) if self.length else None, "better": told.better,
             "beside_shapes_sigma": self.beside,
+            "joints": None if self.joints is None else [j + 1 for j in self.joints],
         }  # fmt: skip
 
 
@@ -79,32 +87,98 @@ class Sides:
         return min(len(np.unique(settings.group[side & settings.used])) for side in self.visits) >= POSES_PER_HALF
 
     @cached_property
-    def named(self) -> tuple[list[Candidate], list[Candidate]]:
+    def searched(self) -> tuple[_Searched, _Searched]:
         """What the selection on each half alone names."""
-        first, second = (self._named(side) for side in self.visits)
+        first, second = (self._searched(side) for side in self.visits)
         return first, second
 
-    def _named(self, side: Bools) -> list[Candidate]:
-        problem, selector = self.search.problem, self.search.selector
-        gram = reweighted(problem, side[problem.row_visit].astype(np.float64))
-        return [selector.scorer.candidates[k] for k in selector.searched(gram, self.search.critical, self.most)]
+    def _searched(self, side: Bools) -> _Searched:
+        gram, rows = half_of(self.search.problem, side)
+        selector = replace(self.search.selector, rows=rows)
+        return _Searched(gram, selector, tuple(selector.searched(gram, self.search.critical, self.most)))
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """A half, and the places of what it names."""
+
+    gram: Gram
+    selector: Selector
+    chosen: tuple[int, ...]
+
+    def again(self, place: int, rivals: Sequence[int]) -> list[Candidate]:
+        """What the half names of an effect or its rivals; or the effect, if it is there beside all that the half names.
+
+        A half rarely has poses enough to name everything as the best of a whole library. What is asked of it is whether the
+        effect came again.
+        """
+        candidates = self.selector.scorer.candidates
+        own = [candidates[k] for k in (place, *rivals)]
+        named = [candidates[k] for k in self.chosen if any(_same(candidates[k], one) for one in own)]
+        if named:
+            return named
+        given = self.gram.given(self.selector.columns(self.chosen))
+        there = self.selector.scorer.tail_of(given, place) < AGAIN
+        return [candidates[place]] if there else []
+
+
+def half_of(problem: LinearizedProblem, side: Bools) -> tuple[Gram, int]:
+    """The linearised problem on some visits (V,) alone, with the freedom that these leave, and their numbers.
+
+    With the freedom of all rows, what a half leaves would pass for noise of half its variance and less: one name too many
+    makes that smaller still, and a search on seven axes ended in eleven shapes that explained everything.
+    """
+    weight = side[problem.row_visit].astype(np.float64)
+    settings, U = problem.settings, problem.U[side[problem.row_visit]]
+    share = float((side & settings.used).sum()) / float(settings.used.sum())
+    numbers = share * settings.numbers / settings.inflation
+    along = np.linalg.eigvalsh(U.T @ U)
+    nu = numbers - float(np.sum(along / (along + SMALLEST)))
+    return replace(reweighted(problem, weight), nu=max(nu, 1.0)), max(2, int(numbers))
 
 
 def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
     """Ask both halves of the poses; ``rivals`` are the places that count as the same name. None with too few poses."""
     if not sides.able:
         return None
-    search, candidates = sides.search, sides.search.selector.scorer.candidates
+    search = sides.search
     fits = [_fitted(search, place, side) for side in sides.visits]
     (a, A), (b, B) = (fit.amounts for fit in fits)
     away = float((a - b) @ np.linalg.pinv(A + B, hermitian=True) @ (a - b))
     apart = float(norm.isf(max(float(chi2.sf(away, len(a))), 1e-300) / 2.0))
     errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides.visits), strict=True)]
     with_it, without = (np.concatenate([e[k] for e in errors]) for k in (0, 1))
-    own = [candidates[k] for k in (place, *rivals)]
-    first, second = (any(_same(c, one) for c in named for one in own) for named in sides.named)
-    told = Guarded.of(with_it, without)
-    return Halves((first, second), apart, told, _beside(search, place), search.problem.settings.source.observes_tool)
+    again = [half.again(place, rivals) for half in sides.searched]
+    told, length = Guarded.of(with_it, without), search.problem.settings.source.observes_tool
+    joints = _joints_of_both(search, place, again, fits)
+    return Halves((bool(again[0]), bool(again[1])), apart, told, _beside(search, place), length, joints)
+
+
+def _joints_of_both(
+    search: SearchResult, place: int, again: Sequence[Sequence[Candidate]], fits: Sequence[_Fit]
+) -> tuple[int, ...] | None:
+    """Joints of a name at which both halves name it or its class, and show it: a family may come again at others."""
+    candidate = search.selector.scorer.candidates[place]
+    if candidate.joints is None:
+        return None
+    named = [{j for c in own for j in c.joints or candidate.joints} for own in again]
+    shown = [_joints_shown(search, candidate, *fit.amounts) for fit in fits]
+    return tuple(j for j in candidate.joints if all(j in own for own in (*named, *shown)))
+
+
+def _joints_shown(search: SearchResult, candidate: Candidate, amounts: Floats, covariance: Floats) -> set[int]:
+    """Joints whose amounts differ from zero in a half: 5 % over all of them, by Holm's steps."""
+    robot, start, chances = search.problem.settings.source.model.robot, 0, dict[int, float]()
+    for effect in candidate.effects:
+        own = slice(start, start + len(effect.parameters(robot)))
+        start, a = own.stop, amounts[own]
+        size = float(a @ np.linalg.pinv(covariance[own, own], hermitian=True) @ a)
+        chances |= dict.fromkeys(effect.joints or (), float(chi2.sf(size, len(a))))
+    first = sorted(chances, key=chances.__getitem__)
+    last = next(
+        (n for n, j in enumerate(first) if not all_shown([chances[k] for k in first[: n + 1]], len(first))), None
+    )
+    return set(first[:last])
 
 
 def _first_half(search: SearchResult) -> Bools:

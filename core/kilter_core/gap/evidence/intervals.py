@@ -115,3 +115,11 @@ def shown(search: SearchResult, columns: Sequence[int], own: Sequence[int]) -> t
     size = values[index] @ np.linalg.pinv(wide, hermitian=True) @ values[index]
     p = float(tail(size, len(index), scale_freedom(search)))
     return p, p < 1.0 - LEVEL
+
+
+def all_shown(chances: Sequence[float], tested: int) -> bool:
+    """Whether all of some members of a family are shown, by Holm's steps: 5 % over all that were ``tested``.
+
+    Members that were let go count among these, or the last of many would be the best of many tried at 5 %.
+    """
+    return all(p < (1.0 - LEVEL) / (tested - n) for n, p in enumerate(sorted(chances)))

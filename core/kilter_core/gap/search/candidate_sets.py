@@ -13,6 +13,7 @@ from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 
+TRACE = 1e-3  # chance below which a family is tried beside what may imitate it; above it a joint may be noise
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 
 
@@ -46,6 +47,24 @@ class CandidateSets:
             named.add(c.id if member else k)
         return len(named)
 
+    def faint_families(self, gram: Gram, chosen: Sequence[int]) -> list[int]:
+        """Families that a set, of which an effect acts at several joints, may lack, the clearest first.
+
+        Seven joints of one effect imitate a few of another so well that these leave a trace that is not significant, or,
+        where some of them are named, none. Where single joints were enough no family is asked.
+        """
+        named = [self.scorer.candidates[k] for k in chosen]
+        acting = [c.id for c in named for _ in c.joints or () if c.level in (JOINT, FAMILY)]
+        if len(set(acting)) == len(acting):
+            return []
+        whole = {c.id for c in named if c.level == FAMILY}
+        part = set(acting) - whole if whole else set[str]()
+        p = self.scorer.scores(gram.given(self.columns(chosen))).p
+        able = [k for k, c in enumerate(self.scorer.candidates) if c.level == FAMILY and c.id not in whole]
+        return sorted(
+            (k for k in able if p[k] < TRACE or self.scorer.candidates[k].id in part), key=lambda k: float(p[k])
+        )
+
     def too_many(self, chosen: Sequence[int], most: int) -> list[int]:
         """Candidates with which a set would have more names than ``most``."""
         if self.names(chosen) < most:
@@ -75,6 +94,25 @@ class CandidateSets:
         columns = self.columns(chosen)
         free = max(gram.nu - gram.rank(columns), 1.0)
         return float(self.scorer.variance(np.asarray((gram.yy - gram.reduction(columns)) / free), free))
+
+    def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
+        """Tail probability of each member given the others; 1 where its sign contradicts physics."""
+        out = []
+        for k in chosen:
+            rest = tuple(m for m in chosen if m != k)
+            p = self.scorer.tail_of(self.without(gram, (k,)).given(self.columns(rest)), k)
+            out.append(p if self.signed(gram, chosen, k) else 1.0)
+        return out
+
+    def shown(self, gram: Gram, rest: Sequence[int], members: Sequence[int]) -> tuple[int, ...]:
+        """Of joints beside the ``rest`` those that leave a trace, the faintest let go first; one at least.
+
+        A joint that is there and not significant speaks for its family; one that noise could be speaks for nothing.
+        """
+        left = tuple(members)
+        while len(left) > 1 and max(tails := self.tails(gram, (*rest, *left))[len(rest) :]) >= TRACE:
+            left = tuple(k for n, k in enumerate(left) if n != int(np.argmax(tails)))
+        return left
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""

@@ -185,7 +185,7 @@ class Selector(CandidateSets):
                 continue
             rest, problem = tuple(k for k in chosen if k not in own), self.without(gram, own)
             variance = self.variance(problem, (*rest, family[0]))
-            members = self._members(problem, rest, family[0], variance)
+            members = self.shown(gram, rest, self._members(problem, rest, family[0], variance))
             whole = self.criterion(problem, (*rest, family[0]), variance)
             better = self.criterion(problem, (*rest, *members), variance) > whole + self._family_margin(
                 family[0], members
@@ -216,15 +216,6 @@ class Selector(CandidateSets):
         joints = len(self.scorer.candidates[family].joints or ())
         missing = joints - len(members)
         return MARGIN * missing if missing and len(members) >= MOST_JOINTS * joints else FAMILY_MARGIN
-
-    def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
-        """Tail probability of each member given the others; 1 where its sign contradicts physics."""
-        out = []
-        for k in chosen:
-            rest = tuple(m for m in chosen if m != k)
-            p = self.scorer.tail_of(self.without(gram, (k,)).given(self.columns(rest)), k)
-            out.append(p if self.signed(gram, chosen, k) else 1.0)
-        return out
 
     def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
         """Whole selection on one linearised problem, for resamples.
@@ -275,11 +266,27 @@ class Selector(CandidateSets):
             after = self.improved(gram, (*chosen, *pair), critical)
             if self.names(after) <= most and set(after) > set(chosen) and frozenset(after) not in seen:
                 return after
+        after = self.with_family(gram, chosen, critical, most)
+        if frozenset(after) not in {frozenset(chosen), *seen}:
+            return after
         after = self.improved(gram, chosen, critical)
         if not chosen or self.names(after) > most or frozenset(after) in {frozenset(chosen), *seen}:
             return chosen
         failed = max(self.tails(gram, chosen)) >= critical
         return after if failed or self.beats(gram, after, chosen) else chosen
+
+    def with_family(self, gram: Gram, chosen: tuple[int, ...], critical: float, most: int) -> tuple[int, ...]:
+        """The set with a family that another hides: whole families first, then the joints of each that show."""
+        for k in self.faint_families(gram, chosen)[:TRIED]:
+            self.tick()
+            effect = self.scorer.candidates[k].id
+            others = (m for m in chosen if self.scorer.candidates[m].id != effect)
+            after = self.improved(gram, self.merged(gram, (*others, k), critical), critical)
+            variance = min(self.variance(gram, one) for one in (after, chosen))
+            gain = self.criterion(gram, after, variance) - self.criterion(gram, chosen, variance)
+            if gain > FAMILY_MARGIN and self.names(after) <= most and max(self.tails(gram, after)) < critical:
+                return after
+        return chosen
 
     def pair(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, int] | None:
         """Two candidates that hide each other: alone neither is significant, because the other's share counts as noise.

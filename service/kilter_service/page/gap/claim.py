@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
@@ -137,7 +137,7 @@ def _remarks(effect: NamedEffect) -> Iterator[str]:
     if effect.empirical:
         yield "It is a shape without a cause: never take it for physics."
     if effect.halves is not None:
-        yield _halves(effect.halves)
+        yield _halves(effect.halves, effect.joints or [])
     if effect.replication is not None:
         yield _replication(effect.replication)
 
@@ -157,18 +157,22 @@ def _class(effect: NamedEffect) -> Iterator[str]:
         yield f"A name inside the class needs {joined_by_and(lacking)}."
 
 
-def _halves(told: Halves) -> str:
-    """What the halves of the campaign say, with both errors."""
+def _halves(told: Halves, joints: Sequence[int]) -> str:
+    """What the halves of the campaign say, with both errors, and at which of several joints they agree."""
     named = sum(told.named or [])
     both = (
         ""
         if told.with_mm is None
         else f", and predicts the other with {number(told.with_mm, 3)} mm (without it {number(told.without_mm, 3)} mm)"
     )
+    where = ""
+    if told.joints is not None and len(joints) > 1:
+        at = f"at joint {', '.join(map(str, told.joints))}" if told.joints else "at the same joint nowhere"
+        where = f" Both name it {at}."
     return (
         f"Something else is left, so each half of the campaign was asked: {named} of 2 name it{both}; the amplitudes are "
         f"{number(told.apart_sigma, 2)} standard deviations apart. Beside every smooth shape without a cause it differs from "
-        f"zero by {number(told.beside_shapes_sigma, 2)} standard deviations."
+        f"zero by {number(told.beside_shapes_sigma, 2)} standard deviations.{where}"
     )
 
 

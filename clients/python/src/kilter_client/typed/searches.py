@@ -122,6 +122,8 @@ class Halves(Record):
     """Standard deviations by which it differs from zero beside every smooth shape without a cause."""
     better: bool | None
     """Whether that is better beyond chance."""
+    joints: tuple[int, ...]
+    """Its joints at which both halves name it, or its class, from 1; None: it acts at none."""
     lasts: bool | None
     """Whether name, amplitude and prediction are the same in both."""
     named: tuple[bool, ...]

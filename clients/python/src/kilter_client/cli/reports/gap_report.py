@@ -124,7 +124,7 @@ def _remarks(effect: Mapping[str, Any]) -> None:
         )
         say(
             f"  {_name(effect)} beside what else is left: {sum(half['named'])} of 2 halves name it, amplitudes "
-            f"{number(half['apart_sigma'], 2)} sigma apart{both}"
+            f"{number(half['apart_sigma'], 2)} sigma apart{both}{_of_both(effect.get('joints') or (), half.get('joints'))}"
         )
     told = effect.get("replication")
     if told:
@@ -140,6 +140,13 @@ def _remarks(effect: Mapping[str, Any]) -> None:
             say(
                 f"  the confirmation has {number(told['with_mm'], 3)} mm with it, {number(told['without_mm'], 3)} mm without it"
             )
+
+
+def _of_both(joints: Sequence[int], both: Sequence[int] | None) -> str:
+    """At which of several joints both halves name it."""
+    if both is None or len(joints) < 2:
+        return ""
+    return f"; both name it at joint {', '.join(map(str, both))}" if both else "; at no joint do both name it"
 
 
 def _amount(p: Mapping[str, Any]) -> tuple[str, str, str]:
