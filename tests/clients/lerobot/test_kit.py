@@ -75,7 +75,8 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     assert "joint 1" not in " ".join(document["lines"])
     command("activate", document["version_id"], "--robot", "so101", "--force")
     assert_grasps(kilter)
-    rows, rig = written(tmp_path, "again", seen[1::2])  # measured once more, as one does after the zeros are in the servos
+    # Measured once more, as one does after the zeros are in the servos.
+    rows, rig = written(tmp_path, "again", seen[1::2])
     again = command.json("kit", "so101", rows, "--cameras", rig, "--calibration", calibration(tmp_path), "--anyway")
     assert again["version_id"] != document["version_id"]
 
