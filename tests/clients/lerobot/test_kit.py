@@ -62,7 +62,10 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     assert document["before_mm"] > 12.0
     assert document["after_mm"] < 2.0
     assert any("joint 3 (elbow_flex) has " in line and "deg of backlash" in line for line in document["lines"])
-    assert not any("backlash" in line and "joint 3" not in line for line in document["lines"])
+    assert not any("deg of backlash" in line and "joint 3" not in line for line in document["lines"])
+    unseen = [line for line in document["lines"] if "no backlash seen" in line or "a little backlash" in line]
+    assert [line.split(" (")[0] for line in unseen] == ["joint 2", "joint 4"]
+    assert not any("backlash" in line and "-" in line for line in document["lines"])
     found = {one["name"]: one["value"] for one in kilter.versions.get(document["version_id"])["parameters"]}
     assert 2.0 * found["backlash_load_3"] == pytest.approx(PLAY_DEG[2], rel=0.2)
     for j in (2, 3, 4):

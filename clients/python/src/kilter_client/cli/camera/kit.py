@@ -26,7 +26,7 @@ from kilter_files import prepare
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
 HELD_OUT = 0.25
 REACH_M = 0.3  # where no reach is known
-SERVOS = ("so101", "so100", "koch")  # presets of arms whose servos correct nothing by themselves
+SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos correct nothing by themselves
 
 
 def register(app: typer.Typer) -> None:
