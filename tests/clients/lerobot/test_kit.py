@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,16 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     other.write_text("q1_deg,x_mm\n1,2\n")
     refused = command.json("kit", "so100", other, "--cameras", rig, "--calibration", servos, code=1)
     assert "has no column q2_deg. Give the views that `kilter see` writes" in refused["detail"]
+    leader = calibration(tmp_path / "calibration/teleoperators/so101_leader")
+    refused = command.json("kit", "so100", rows, "--cameras", rig, "--calibration", leader, code=1)
+    assert "is of a leader" in refused["detail"]
+    refused = command.json("kit", "lekiwi", rows, "--cameras", rig, "--calibration", servos, code=1)
+    assert "has no servo 'arm_shoulder_pan'" in refused["detail"]
+    assert "it is of another arm" in refused["detail"]
+    mobile = tmp_path / "lekiwi.json"
+    mobile.write_text(json.dumps({f"arm_{name}": one for name, one in json.loads(servos.read_text()).items()}))
+    document = command.json("kit", "lekiwi", rows, "--cameras", rig, "--calibration", mobile, code=4)
+    assert any("joint 3 (arm_elbow_flex) came from above" in line for line in document["missing"])
     steps = command("kit", "so100")
     assert "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
     assert "nobody" in command.json("kit", "nobody", code=1)["detail"]

@@ -15,7 +15,7 @@ from kilter_client.cli.arguments import Json
 from kilter_client.cli.camera.kit_capture import captured
 from kilter_client.cli.camera.kit_words import errors_of, lines_of
 from kilter_client.cli.camera.rig_file import rig_conditions
-from kilter_client.cli.files.calibrated_rows import servo_conditions
+from kilter_client.cli.files.calibrated_rows import refuse_other_servos, servo_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note, say
@@ -66,6 +66,7 @@ def kit(
             raise UsageError(
                 "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
             )
+        refuse_other_servos(calibration, [joint["name"] for joint in arm["joints"]])
         seen = captured(views, arm["joints"])
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing)}  # fmt: skip
