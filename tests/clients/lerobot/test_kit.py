@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,16 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     other.write_text("q1_deg,x_mm\n1,2\n")
     refused = command.json("kit", "so100", other, "--cameras", rig, "--calibration", servos, code=1)
     assert "has no column q2_deg. Give the views that `kilter see` writes" in refused["detail"]
+    leader = calibration(tmp_path / "calibration/teleoperators/so101_leader")
+    refused = command.json("kit", "so100", rows, "--cameras", rig, "--calibration", leader, code=1)
+    assert "is of a leader" in refused["detail"]
+    refused = command.json("kit", "lekiwi", rows, "--cameras", rig, "--calibration", servos, code=1)
+    assert "has no servo 'arm_shoulder_pan'" in refused["detail"]
+    assert "it is of another arm" in refused["detail"]
+    mobile = tmp_path / "lekiwi.json"
+    mobile.write_text(json.dumps({f"arm_{name}": one for name, one in json.loads(servos.read_text()).items()}))
+    document = command.json("kit", "lekiwi", rows, "--cameras", rig, "--calibration", mobile, code=4)
+    assert any("joint 3 (arm_elbow_flex) came from above" in line for line in document["missing"])
     steps = command("kit", "so100")
     assert "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
     assert "nobody" in command.json("kit", "nobody", code=1)["detail"]
@@ -57,7 +68,10 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     assert document["before_mm"] > 12.0
     assert document["after_mm"] < 2.0
     assert any("joint 3 (elbow_flex) has " in line and "deg of backlash" in line for line in document["lines"])
-    assert not any("backlash" in line and "joint 3" not in line for line in document["lines"])
+    assert not any("deg of backlash" in line and "joint 3" not in line for line in document["lines"])
+    unseen = [line for line in document["lines"] if "no backlash seen" in line or "a little backlash" in line]
+    assert [line.split(" (")[0] for line in unseen] == ["joint 2", "joint 4"]
+    assert not any("backlash" in line and "-" in line for line in document["lines"])
     found = {one["name"]: one["value"] for one in kilter.versions.get(document["version_id"])["parameters"]}
     assert 2.0 * found["backlash_load_3"] == pytest.approx(PLAY_DEG[2], rel=0.2)
     for j in (2, 3, 4):

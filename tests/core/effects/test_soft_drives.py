@@ -40,7 +40,7 @@ def test_it_stays_with_the_robot_and_a_robot_without_one_is_stored_as_before() -
     assert "drive_stiffness_nm_rad" not in robot_document(robot, "mdh")["joints"][0]
 
 
-@pytest.mark.parametrize("name", ["so101", "so100", "koch"])
+@pytest.mark.parametrize("name", ["so101", "so100", "koch", "lekiwi"])
 def test_arms_of_servos_state_it(name: str) -> None:
     robot = robot_from_document({"name": "arm", **preset_document(name)})
     assert {joint.drive_stiffness for joint in robot.joints} == {33.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
-from kilter_client.errors import FileError
+from kilter_client.errors import FileError, MissingPackageError
 from kilter_client.twin_onto import Laid
 from kilter_client.twin_usd import lay_over
 from kilter_core.arm.presets import preset_document
@@ -200,6 +201,36 @@ def test_bad_sources_are_refused(tmp_path: Path, change: tuple[str, str], said: 
     with pytest.raises(FileError, match=said) as caught:
         laid(tmp_path, path=broken)
     assert "broken.usda" in caught.value.detail
+
+
+def test_joints_inside_an_instance_are_refused_until_it_is_none(tmp_path: Path) -> None:
+    source(tmp_path)
+    path = tmp_path / "cell.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, CM)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    arm = UsdGeom.Xform.Define(stage, "/arm").GetPrim()
+    arm.GetReferences().AddReference("./theirs.usda")
+    arm.SetInstanceable(True)
+    stage.GetRootLayer().Save()
+    with pytest.raises(FileError, match=r"joint /arm/joints/pan is inside an instance") as caught:
+        laid(tmp_path, path=path)
+    assert "cell.usda" in caught.value.detail
+    assert "Set instanceable to false" in caught.value.detail
+    arm.SetInstanceable(False)
+    stage.GetRootLayer().Save()
+    laid(tmp_path, path=path)
+
+
+def test_a_client_without_the_package_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = source(tmp_path)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pxr"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(MissingPackageError, match="pip install usd-core") as caught:
+        lay_over(path, "#usda 1.0", tmp_path / "ours.usda")
+    assert caught.value.code == "package_missing"
+    assert not (tmp_path / "ours.usda").exists()
 
 
 def test_cycles_are_refused(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["csv", "interpolate", "mujoco", "np", "pa", "parquet", "pc", "special"]
+__all__ = ["csv", "interpolate", "mujoco", "np", "pa", "parquet", "pc", "special", "transform"]
 
 
 class Later:
@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     import pyarrow.compute as pc
     from pyarrow import csv, parquet
     from scipy import interpolate, special
+    from scipy.spatial import transform
 else:
-    csv, interpolate, mujoco, np, pa, parquet, pc, special = map(
+    csv, interpolate, mujoco, np, pa, parquet, pc, special, transform = map(
         Later,
         (
             "pyarrow.csv",
@@ -49,5 +50,6 @@ else:
             "pyarrow.parquet",
             "pyarrow.compute",
             "scipy.special",
+            "scipy.spatial.transform",
         ),
     )

@@ -15,7 +15,7 @@ from kilter_client.errors import FileError
 from kilter_client.twin_axes import base_in_model
 from kilter_client.twin_onto import Laid
 from kilter_files.ground.later import np
-from kilter_files.robots.usd_poses import NOMINAL, TOOL, inverse, local_pose, matrix_of, split, usd_package
+from kilter_files.robots.usd_poses import NOMINAL, TOOL, local_pose, matrix_of, split, usd_package
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -160,7 +160,9 @@ class _Overlay:
         self.path, self.stage, self.twin, self.names = path, stage, twin, names
         self.unit = float(self.pxr.UsdGeom.GetStageMetersPerUnit(stage))
         self.kilogram = float(self.pxr.UsdPhysics.GetStageKilogramsPerUnit(stage))
-        self.all = [prim for prim in stage.TraverseAll() if prim.IsA(self.pxr.UsdPhysics.Joint)]
+        # what is inside an instance too: it is found, and refused by its name
+        prims = stage.Traverse(self.pxr.Usd.TraverseInstanceProxies(self.pxr.Usd.PrimAllPrimsPredicate))
+        self.all = [prim for prim in prims if prim.IsA(self.pxr.UsdPhysics.Joint)]
         self.joints = [self._joint(name, j) for j, name in enumerate(names)]
 
     def write(self) -> None:
@@ -174,9 +176,9 @@ class _Overlay:
         # How what hangs on each joint goes from nominal to calibrated.
         moves = [np.eye(4)]
         for one, nominal in zip(twin.joints, twin.nominal[:-1], strict=True):
-            moves.append(base @ one.frame @ inverse(base @ nominal))
+            moves.append(base @ one.frame @ np.linalg.inv(base @ nominal))
         poses = [
-            [inverse(moves[j] @ before[j]) @ moves[j + 1] @ at[j], joint.at_behind]
+            [np.linalg.inv(moves[j] @ before[j]) @ moves[j + 1] @ at[j], joint.at_behind]
             for j, joint in enumerate(self.joints)
         ]
         for j in range(1, len(poses)):
@@ -185,7 +187,7 @@ class _Overlay:
         for j, (first, second) in enumerate(poses):
             self._place(self.joints[j], first, second)
             self._drive(j)
-        tool = inverse(moves[-1] @ behind[-1]) @ base @ twin.tool
+        tool = np.linalg.inv(moves[-1] @ behind[-1]) @ base @ twin.tool
         self._tool(self.joints[-1].behind, tool)
 
     def _joint(self, name: str, j: int) -> _Found:
@@ -246,7 +248,7 @@ class _Overlay:
                 )
             self._pose(cache, joint.behind)
             before.append(reached[joint.before])
-            behind.append(before[-1] @ joint.at_before @ inverse(joint.at_behind))
+            behind.append(before[-1] @ joint.at_before @ np.linalg.inv(joint.at_behind))
         return before, behind
 
     def _held(self, wanted: str | None, reached: dict[str | None, Floats]) -> dict[str | None, Floats]:
@@ -261,9 +263,9 @@ class _Overlay:
                 ]
                 T0, T1 = self._local(prim)
                 if ends[0] in reached and ends[1] is not None:
-                    reached.setdefault(ends[1], reached[ends[0]] @ T0 @ inverse(T1))
+                    reached.setdefault(ends[1], reached[ends[0]] @ T0 @ np.linalg.inv(T1))
                 elif ends[1] in reached and ends[0] is not None:
-                    reached.setdefault(ends[0], reached[ends[1]] @ T1 @ inverse(T0))
+                    reached.setdefault(ends[0], reached[ends[1]] @ T1 @ np.linalg.inv(T0))
             if len(reached) == count:
                 break
         return reached

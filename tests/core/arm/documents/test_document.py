@@ -93,5 +93,7 @@ def test_two_parameters_of_one_name_are_refused_by_name() -> None:
 
 
 def test_an_unknown_preset_lists_those_there_are() -> None:
-    with pytest.raises(RobotError, match="katana450-chapter5, koch, kr6-r900, panda, so100, so101, so101-leader, ur10"):
+    with pytest.raises(
+        RobotError, match="katana450-chapter5, koch, kr6-r900, lekiwi, panda, so100, so101, so101-leader, ur10"
+    ):
         preset_document("puma")

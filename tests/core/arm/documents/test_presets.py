@@ -100,6 +100,8 @@ ARMS: dict[str, tuple[Joints, Origin]] = {
     ),
 }  # fmt: skip
 
+ARMS["lekiwi"] = ARMS["so101"]  # LeKiwi carries an SO-101
+
 # Limits (deg) of the data sheets, and the mass (kg) of the moving links where there is a public one.
 LIMITS = {
     "ur3e": [(-360, 360)] * 6, "ur5e": [(-360, 360)] * 6, "ur10e": [(-360, 360)] * 6,
@@ -112,8 +114,9 @@ LIMITS = {
     "so100": [(-114.5916, 114.5916), (0, 200.5352), (-179.9993, 0), (-143.2394, 68.7549), (-179.9993, 179.9993)],
     "koch": [(-126.0507, 126.0507), (-89.9544, 34.3775), (-89.9544, 83.0789), (-114.5916, 114.5916), (-179.9087, 179.9087)],
 }  # fmt: skip
+LIMITS["lekiwi"] = LIMITS["so101"]
 MASSES = {"ur3e": 8.7985, "ur5e": 17.7, "ur10e": 29.104, "panda": 16.062, "iiwa14": 0.0, "kr6-r900": 0.0, "irb120": 0.0,
-          "so101": 0.485, "so101-leader": 0.51, "so100": 0.609, "koch": 0.226}  # fmt: skip
+          "so101": 0.485, "so101-leader": 0.51, "so100": 0.609, "koch": 0.226, "lekiwi": 0.485}  # fmt: skip
 
 
 def placed(origin: Origin) -> pin.SE3:
@@ -161,3 +164,9 @@ def test_every_preset_has_a_source_and_says_its_own_name() -> None:
     for name in preset_names():
         document = preset_document(name)
         assert (document["name"], bool(document["source"])) == (name, True)
+
+
+def test_joints_of_lekiwi_are_named_as_its_calibration_names_the_servos() -> None:
+    # lerobot/robots/lekiwi/lekiwi.py: one bus for arm and wheels, so the arm's servos carry a prefix
+    servos = ["arm_shoulder_pan", "arm_shoulder_lift", "arm_elbow_flex", "arm_wrist_flex", "arm_wrist_roll"]
+    assert [joint["name"] for joint in preset_document("lekiwi")["joints"]] == servos

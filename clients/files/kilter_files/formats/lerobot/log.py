@@ -25,6 +25,7 @@ from kilter_files.tables.joint_log import JointLog, checked_log
 BLOCK = 65_536  # rows
 BETWEEN_S = 1.0  # by which episodes follow one another in a log
 GRIPPER, SIDES, OLD_PREFIX = "gripper", ("left_", "right_"), "main_"
+SPEED = ".vel"  # of LeKiwi's base: x.vel, y.vel, theta.vel stand among what its servos read
 HALF_ROTATION_DEG = 180.0
 ZEROS = ("new", "old")
 
@@ -142,7 +143,7 @@ def _starts(dataset: Dataset) -> Floats:
 
 
 def joints_of(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
-    """The joints of the arm: all but the gripper, of one arm."""
+    """The joints of the arm: all but the gripper and the speeds of a base, of one arm."""
     for name in order:
         if name not in dataset.names:
             raise fault(dataset.folder, f"has no joint {name!r}", f"It has {', '.join(dataset.names)}.")
@@ -152,7 +153,7 @@ def joints_of(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
     if len(sides) > 1:
         own = ",".join(name for name in dataset.names if name.startswith(sides[0]) and GRIPPER not in name)
         raise fault(dataset.folder, "holds two arms", f"Name the joints of one: --joint-order {own}.")
-    return tuple(name for name in dataset.names if GRIPPER not in name)
+    return tuple(name for name in dataset.names if GRIPPER not in name and not name.endswith(SPEED))
 
 
 def _of_file(path: Path, recorded: Recorded) -> Iterator[Block]:

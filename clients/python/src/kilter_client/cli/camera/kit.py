@@ -15,7 +15,7 @@ from kilter_client.cli.arguments import Json
 from kilter_client.cli.camera.kit_capture import captured
 from kilter_client.cli.camera.kit_words import errors_of, lines_of
 from kilter_client.cli.camera.rig_file import rig_conditions
-from kilter_client.cli.files.calibrated_rows import servo_conditions
+from kilter_client.cli.files.calibrated_rows import refuse_other_servos, servo_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note, say
@@ -26,7 +26,7 @@ from kilter_files import prepare
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
 HELD_OUT = 0.25
 REACH_M = 0.3  # where no reach is known
-SERVOS = ("so101", "so100", "koch")  # presets of arms whose servos correct nothing by themselves
+SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos correct nothing by themselves
 
 
 def register(app: typer.Typer) -> None:
@@ -66,6 +66,7 @@ def kit(
             raise UsageError(
                 "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
             )
+        refuse_other_servos(calibration, [joint["name"] for joint in arm["joints"]])
         seen = captured(views, arm["joints"])
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing)}  # fmt: skip

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-SURE = 3.0  # standard deviations
+SURE, WITHIN_95 = 3.0, 1.96  # standard deviations
 LEAST_BACKLASH_DEG, LEAST_SAG_DEG, LEAST_TICKS = 0.1, 0.1, 2
 TICK_DEG = 360.0 / 4095.0
 G = 9.81
@@ -16,7 +16,7 @@ HELD_KG = 0.2  # of which the words speak
 def lines_of(
     result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets: Sequence[Mapping[str, Any]], reach_m: float
 ) -> list[str]:
-    """Sentences, the largest first, then which zeros are not told.
+    """Sentences, the largest first, then where no backlash was seen, and which zeros are not told.
 
     ``offsets`` are the zero offsets of an exported table (real less reading), ``reach_m`` where a load may be.
     """
@@ -26,7 +26,8 @@ def lines_of(
     found = [
         *_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(zeros, numbers, parameters)
     ]  # fmt: skip
-    return [*(text for _, text in sorted(found, key=lambda one: -one[0])), *_not_told(zeros, numbers)]
+    told = (text for _, text in sorted(found, key=lambda one: -one[0]))
+    return [*told, *_no_backlash(parameters, joints), *_not_told(zeros, numbers)]
 
 
 def errors_of(result: Mapping[str, Any]) -> dict[str, float | None]:
@@ -38,7 +39,7 @@ def errors_of(result: Mapping[str, Any]) -> dict[str, float | None]:
 
 def _sure(parameter: Mapping[str, Any] | None) -> float:
     """Value of a parameter that is surely there, else 0."""
-    if parameter is None:
+    if parameter is None or parameter.get("value") is None:
         return 0.0
     value, sigma = float(parameter["value"]), parameter.get("sigma")
     return value if sigma is None or value > SURE * float(sigma) else 0.0
@@ -51,6 +52,40 @@ def _backlash(
         width = 2.0 * _sure(parameters.get(f"backlash_load_{j}"))
         if width >= LEAST_BACKLASH_DEG:
             yield width, f"joint {j} ({joint['name']}) has {width:.1f} deg of backlash"
+
+
+def _no_backlash(parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Where backlash is not sure, with its 95 % interval: a width is never below 0, so neither is its interval.
+
+    One that is surely below 0 contradicts the load, which rests a joint on one flank: something else changes with it.
+    """
+    for j, joint in enumerate(joints, 1):
+        found = parameters.get(f"backlash_load_{j}")
+        if found is None or found.get("value") is None or 2.0 * _sure(found) >= LEAST_BACKLASH_DEG:
+            continue
+        low, high = _width(found)
+        name = f"joint {j} ({joint['name']})"
+        if low is None or high is None:
+            yield f"how well the backlash of {name} is known cannot be said"
+        elif _sure({**found, "value": -float(found["value"])}) * 2.0 >= LEAST_BACKLASH_DEG:
+            yield (
+                f"{name}: no backlash seen; {-high:.1f} to {-low:.1f} deg (95 %) against the load instead: check "
+                "payload_kg, and that the robot's base stands upright"
+            )
+        elif low > 0.0:
+            yield f"{name} may have a little backlash: {low:.2f} to {high:.2f} deg (95 %)"
+        else:
+            yield f"{name}: no backlash seen (95 %: 0 to {max(high, 0.0):.2f} deg)"
+
+
+def _width(half: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """95 % interval of the width of which this parameter is half, deg."""
+    if half.get("lower") is not None and half.get("upper") is not None:
+        return 2.0 * float(half["lower"]), 2.0 * float(half["upper"])
+    if half.get("sigma") is None:
+        return None, None
+    spread = WITHIN_95 * float(half["sigma"])
+    return 2.0 * (float(half["value"]) - spread), 2.0 * (float(half["value"]) + spread)
 
 
 def _sag(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.cli.files.inspect import check_numpy
+from kilter_client.errors import FileError
 from kilter_client.files import files_calibration
 
 if TYPE_CHECKING:
@@ -17,6 +19,27 @@ CONDITION = "calibration_sha256"
 def calibrated(log: JointLog) -> dict[str, Any]:
     """Return what a campaign of this log is made with besides; nothing where the log has no calibration."""
     return {} if log.calibration_sha256 is None else {"conditions": {CONDITION: log.calibration_sha256}}
+
+
+def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
+    """Refuse a calibration that cannot be that of a follower with these joints.
+
+    Raises:
+        FileError: it is not a calibration, it is of a leader, or it lacks the servo of a joint.
+
+    """
+    check_numpy()
+    from kilter_files.formats.lerobot.calibration import read_calibration, servo_of
+
+    found = read_calibration(calibration)
+    if found.of_a_leader:
+        raise FileError(
+            f"{calibration}: is of a leader, the kit measures the follower. Give the calibration of the follower, in "
+            ".../calibration/robots/.",
+            file=str(calibration),
+        )
+    for joint in joints:
+        servo_of(found, joint)
 
 
 def servo_conditions(calibration: Path | None) -> dict[str, Any]:

@@ -61,6 +61,13 @@ PRESETS: list[dict[str, str]] = [
         "source": "KUKA KR 6 R900 sixx (KR AGILUS), dimensions and limits of the specification; a DH chain whose axes 1, 4 and 6 count backwards, as the controller's do; KUKA publishes no masses of the links",
     },
     {
+        "id": "lekiwi",
+        "joints": "5",
+        "convention": "chain",
+        "masses": "with masses",
+        "source": "the SO-101 follower that LeKiwi carries on its base (its README names the arm; joints named as LeRobot's lekiwi names them), TheRobotStudio/SO-ARM100 (Apache-2.0), Simulation/SO101/so101_new_calib.urdf, commit 0aee1d0f: zero in the middle of each range (the new zero); tool at gripperframe, the jaw held at zero; right angles, which the source rounds, are exact; the base of the arm is the robot's base, without its wheels; stiffness of the drives: a servo of it deflects by 1.8 to 2.6 degrees under 1.47 N m",
+    },
+    {
         "id": "panda",
         "joints": "7",
         "convention": "mdh",

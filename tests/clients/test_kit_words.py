@@ -1,0 +1,39 @@
+"""What `kilter kit` says of backlash that is none: a width is never below 0, and neither is what a person reads of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from kilter_client.cli.camera.kit_words import lines_of
+
+JOINTS = [{"name": "pan"}, {"name": "lift"}]
+
+
+def said(**parameter: Any) -> list[str]:
+    return lines_of({"parameters": [{"name": "backlash_load_2", "unit": "deg", **parameter}]}, JOINTS, [], 0.3)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "line"),
+    [
+        ({"value": 0.5, "sigma": 0.02}, "joint 2 (lift) has 1.0 deg of backlash"),
+        ({"value": 0.5, "sigma": 0.2}, "joint 2 (lift) may have a little backlash: 0.22 to 1.78 deg (95 %)"),
+        ({"value": 0.02, "sigma": 0.1}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.43 deg)"),
+        ({"value": -0.02, "sigma": 0.02}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.04 deg)"),
+        ({"value": -0.05, "sigma": 0.018}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.00 deg)"),
+        ({"value": -0.02, "sigma": 0.1, "lower": -0.1, "upper": 0.2},
+         "joint 2 (lift): no backlash seen (95 %: 0 to 0.40 deg)"),
+        ({"value": 0.02, "sigma": None}, "how well the backlash of joint 2 (lift) is known cannot be said"),
+        ({"value": -0.5, "sigma": 0.05},
+         "joint 2 (lift): no backlash seen; 0.8 to 1.2 deg (95 %) against the load instead: check payload_kg, and that the "
+         "robot's base stands upright"),
+    ],
+)  # fmt: skip
+def test_a_width_is_never_below_zero(parameter: dict[str, Any], line: str) -> None:
+    assert said(**parameter) == [line]
+
+
+def test_what_could_not_be_measured_is_not_told() -> None:
+    assert said(value=None, sigma=None) == []
