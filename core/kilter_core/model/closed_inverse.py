@@ -236,7 +236,7 @@ def _turn(h: Floats, angle: float) -> Floats:
 
 
 def about(h: Floats, p: Floats, angle: float) -> Floats:
-    """Return the pose (4, 4) of a turn about the line through ``p`` along ``h``."""
+    """Return the pose (4, 4) of a rotation about the line through ``p`` along ``h``."""
     T = np.eye(4)
     T[:3, :3] = _turn(h, angle)
     T[:3, 3] = p - T[:3, :3] @ p

@@ -2,7 +2,7 @@
 
 The method of Raghavan and Roth (1993) as an eigenvalue problem (Manocha and Canny 1994), for axes instead of tables of
 Denavit and Hartenberg. Of axis 6 a point p and the direction l do not move with joint 6. The vector
-(l, p, p.p, l.p, l x p, (p.p) l - 2 (l.p) p, 1) is moved by a turn about any line as by a matrix (15, 15) whose entries are
+(l, p, p.p, l.p, l x p, (p.p) l - 2 (l.p) p, 1) is moved by a rotation about any line as by a matrix (15, 15) whose entries are
 linear in cosine and sine of the angle. So 14 equations hold between joints 3, 4, 5 and joints 1, 2; six are left without
 the latter, and as half-angle tangents they are 12 in 12 monomials of joints 4 and 5, quadratic in that of joint 3.
 """
@@ -126,15 +126,15 @@ def _line(point: Floats, along: Floats) -> Floats:
     return np.concatenate([along, point, [pp, lp], np.cross(along, point), pp * along - 2.0 * lp * point, [1.0]])
 
 
-def _turns(h: Floats, p: Floats) -> Floats:
-    """Matrices (3, 15, 15) of a turn about a line: the constant, what goes with the cosine, and with the sine."""
+def _rotations(h: Floats, p: Floats) -> Floats:
+    """Matrices (3, 15, 15) of a rotation about a line: the constant, what goes with the cosine, and with the sine."""
     at = [_moving(h, p, angle) for angle in (0.0, 0.5 * math.pi, math.pi)]
     constant, cosine = 0.5 * (at[0] + at[2]), 0.5 * (at[0] - at[2])
     return np.array([constant, cosine, at[1] - constant])
 
 
 def _moving(h: Floats, p: Floats, angle: float) -> Floats:
-    """Matrix (15, 15) of one turn."""
+    """Matrix (15, 15) of one rotation."""
     R = rotations_about(h, np.array([angle]))[0]
     t = p - R @ p
     M = np.zeros((15, 15))
@@ -194,9 +194,9 @@ def _equations(axes: Axes, moved: Floats, shifts: Floats) -> tuple[Floats, float
     h, p = axes.h, axes.p
     start = _line(p[5], h[5])
     goal = _line(moved[:3, :3] @ p[5] + moved[:3, 3], moved[:3, :3] @ h[5])
-    one, two = _turns(-h[0], p[0]), _turns(-h[1], p[1])
+    one, two = _rotations(-h[0], p[0]), _rotations(-h[1], p[1])
     left = np.einsum("aij,bjk,k->iab", two, one, goal).reshape(15, 9)[:14]
-    three, four, five = (_tangents(_turns(h[k], p[k]), shifts[k - 2]) for k in (2, 3, 4))
+    three, four, five = (_tangents(_rotations(h[k], p[k]), shifts[k - 2]) for k in (2, 3, 4))
     right = np.einsum("aij,bjk,ckl,l->iabc", three, four, five, start)[:14]
     # The constant goes to the other side: times (1 + x^2) of all three.
     whole = np.einsum("a,b,c->abc", *3 * [np.array([1.0, 0.0, 1.0])])
@@ -209,9 +209,9 @@ def _equations(axes: Axes, moved: Floats, shifts: Floats) -> tuple[Floats, float
     return A.reshape(3, 12, 12), float(sizes[-1] / sizes[0])
 
 
-def _tangents(turns: Floats, shift: float) -> Floats:
-    """A turn times 1 + x^2, by powers of the tangent x of half the angle from ``shift``."""
-    constant, cosine, sine = turns
+def _tangents(rotations: Floats, shift: float) -> Floats:
+    """A rotation times 1 + x^2, by powers of the tangent x of half the angle from ``shift``."""
+    constant, cosine, sine = rotations
     c, s = math.cos(shift), math.sin(shift)
     along, across = c * cosine + s * sine, c * sine - s * cosine
     return np.array([constant + along, 2.0 * across, constant - along])
@@ -261,12 +261,12 @@ def _completed(axes: Axes, moved: Floats, third: float, fourth: float, fifth: fl
     along, point = bent[:3, :3] @ h[5], bent[:3, :3] @ p[5] + bent[:3, 3]
     goal_along, goal_point = moved[:3, :3] @ h[5], moved[:3, :3] @ p[5] + moved[:3, 3]
     for second in _seconds(axes, along, point, goal_along, goal_point):
-        turned = about(h[1], p[1], second)
-        u, w = turned[:3, :3] @ along, turned[:3, :3] @ point + turned[:3, 3] - p[0]
+        rotated = about(h[1], p[1], second)
+        u, w = rotated[:3, :3] @ along, rotated[:3, :3] @ point + rotated[:3, 3] - p[0]
         pairs = [(u, goal_along), (w, goal_point - p[0])]
         v, goal = max(pairs, key=lambda pair: float(np.linalg.norm(np.cross(h[0], pair[0]))))
         first = angle_about(h[0], v, goal)
-        rest = (about(h[0], p[0], first) @ turned @ bent)[:3, :3].T @ moved[:3, :3]
+        rest = (about(h[0], p[0], first) @ rotated @ bent)[:3, :3].T @ moved[:3, :3]
         across = any_across(h[5])
         yield np.array([first, second, third, fourth, fifth, angle_about(h[5], across, rest @ across)])
 
@@ -275,15 +275,15 @@ def _seconds(axes: Axes, along: Floats, point: Floats, goal_along: Floats, goal_
     """Angles of joint 2 that leave of axis 6 what joint 1 cannot change: its slope to axis 1, and its point's height on it."""
     h, p = axes.h, axes.p
     if np.linalg.norm(np.cross(h[0], h[1])) > 1e-6:
-        yield from _turns_to_height(h[1], h[0], along, float(h[0] @ goal_along))
-        yield from _turns_to_height(h[1], h[0], point - p[1], float(h[0] @ (goal_point - p[1])))
+        yield from _to_height(h[1], h[0], along, float(h[0] @ goal_along))
+        yield from _to_height(h[1], h[0], point - p[1], float(h[0] @ (goal_point - p[1])))
         return
     s, w, goal = (v - h[0] * float(h[0] @ v) for v in (p[1] - p[0], point - p[1], goal_point - p[0]))
     wanted = 0.5 * float(goal @ goal - s @ s - w @ w)
-    yield from _turns_to_height(h[1], s, w, wanted)
+    yield from _to_height(h[1], s, w, wanted)
 
 
-def _turns_to_height(h: Floats, n: Floats, v: Floats, height: float) -> Iterator[float]:
+def _to_height(h: Floats, n: Floats, v: Floats, height: float) -> Iterator[float]:
     """Angles of ``v`` about ``h`` at which ``n . v`` is this, the nearest where none is."""
     along = h * float(h @ v)
     a, b = float(n @ (v - along)), float(n @ np.cross(h, v))
@@ -327,8 +327,8 @@ def _twist(T: Floats) -> Floats:
     R = T[:3, :3]
     w = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine, cosine = float(np.linalg.norm(w)), 0.5 * (float(np.trace(R)) - 1.0)
-    turn = w * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)
-    return np.concatenate([turn if cosine > -0.999 else turn + math.pi, T[:3, 3]])
+    rotation = w * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)
+    return np.concatenate([rotation if cosine > -0.999 else rotation + math.pi, T[:3, 3]])
 
 
 def _singular(axes: Axes, q: Floats) -> bool:
