@@ -83,6 +83,7 @@ def test_the_joints_that_made_a_pose_are_among_all_that_reach_it(name: str) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", CHAINS)
 def test_of_a_thousand_poses_none_is_missed_unsaid(name: str) -> None:
     uncertain, missed = counted(name, 4, 334)
