@@ -88,7 +88,7 @@ def test_the_joints_that_made_a_pose_are_among_all_that_reach_it(name: str) -> N
 def test_of_a_thousand_poses_none_is_missed_unsaid(name: str) -> None:
     uncertain, missed = counted(name, 4, 334)
     assert missed == 0
-    assert uncertain < 10
+    assert uncertain < 34  # a tenth, of a wrist whose axes meet in pairs
 
 
 def test_a_pose_out_of_reach_has_no_joints_and_that_is_certain() -> None:
