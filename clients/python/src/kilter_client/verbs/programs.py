@@ -79,12 +79,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
     for one in programs:
         one.leave_poses(understood.left)
     if strict:
-        _refuse(
-            [(one, line, what) for one in programs for line, what in one.left],
-            programs,
-            "is not rewritten",
-            strict=strict,
-        )
+        _refuse(_left(programs), programs, "is not rewritten", strict=True)
     done = yield from _done(programs, understood, joints, name, version)
     wanted = {"OK"} if strict else ANSWERED
     wrong = [(d.program, d.target.line, f"{d.target.name}: {d.status}") for d in done if d.status not in wanted]
@@ -181,8 +176,7 @@ def _done(
         for _, target in places
     ]
     if not rows:
-        left = [(one, line, what) for one in programs for line, what in one.left]
-        _refuse(left, programs, "has no target that can be", strict=False)
+        _refuse(_left(programs), programs, "has no target that can be", strict=False)
     names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
     columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
     content = yield from correct(robot, columns, version=version)
@@ -248,10 +242,14 @@ def _texts(programs: Sequence[Program], done: AllDone, joints: ProgramJoints, ro
     }
 
 
+def _left(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
+    return [(one, line, what) for one in programs for line, what in one.left]
+
+
 def _refuse(
     places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str, *, strict: bool
 ) -> None:
-    """Refuse a program for these places; without ``strict`` leaving it out is no remedy.
+    """Refuse a program for these places: to leave ``strict`` out helps only where it was given.
 
     Raises:
         FileError: there is one.
