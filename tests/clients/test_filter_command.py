@@ -127,7 +127,10 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     assert b"LIN {X 1,Y 2,Z 3}\r\n" in output.read_bytes()
     output.unlink()
     path.write_bytes(krl(np.array([[0.0, 30, 40], [999, 0, 0]])))
-    assert "line 4: axis target" in document(capsys, "filter", path, "--robot", arm, "-o", output, code=1)["detail"]
+    for options, remedy in (([], "within reach."), (["--strict"], "within reach, or leave --strict out.")):
+        said = document(capsys, "filter", path, "--robot", arm, "-o", output, *options, code=1)["detail"]
+        assert "line 4: axis target" in said
+        assert said.endswith(remedy)
     path.write_bytes(b"PTP {A1 1,A2 2}\n")
     assert "has 2 joints" in document(capsys, "filter", path, "--robot", arm, "-o", output, code=1)["detail"]
     assert not output.exists()

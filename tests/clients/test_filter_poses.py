@@ -405,21 +405,12 @@ def of_rows(rows: list[tuple[float, ...]], q: Floats) -> Floats:
     return T
 
 
-@pytest.mark.parametrize(
-    ("name", "rows", "said"),
-    [("crx", OFFSET_WRIST, "neither do its last three axes meet"), ("iiwa14", SEVEN_AXES, "has 7 joints")],
-)
-def test_an_arm_without_a_closed_inverse_gets_joints_exactly_and_its_poses_are_named(
-    kilter: Kilter,
-    tmp_path: Path,
-    name: str,
-    rows: list[tuple[float, ...]],
-    said: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    count, robot = len(rows), f"no-closed-inverse-{name}"
-    six = name == "crx"
-    kilter.robots.add(offset_wrist(robot) if six else {"name": robot, "convention": "preset", "preset": name})
+def corrected(
+    kilter: Kilter, folder: Path, robot: str, document: dict[str, object], rows: list[tuple[float, ...]]
+) -> tuple[list[tuple[float, ...]], Floats]:
+    """Calibrate an arm that stands a little beside its table: the real one, and the joints (N, n) deg it was measured at."""
+    count = len(rows)
+    kilter.robots.add(document)
     rng = np.random.default_rng(11)
     real = [(theta + error, *rest) for (theta, *rest), error in zip(rows, rng.uniform(-0.1, 0.1, count), strict=True)]
     q = rng.uniform(-80, 80, (40, count))
@@ -427,20 +418,81 @@ def test_an_arm_without_a_closed_inverse_gets_joints_exactly_and_its_poses_are_n
     turns = Rotation.from_matrix(seen[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     head = ",".join([*(f"q{k}_deg" for k in range(1, count + 1)), "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"])
     body = [",".join(f"{v:.15g}" for v in row) for row in np.hstack([q, seen[:, :3, 3], turns])]
-    (tmp_path / "seen.csv").write_text("\n".join([head, *body, ""]))
-    assert run(["upload", robot, str(tmp_path / "seen.csv"), "--name", f"of-{robot}"]) == 0
+    (folder / "seen.csv").write_text("\n".join([head, *body, ""]))
+    assert run(["upload", robot, str(folder / "seen.csv"), "--name", f"of-{robot}"]) == 0
     assert run(["identify", robot, "-c", f"of-{robot}", "--level", "2", "--tool", "fixed", "--base", "fixed"]) == 0
     assert run(["activate", "latest", "--robot", robot, "--force"]) == 0
-    nulls = ["$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 0,A 0,B 0,C 0}"]
-    taught_at = q[:8]
-    joints = [f"PTP {{{','.join(f'A{k} {v:.9f}' for k, v in enumerate(at, 1))}}}" for at in taught_at]
-    pose = "LIN {" + ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(of_rows(rows, q[0])), strict=True)) + "}"
+    return real, q
+
+
+NULLS = ["$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 0,A 0,B 0,C 0}"]
+
+
+def krl_joints(at: Floats) -> str:
+    return f"PTP {{{','.join(f'A{k} {v:.9f}' for k, v in enumerate(at, 1))}}}"
+
+
+def krl_pose(T: Floats) -> str:
+    return "LIN {" + ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", zyx(T), strict=True)) + "}"
+
+
+def joints_near(rows: list[tuple[float, ...]], T: Floats, start: Floats) -> Floats:
+    """Joints (n,) deg of a table's arm at a pose: the controller's own inverse, by steps from joints nearby."""
+    q = start.copy()
+    for _ in range(30):
+        J = np.empty((6, 6))
+        at = of_rows(rows, q)
+        for k in range(6):
+            moved = of_rows(rows, q + 1e-4 * np.eye(6)[k]) @ np.linalg.inv(at)
+            J[:, k] = [*(moved[:3, 3]), moved[2, 1], moved[0, 2], moved[1, 0]]
+        off = T @ np.linalg.inv(at)
+        q = q + 1e-4 * np.linalg.solve(J, [*off[:3, 3], off[2, 1], off[0, 2], off[1, 0]])
+    return q
+
+
+def test_poses_of_an_arm_without_a_closed_inverse_are_corrected(
+    kilter: Kilter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each after joints nearby, which say what posture is meant: of up to 16, whose branches have no names."""
+    robot = "offset-wrist"
+    real, q = corrected(kilter, tmp_path, robot, offset_wrist(robot), OFFSET_WRIST)
+    taught_at = q[:6]
+    poses = [of_rows(OFFSET_WRIST, at + 2.0) for at in taught_at]
+    lines = [line for at, T in zip(taught_at, poses, strict=True) for line in (krl_joints(at), krl_pose(T))]
     path, output = tmp_path / "w.src", tmp_path / "out.src"
-    path.write_text("\n".join(["DEF w()", *nulls, *joints, pose, "END", ""]))
+    path.write_text("\n".join(["DEF w()", *NULLS, *lines, "END", ""]))
+    capsys.readouterr()
+    told = document(capsys, "filter", path, "--robot", robot, "-o", output)
+    held = {one["line"] for one in told["not_ok"]} | lines_left(told).keys()
+    new = output.read_text().splitlines()
+    off, before = [], []
+    for k, (at, T) in enumerate(zip(taught_at, poses, strict=True)):
+        if 5 + 2 * k in held:
+            continue
+        posed = of_zyx(np.array([float(v) for v in re.findall(r"[XYZABC] (-?[\d.]+)", new[4 + 2 * k])]))
+        command = joints_near(OFFSET_WRIST, posed, at + 2.0)
+        assert np.abs(command - at - 2.0).max() < 2.0
+        off.append(np.linalg.norm((of_rows(real, command) - T)[:3, 3]))
+        before.append(np.linalg.norm((of_rows(real, at + 2.0) - T)[:3, 3]))
+    assert len(off) >= 5, told
+    assert min(before) > 0.1
+    assert max(off) < WITHIN_MM
+
+
+def test_an_arm_of_seven_axes_gets_joints_exactly_and_its_poses_are_named(
+    kilter: Kilter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows, robot = SEVEN_AXES, "seven-axes"
+    arm = {"name": robot, "convention": "preset", "preset": "iiwa14"}
+    real, q = corrected(kilter, tmp_path, robot, arm, rows)
+    taught_at = q[:8]
+    joints, pose = [krl_joints(at) for at in taught_at], krl_pose(of_rows(rows, q[0]))
+    path, output = tmp_path / "w.src", tmp_path / "out.src"
+    path.write_text("\n".join(["DEF w()", *NULLS, *joints, pose, "END", ""]))
     capsys.readouterr()
     told = document(capsys, "filter", path, "--robot", robot, "-o", output)
     line = len(joints) + 4
-    assert said in lines_left(told)[line]
+    assert "has 7 joints" in lines_left(told)[line]
     assert "Give joint targets" in lines_left(told)[line]
     assert lines_left(told).keys() == {line}
     assert told["targets"] == len(joints)

@@ -36,3 +36,25 @@ def test_other_rows_and_other_arms_are_refused(shared_client: httpx.Client, robo
     assert (refused.status_code, refused.json()["code"]) == (400, "robot_invalid")
     assert "has not six revolute joints" in refused.json()["detail"]
     assert shared_client.post("/v1/robots/nobody/inverse", json={"flanges": [{}]}).status_code == 404
+
+
+def test_an_arm_without_a_closed_form_has_postures_without_names(shared_client: httpx.Client) -> None:
+    """Axes 4, 5 and 6 do not meet."""
+    rows = [
+        {"type": "revolute", "theta_offset_deg": theta, "d_mm": d, "a_mm": a, "alpha_deg": alpha}
+        for theta, d, a, alpha in (
+            (0, 245, 0, -90), (-90, 0, 540, 0), (0, 0, 0, -90), (0, 540, 0, 90), (0, 150, 0, -90), (0, 160, 0, 0)
+        )
+    ]  # fmt: skip
+    arm = {"name": "nominal-offset", "convention": "dh", "rows": rows}
+    assert shared_client.post("/v1/robots", json=arm).status_code == 201
+    q = [10.0, 20.0, -30.0, 40.0, 50.0, 60.0]
+    route = "/v1/robots/nominal-offset"
+    flanges = shared_client.post(f"{route}/forward", json={"joints_deg": [q]}).raise_for_status().json()["flanges"]
+    found = shared_client.post(f"{route}/inverse", json={"flanges": flanges}).raise_for_status().json()
+    assert found["certain"] == [True]
+    assert any(one["joints_deg"] == pytest.approx(q, abs=1e-9) for one in found["postures"][0])
+    assert not any(one["named"] for one in found["postures"][0])
+    refused = shared_client.post(f"{route}/inverse", json={"flanges": flanges * 201})
+    assert (refused.status_code, refused.json()["code"]) == (400, "option_invalid")
+    assert "for 200 poses at a time, not 201" in refused.json()["detail"]

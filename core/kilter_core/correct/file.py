@@ -42,6 +42,7 @@ VERSION_BYTES, ROBOT_BYTES = 40, 48
 CRC_AT = 28
 MOST_JOINTS, MOST_MOVES, MOST_ROWS, MOST_ROUNDS = 16, 64, 1024, 1000
 _AGAIN = "export the version again with `kilter export --format corrector`."
+_OF_ONE = "export the version again from a server of this release, or install the release that wrote it."
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def from_bytes(content: bytes) -> Stored:
     if magic != MAGIC or header != HEADER.size:
         raise _refused("is none")
     if form > FORMAT or layout_of != layout_digest() or columns != layout.COLUMNS:
-        raise _refused("is of another release of Kilter")
+        newer = f", which writes format {form}" if form > FORMAT else ""
+        raise _refused(f"is of another release of Kilter{newer}", _OF_ONE)
     if not (4 <= rows <= MOST_ROWS and 1 <= joints <= MOST_JOINTS):
         raise _refused("has the numbers of no arm")
     if len(content) != HEADER.size + 8 * rows * columns:
@@ -119,8 +121,8 @@ def from_bytes(content: bytes) -> Stored:
     return Stored(program, _text(version_id), number, _text(robot))
 
 
-def _refused(what: str) -> OptionError:
-    return OptionError(f"This program of a corrector {what}: {_AGAIN}", option="program")
+def _refused(what: str, remedy: str | None = None) -> OptionError:
+    return OptionError(f"This program of a corrector {what}: {remedy or _AGAIN}", option="program")
 
 
 def _text(padded: bytes) -> str:

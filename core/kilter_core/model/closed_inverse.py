@@ -29,7 +29,8 @@ class Posture:
 
     ``front``: the wrist is on the side of the root's x axis, with joint 1 at zero. ``elbow_up``: with the wrist in front
     the elbow is above the line to it. ``wrist``: which of the two bends of joint 5. ``singular``: two axes are in line, so
-    that their joints cannot be told apart.
+    that their joints cannot be told apart. ``named``: whether front, elbow_up and wrist tell the branches; an arm without
+    a closed form has others, and these are False.
     """
 
     q: Floats
@@ -37,6 +38,7 @@ class Posture:
     elbow_up: bool
     wrist: bool
     singular: bool
+    named: bool = True
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,9 @@ def solutions(axes: Axes, T: Floats) -> list[Posture]:
         RobotError: the arm is of neither kind.
 
     """
-    kind = _kind(axes)
+    kind = kind_of(axes)
+    if kind is None:
+        raise _unsupported("the arm", "neither do its last three axes meet, nor are its axes 2, 3 and 4 parallel")
     found = _with_wrist(axes, T) if kind == "wrist" else _with_parallels(axes, T)
     out: list[Posture] = []
     for angles, labels in found:
@@ -124,7 +128,8 @@ def _unsupported(name: str, why: str) -> RobotError:
     )
 
 
-def _kind(axes: Axes) -> str:
+def kind_of(axes: Axes) -> str | None:
+    """Return which closed form an arm has, "wrist" or "parallels", if any."""
     h = axes.h
     if _parallel(h[1], h[2]) and _meeting(axes, 3, 4) is not None:
         point = _meeting(axes, 3, 4)
@@ -132,7 +137,7 @@ def _kind(axes: Axes) -> str:
             return "wrist"
     if _parallel(h[1], h[2]) and _parallel(h[1], h[3]) and _meeting(axes, 4, 5) is not None:
         return "parallels"
-    raise _unsupported("the arm", "neither do its last three axes meet, nor are its axes 2, 3 and 4 parallel")
+    return None
 
 
 def _with_wrist(axes: Axes, T: Floats) -> Iterator[tuple[Floats, tuple[bool, bool, bool, bool]]]:
@@ -146,7 +151,7 @@ def _with_wrist(axes: Axes, T: Floats) -> Iterator[tuple[Floats, tuple[bool, boo
         u = p[0] + _turn(h[0], -first) @ (wrist - p[0])
         for third, straight in _turns_to_length(h[2], p[2] - p[1], centre - p[2], u - p[1]):
             bent = p[2] + _turn(h[2], third) @ (centre - p[2])
-            second = _angle(h[1], bent - p[1], u - p[1])
+            second = angle_about(h[1], bent - p[1], u - p[1])
             up = float(np.cross(p[2] - p[1], bent - p[2])[1]) > 0.0
             rest = (_turn(h[0], first) @ _turn(h[1], second) @ _turn(h[2], third)).T @ turned
             for four, fifth, six, positive, twisted in _wrist(h[3:], rest):
@@ -160,9 +165,9 @@ def _wrist(h: Floats, R: Floats) -> Iterator[tuple[float, float, float, bool, bo
     for k, (fifth, none) in enumerate(_turns_to_plane(h[0], h[1], h[2], float(h[0] @ goal), backwards=False)):
         bent = _turn(h[1], fifth) @ h[2]
         lost = none or np.linalg.norm(np.cross(h[0], goal)) < SINGULAR
-        four = 0.0 if lost else _angle(h[0], bent, goal)
-        across = _across(h[2])
-        six = _angle(h[2], across, (_turn(h[0], four) @ _turn(h[1], fifth)).T @ R @ across)
+        four = 0.0 if lost else angle_about(h[0], bent, goal)
+        across = any_across(h[2])
+        six = angle_about(h[2], across, (_turn(h[0], four) @ _turn(h[1], fifth)).T @ R @ across)
         yield four, fifth, six, k == 0, bool(lost)
 
 
@@ -180,14 +185,14 @@ def _with_parallels(axes: Axes, T: Floats) -> Iterator[tuple[Floats, tuple[bool,
         ):
             seen_by_six = _turn(h[4], -fifth) @ h[1]
             lost = flat or np.linalg.norm(np.cross(seen_by_six, h[5])) < SINGULAR
-            six = 0.0 if lost else _angle(h[5], R.T @ back.T @ h[1], seen_by_six)
-            three = _about(h[0], p[0], -first) @ moved @ _about(h[5], p[5], -six) @ _about(h[4], p[4], -fifth)
-            across = _across(h[1])
-            whole = _angle(h[1], across, three[:3, :3] @ across)
+            six = 0.0 if lost else angle_about(h[5], R.T @ back.T @ h[1], seen_by_six)
+            three = about(h[0], p[0], -first) @ moved @ about(h[5], p[5], -six) @ about(h[4], p[4], -fifth)
+            across = any_across(h[1])
+            whole = angle_about(h[1], across, three[:3, :3] @ across)
             u = three[:3, :3] @ p[3] + three[:3, 3]
             for c, (third, straight) in enumerate(_turns_to_length(h[2], p[2] - p[1], p[3] - p[2], u - p[1])):
                 bent = p[2] + _turn(h[2], third) @ (p[3] - p[2])
-                second = _angle(h[1], bent - p[1], u - p[1])
+                second = angle_about(h[1], bent - p[1], u - p[1])
                 left = whole - second - float(h[1] @ h[2]) * third
                 fourth = left * float(h[1] @ h[3])
                 angles = np.array([first, second, third, fourth, fifth, six])
@@ -220,8 +225,8 @@ def _roots(a: float, b: float, c: float) -> Iterator[tuple[float, bool]]:
     yield middle - half, one
 
 
-def _angle(h: Floats, v: Floats, w: Floats) -> float:
-    """Angle about ``h`` from ``v`` to ``w``."""
+def angle_about(h: Floats, v: Floats, w: Floats) -> float:
+    """Return the angle about ``h`` from ``v`` to ``w``, rad."""
     v, w = v - h * float(h @ v), w - h * float(h @ w)
     return math.atan2(float(h @ np.cross(v, w)), float(v @ w))
 
@@ -230,15 +235,16 @@ def _turn(h: Floats, angle: float) -> Floats:
     return np.asarray(rotations_about(h, np.array([angle]))[0])
 
 
-def _about(h: Floats, p: Floats, angle: float) -> Floats:
-    """Pose (4, 4) of a turn about a line."""
+def about(h: Floats, p: Floats, angle: float) -> Floats:
+    """Return the pose (4, 4) of a rotation about the line through ``p`` along ``h``."""
     T = np.eye(4)
     T[:3, :3] = _turn(h, angle)
     T[:3, 3] = p - T[:3, :3] @ p
     return T
 
 
-def _across(h: Floats) -> Floats:
+def any_across(h: Floats) -> Floats:
+    """Return a direction (3,) at right angles to another."""
     v = np.cross(h, np.eye(3)[int(np.argmin(np.abs(h)))])
     return np.asarray(v / np.linalg.norm(v))
 

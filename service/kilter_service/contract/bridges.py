@@ -35,7 +35,7 @@ class BridgeNews(Strict):
     controller: str | None = Field(None, max_length=200, description="Address of the controller; null: none asks.")
     cycle_ms: float = Field(gt=0.0, le=1000.0, description="Cycle of the controller, ms.")
     cycles: Count = Field(description="Cycles answered since it began.")
-    late: Count = Field(description="Of these, answered later than a cycle.")
+    late: Count = Field(description="Answers later than a cycle; to a Franka robot these are not sent.")
     lost: Count = Field(description="Cycles for which no request came.")
     refused: Count = Field(description="Cycles whose joints could not be corrected.")
     offset_deg: float = Field(ge=0.0, le=180.0, description="Largest offset of a joint now, degrees.")

@@ -37,9 +37,19 @@ class Posture(Strict):
     elbow_up: bool = Field(description="Whether the elbow, with the wrist in front, is above the line to it.")
     wrist: bool = Field(description="Which of the two bends of joint 5 it is.")
     singular: bool = Field(description="Whether two axes are in line, so that their joints cannot be told apart.")
+    named: bool = Field(
+        True,
+        description="Whether `front`, `elbow_up` and `wrist` tell the branches; those of an arm without a closed form "
+        "have no names, and the three are false.",
+    )
 
 
 class Postures(Strict):
     """All joints of each pose."""
 
     postures: list[list[Posture]] = Field(description="Postures of each row; none: it cannot be reached.")
+    certain: list[bool] = Field(
+        default_factory=list,
+        description="Whether these are surely all, row by row. They are in closed form; else near a singularity they "
+        "may not be.",
+    )

@@ -7,12 +7,15 @@ import numpy as np
 from kilter_core.arm.conversions import pose_document
 from kilter_core.arm.documents.parts import pose_of
 from kilter_core.errors import OptionError
-from kilter_core.model.closed_inverse import axes_of, flange, solutions
+from kilter_core.model.closed_inverse import axes_of, flange, kind_of
+from kilter_core.model.general_inverse import reaching
 from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
 from kilter_service.contract.units import Pose
 from kilter_service.db import Database
 from kilter_service.robots import service
 from kilter_service.wire import to_deg, to_rad
+
+MOST_WITHOUT_FORM = 200  # poses of one request: some 0.05 s of processor time each
 
 
 def forward(database: Database, name: str, rows: JointRows) -> Flanges:
@@ -37,11 +40,18 @@ def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
     """Return all joints of each pose of the flange.
 
     Raises:
-        RobotError: the joints of this arm have no closed form.
+        RobotError: the arm has not six revolute joints.
+        OptionError: more poses than one request computes of an arm without a closed form.
 
     """
     axes = axes_of(service.arm(database, name))
-    rows = [solutions(axes, pose_of(pose.model_dump())) for pose in wanted.flanges]
+    if kind_of(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
+        raise OptionError(
+            f"{name!r} has no closed form, and its joints are found for {MOST_WITHOUT_FORM} poses at a time, "
+            f"not {len(wanted.flanges)}. Send them in parts.",
+            option="flanges",
+        )
+    rows = [reaching(axes, pose_of(pose.model_dump())) for pose in wanted.flanges]
     return Postures(
         postures=[
             [
@@ -51,9 +61,11 @@ def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
                     elbow_up=one.elbow_up,
                     wrist=one.wrist,
                     singular=one.singular,
+                    named=one.named,
                 )
                 for one in row
             ]
-            for row in rows
-        ]
+            for row, _ in rows
+        ],
+        certain=[certain for _, certain in rows],
     )

@@ -114,7 +114,7 @@ def forward(robot: str, rows: JointRows, database: DatabaseOfApp) -> Flanges:
 
 @router.post("/{robot}/inverse")
 def inverse(robot: str, wanted: Flanges, database: DatabaseOfApp) -> Postures:
-    """Find all joints that bring the nominal flange to these poses, of a six-axis arm that has a closed form."""
+    """Find all joints that bring the nominal flange to these poses, of a six-axis arm."""
     from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
 
     return nominal.inverse(database, robot, wanted)

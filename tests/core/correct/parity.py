@@ -54,18 +54,20 @@ class Compared:
 
     def __init__(self) -> None:
         self.count = self.settled = self.differ = self.held_differ = 0
-        self.worst_rad = self.worst_unsettled_rad = 0.0
+        self.worst_rad = self.worst_unsettled_rad = self.worst_own_rad = 0.0
         self.statuses: dict[int, int] = {}
 
     def stream(self, ours: Corrector, program: CorrectionProgram, rng: np.random.Generator) -> None:
         """Send one stream through both."""
-        track, q = Track(program), wandering(rng, program.n_joints)
+        track, beside, q = Track(program), Track(program), wandering(rng, program.n_joints)
+        rounded = np.nextafter(q, q + np.random.default_rng(0).choice([-1.0, 1.0], q.shape))
         motion = rng.random() < 0.5
         qd = np.gradient(q, CYCLE_S, axis=0)
         qdd, unsettled = np.gradient(qd, CYCLE_S, axis=0), -CARRIED_ON
         for k in range(len(q)):
             more = (qd[k], qdd[k]) if motion else ()
             status = track.step(np.concatenate([q[k], *more]), 1 + len(more), CYCLE_S)
+            beside.step(np.concatenate([rounded[k], *more]), 1 + len(more), CYCLE_S)
             found, joints, answer = ours.correct(q[k], CYCLE_S, *map(np.ascontiguousarray, more))
             self.count += 1
             self.statuses[status] = self.statuses.get(status, 0) + 1
@@ -85,6 +87,7 @@ class Compared:
                 apart = float(np.abs(joints - track.out).max())
                 if k - unsettled >= CARRIED_ON:
                     self.settled, self.worst_rad = self.settled + 1, max(self.worst_rad, apart)
+                    self.worst_own_rad = max(self.worst_own_rad, float(np.abs(beside.out - track.out).max()))
                 else:
                     self.worst_unsettled_rad = max(self.worst_unsettled_rad, apart)
 
@@ -117,7 +120,8 @@ def main() -> None:
         f"{seen.count} setpoints of {len(known)} programs in {time.monotonic() - begun:.0f} s, by status {seen.statuses}"
     )
     print(
-        f"{seen.settled} settled: at most {seen.worst_rad:.2e} rad apart; the others {seen.worst_unsettled_rad:.2e} rad"
+        f"{seen.settled} settled: at most {seen.worst_rad:.2e} rad apart, the kernels {seen.worst_own_rad:.2e} from "
+        f"themselves; the others {seen.worst_unsettled_rad:.2e} rad"
     )
     print(f"{seen.differ} with another status or other flags, {seen.held_differ} of them where a limit held")
 

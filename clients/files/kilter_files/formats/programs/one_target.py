@@ -42,11 +42,15 @@ class JointTarget:
 
 @dataclass(frozen=True)
 class Branch:
-    """Which of the branches of an arm a posture is: where its wrist is, and its elbow; see the route of inverse kinematics."""
+    """Which of the branches of an arm a posture is: where its wrist is, and its elbow; see the route of inverse kinematics.
+
+    Those of an arm without a closed form have no names: then only the joints say whether a posture is the stated one.
+    """
 
     front: bool
     elbow_up: bool
     wrist: bool
+    named: bool = True
 
 
 class Configuration(Protocol):

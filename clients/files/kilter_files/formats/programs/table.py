@@ -6,6 +6,9 @@ import re
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Program
 
+CELL = re.compile(
+    r'[ \t]*"(?:[^"]|"")*"[^,\r\n]*(?:,|$|(?=[\r\n]))|[^,\r\n]*(?:,|$|(?=[\r\n]))'
+)  # a quoted one has commas
 JOINT = re.compile(r"q(\d+)_(deg|rad)")
 
 
@@ -17,14 +20,14 @@ def find(program: Program) -> None:
 
     """
     lines = program.text.splitlines(keepends=True)
-    names = [name.strip() for name in lines[0].split(",")]
+    names = [cell[0].strip(' \t,"') for cell in CELL.finditer(lines[0])]
     joints = {int(match[1]): (k, match[2]) for k, name in enumerate(names) if (match := JOINT.fullmatch(name))}
     if sorted(joints) != [*range(1, len(joints) + 1)] or len({unit for _, unit in joints.values()}) != 1:
         raise program.refuse(0, "lacks joints, or has them in two units", "Name its columns q1_deg, q2_deg, ...")
     at = len(lines[0])
     for number, line in enumerate(lines[1:], 1):
         if line.strip():
-            cells = [*re.finditer(r"[^,\r\n]*(?:,|$|(?=[\r\n]))", line)]
+            cells = [*CELL.finditer(line)]
             spans = [(joints[k][0], f"q{k}") for k in sorted(joints)]
             found = []
             for column, name in spans:

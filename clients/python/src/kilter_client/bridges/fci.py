@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from operator import add
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +19,14 @@ if TYPE_CHECKING:
 
 CYCLE_S = 0.001
 JOINTS = 7
-REJOIN_S = 0.1  # at least, and longer where the way back would take more than this of the limits (FR3: 10 and 5000):
-MOST_RAD_S2, MOST_RAD_S3 = 3.0, 1500.0
+REJOIN_S = 0.04  # at least, and longer after pauses, or where the way back would take more than this of the limits
+MOST_RAD_S2, MOST_RAD_S3 = 3.0, 1500.0  # of 10 and 5000, an FR3's
 FORGETS = 0.98  # by each command, how long the last pauses were
 Joints = tuple[float, ...]
+# A command that needed longer than this comes after its cycle. The robot drops it; a simulator was seen to go back for it
+# and to take the mean speed since for the robot's: it is better not sent, whoever listens.
+LATE_S = 0.0008
+WAITED_S = 0.0001  # a state that came at once may have waited in the socket
 BRAKE_S = 1.0  # in which the plan is brought to rest when the bridge is ended
 
 
@@ -50,18 +55,19 @@ class Rejoined:
         self._over_s = self._since_s = 0.0  # how long the way back takes, and how long it has taken
         self._fresh = 0  # cycles for which it is planned anew
         self._pause = 1.0  # cycles that may go by until the next command, by those that lately did
+        self._unsent = self._gone = 0  # cycles since the last command that was sent, and as many before this one
 
     def command(self, intended: Joints, cycles: int, state: Any) -> Joints:
         """Return the joints (n,) rad to send for those intended, ``cycles`` after the last ones."""
         now_s = (self._times_s[-1] if self._times_s else 0.0) + cycles * CYCLE_S
         self._times_s.append(now_s)
         self._intended.append(intended)
-        if len(self._intended) < 3:
-            self._fresh = 3 if cycles > 1 or self._fresh else 0
-            return _onwards(state, state.ddq_d) if self._fresh else intended
-        self._pause = max(float(cycles), FORGETS * self._pause)
-        if cycles > 1:
+        self._gone, self._unsent = self._unsent + cycles, 0
+        if self._gone > 1:
             self._fresh = 3
+        if len(self._intended) < 3:
+            return _onwards(state, state.ddq_d) if self._fresh else intended
+        self._pause = max(float(self._gone), FORGETS * self._pause)
         self._since_s += cycles * CYCLE_S
         if self._fresh:
             self._fresh -= 1
@@ -71,6 +77,10 @@ class Rejoined:
         if self._since_s >= self._over_s:
             return intended
         return tuple(map(add, intended, self._left()))
+
+    def unsent(self) -> None:
+        """Take back the last command: it was not sent, and the robot extrapolates."""
+        self._unsent = self._gone
 
     @property
     def back(self) -> bool:
@@ -105,7 +115,7 @@ class Rejoined:
         self._off, self._since_s = (tuple(place), tuple(speed), tuple(curve)), CYCLE_S
         d, w, a = (max(map(abs, one)) for one in (place, speed, curve))
         self._over_s = max(
-            REJOIN_S, math.sqrt(2.0 * 5.78 * d / MOST_RAD_S2), 2.0 * 4.0 * w / MOST_RAD_S2,
+            REJOIN_S, 10.0 * self._ahead_s, math.sqrt(2.0 * 5.78 * d / MOST_RAD_S2), 2.0 * 4.0 * w / MOST_RAD_S2,
             (180.0 * d / MOST_RAD_S3) ** (1.0 / 3.0), math.sqrt(108.0 * w / MOST_RAD_S3), 27.0 * a / MOST_RAD_S3,
         )  # fmt: skip
 
@@ -115,12 +125,17 @@ class Rejoined:
 
         The robot may keep that acceleration for as many cycles as it has missed lately: it is that of their middle.
         """
-        T, ahead_s = self._over_s, 0.5 * CYCLE_S * (1.0 + self._pause)
+        T, ahead_s = self._over_s, self._ahead_s
         curves = [
             aim + a - ahead_s * (60.0 * d / T**3 + 36.0 * w / T**2 + 9.0 * a / T)
             for aim, d, w, a in zip(self._motion()[1], *self._off, strict=True)
         ]
         return _onwards(state, curves)
+
+    @property
+    def _ahead_s(self) -> float:
+        """The middle of the time for which the robot may keep an acceleration, by the cycles that it missed lately."""
+        return 0.5 * CYCLE_S * (1.0 + self._pause)
 
     def _left(self) -> Joints:
         """What is left of the way back now: from the start with all its derivatives to zero with all of them."""
@@ -148,12 +163,15 @@ class Fci:
         correction: what offsets the joints.
         line: to the companion.
         realtime: refuse to run without a real-time kernel and priority, as libfranka does by itself.
+        clock: seconds, by which a command is late.
 
     """
 
     def __init__(
-        self, franka: Any, address: str, setpoints: Setpoints, correction: Correction, line: Line, realtime: bool
-    ) -> None:
+        self, franka: Any, address: str, setpoints: Setpoints, correction: Correction, line: Line, realtime: bool,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:  # fmt: skip
+        self._clock, self._opened_s = clock, math.inf  # when the last state went out
         self._franka, self._address, self._realtime = franka, address, realtime
         self._setpoints, self._correction, self._line = setpoints, correction, line
         self._pace, self._leaving = 1.0, False
@@ -184,8 +202,10 @@ class Fci:
 
     def _cycle(self, control: Any) -> bool:
         """One cycle; whether the motion is over."""
+        asked_s = self._clock()
         state, passed = control.readOnce()
         cycles = max(1, round(passed.to_sec() / CYCLE_S)) if self.counts["answered"] else 1
+        self._note_opened(asked_s, cycles)
         self.counts["lost"] += cycles - 1
         if not self.counts["answered"]:
             self._begin(state)
@@ -198,14 +218,24 @@ class Fci:
         if at_rest:
             self._correction.off = "the motion is over"
         command.motion_finished = over = at_rest and self._correction.out and self._rejoined.back
-        control.writeOnce(command)
-        self.counts["answered"] += 1
+        sent = self._clock() - self._opened_s < LATE_S
+        if sent:
+            control.writeOnce(command)
+            self.counts["answered"] += 1
+        else:
+            self._rejoined.unsent()
+            self.counts["late"] += 1
         if self._leaving:
             self._pace = max(0.0, self._pace - cycles * CYCLE_S / BRAKE_S)
         while (packet := self._line.receive()) is not None:
             self._correction.hear(*packet)
         self._line.tell(self.document)
-        return bool(over)
+        return bool(over and sent)
+
+    def _note_opened(self, asked_s: float, cycles: int) -> None:
+        """Note when the state went out that was just read: now, if it was waited for, else by the time of the last one."""
+        now_s, due_s = self._clock(), self._opened_s + cycles * CYCLE_S
+        self._opened_s = now_s if now_s - asked_s > WAITED_S else min(now_s, due_s)
 
     def _begin(self, state: Any) -> None:
         """Stand where the robot is told to stand already."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kilter_client.steps import Document, Request, Steps, address, answer_of, get, patch, post, read
 
@@ -11,6 +11,14 @@ if TYPE_CHECKING:
     from kilter_files import Prepared
 
 MOST_POSES = 2000  # of one request
+MOST_REACHED = 200  # an arm without a closed form takes a twentieth of a second for each
+
+
+class Reaching(NamedTuple):
+    """All joints that bring a flange to a pose, and whether these are surely all."""
+
+    postures: list[Document]
+    certain: bool
 
 
 def add(document: Mapping[str, Any]) -> Steps[Document]:
@@ -82,12 +90,14 @@ def forward(name: str, joints_deg: Sequence[Sequence[float]]) -> Steps[list[Docu
     return rows
 
 
-def inverse(name: str, flanges: Sequence[Mapping[str, float]]) -> Steps[list[list[Document]]]:
+def inverse(name: str, flanges: Sequence[Mapping[str, float]]) -> Steps[list[Reaching]]:
     """Return all joints that bring the nominal flange to each of these poses."""
-    rows: list[list[Document]] = []
-    for k in range(0, len(flanges), MOST_POSES):
-        wanted = {"flanges": [{**pose} for pose in flanges[k : k + MOST_POSES]]}
-        rows += (yield from post(address("robots", name, "inverse"), wanted, again=True))["postures"]
+    rows: list[Reaching] = []
+    for k in range(0, len(flanges), MOST_REACHED):
+        wanted = {"flanges": [{**pose} for pose in flanges[k : k + MOST_REACHED]]}
+        found = yield from post(address("robots", name, "inverse"), wanted, again=True)
+        certain = found.get("certain") or [True] * len(found["postures"])
+        rows += map(Reaching, found["postures"], certain)
     return rows
 
 

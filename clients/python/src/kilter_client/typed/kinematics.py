@@ -26,6 +26,8 @@ class Posture(Record):
     """Whether the wrist is on the side of the root's x axis, with joint 1 at zero."""
     joints_deg: tuple[float, ...]
     """Joints, degrees, each within 180 degrees of zero; limits are not looked at."""
+    named: bool
+    """Whether `front`, `elbow_up` and `wrist` tell the branches; those of an arm without a closed form have no names, and the three are false."""
     singular: bool
     """Whether two axes are in line, so that their joints cannot be told apart."""
     wrist: bool
@@ -36,5 +38,7 @@ class Posture(Record):
 class Postures(Record):
     """All joints of each pose."""
 
+    certain: tuple[bool, ...]
+    """Whether these are surely all, row by row. They are in closed form; else near a singularity they may not be."""
     postures: tuple[Records[Posture], ...]
     """Postures of each row; none: it cannot be reached."""

@@ -222,7 +222,7 @@ class Bridge(Record):
     largest_offset_deg: float
     """Largest offset of a joint since it began, degrees."""
     late: int
-    """Of these, answered later than a cycle."""
+    """Answers later than a cycle; to a Franka robot these are not sent."""
     lost: int
     """Cycles for which no request came."""
     offset_deg: float

@@ -97,21 +97,22 @@ def _flange(pose: PoseTarget) -> Rigid:
 
 def _chosen(
     poses: Sequence[PoseTarget],
-    found: Sequence[Sequence[Document]],
+    found: Sequence[robots.Reaching],
     before: Mapping[int, Sequence[float]],
     limits: Sequence[tuple[float, float]],
     signs: Sequence[float],
 ) -> Understood:
     known: dict[int, Found | str] = {}
-    for (near, joints), postures in zip(before.items(), found, strict=False):
-        known[near] = files_postures.posture_at(joints, postures) or "the target before it is at a singularity"
-    for pose, postures in zip(poses, found[len(before) :], strict=True):
+    for (near, joints), reaching in zip(before.items(), found, strict=False):
+        known[near] = files_postures.posture_at(joints, reaching.postures) or "the target before it is at a singularity"
+    for pose, (postures, certain) in zip(poses, found[len(before) :], strict=True):
         stated = pose.configuration
-        known[id(pose)] = (
-            files_postures.by_configuration(stated, postures, limits, signs)
-            if stated is not None
-            else _following(pose, postures, known, limits)
-        )
+        if not certain:
+            known[id(pose)] = files_postures.NOT_CERTAIN
+        elif stated is not None:
+            known[id(pose)] = files_postures.by_configuration(stated, postures, limits, signs)
+        else:
+            known[id(pose)] = _following(pose, postures, known, limits)
     joints_deg, left, branches = {}, {}, {}
     for pose in poses:
         one = known[id(pose)]
@@ -149,8 +150,8 @@ def not_kept(
     flanges = (yield from robots.forward(robot, [q for _, q in corrected])) if corrected else []
     found = (yield from robots.inverse(robot, flanges)) if flanges else []
     out: dict[PoseTarget, str] = {}
-    for (pose, q), postures in zip(corrected, found, strict=True):
-        one, stated = files_postures.posture_at(q, postures), pose.configuration
+    for (pose, q), reaching in zip(corrected, found, strict=True):
+        one, stated = files_postures.posture_at(q, reaching.postures), pose.configuration
         if one is None:
             out[pose] = "the correction takes it to a singularity"
         elif not (

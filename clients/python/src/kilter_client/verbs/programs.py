@@ -80,11 +80,11 @@ def filter(  # noqa: A001 - a verb, as the command is called
     for one in programs:
         one.leave_poses(understood.left)
     if strict:
-        _refuse([(one, line, what) for one in programs for line, what in one.left], programs, "is not rewritten")
+        _refuse(_left(programs), programs, "is not rewritten", strict=True)
     done = yield from _done(programs, understood, joints, name, version)
     wanted = {"OK"} if strict else ANSWERED
     wrong = [(d.program, d.target.line, f"{d.target.name}: {d.status}") for d in done if d.status not in wanted]
-    _refuse(wrong, programs, "is not corrected")
+    _refuse(wrong, programs, "is not corrected", strict=strict)
     done = yield from _kept(programs, done, understood, joints, name, strict=strict)
     texts = yield from _texts(programs, done, joints, name)
     return FilteredProgram.read(_report(programs, done, texts))
@@ -177,9 +177,7 @@ def _done(
         for _, target in places
     ]
     if not rows:
-        _refuse(
-            [(one, line, what) for one in programs for line, what in one.left], programs, "has no target that can be"
-        )
+        _refuse(_left(programs), programs, "has no target that can be", strict=False)
     names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
     columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
     content = yield from correct(robot, columns, version=version)
@@ -211,7 +209,7 @@ def _kept(
     kept.notes = done.notes
     if lost and (strict or not kept):
         named = [(one, line, what) for one in programs for line, what in one.left]
-        _refuse(named, programs, "is not rewritten" if strict else "has no target that can be")
+        _refuse(named, programs, "is not rewritten" if strict else "has no target that can be", strict=strict)
     return kept
 
 
@@ -243,8 +241,14 @@ def _texts(programs: Sequence[Program], done: AllDone, joints: ProgramJoints, ro
     }
 
 
-def _refuse(places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str) -> None:
-    """Refuse a program for these places.
+def _left(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
+    return [(one, line, what) for one in programs for line, what in one.left]
+
+
+def _refuse(
+    places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str, *, strict: bool
+) -> None:
+    """Refuse a program for these places: to leave ``strict`` out helps only where it was given.
 
     Raises:
         FileError: there is one.
@@ -256,9 +260,8 @@ def _refuse(places: Sequence[tuple[Program, int, str]], programs: Sequence[Progr
             f"{f'{one.path.name}, ' if several else ''}line {line}: {said}" for one, line, said in places[:SHOWN]
         )
         more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
-        remedy = (
-            "Nothing is written. Store these targets as joints within reach, or leave --strict out where it was given."
-        )
+        leave = ", or leave --strict out" if strict else ""
+        remedy = f"Nothing is written. Store these targets as joints within reach{leave}."
         path = programs[0].path
         at = [{"file": str(one.path), "line": line} for one, line, _ in places]
         context = {"places": at} if several else {"lines": [line for _, line, _ in places]}

@@ -22,7 +22,7 @@ class StatusTurn:
 
     def fits(self, branch: Branch) -> bool:
         """Say whether a branch has this status."""
-        return branch.front != bool(self.status & 1) and branch.elbow_up == bool(self.status & 2)
+        return not branch.named or (branch.front != bool(self.status & 1) and branch.elbow_up == bool(self.status & 2))
 
     def fits_joint(self, k: int, value_deg: float) -> bool:
         """Say whether a joint has the sign that T states."""
@@ -51,7 +51,7 @@ class ConfData:
 
     def fits(self, branch: Branch) -> bool:
         """Say whether a branch is the stated one."""
-        return branch.front != bool(self.branch & 4) and branch.elbow_up != bool(self.branch & 2)
+        return not branch.named or (branch.front != bool(self.branch & 4) and branch.elbow_up != bool(self.branch & 2))
 
     def fits_joint(self, k: int, value_deg: float) -> bool:
         """Say whether a joint is in its quadrant, or axis 5 has its sign."""
@@ -85,7 +85,7 @@ class Config:
 
     def fits(self, branch: Branch) -> bool:
         """Say whether a branch is the stated one."""
-        return branch.front == self.front and branch.elbow_up == self.up
+        return not branch.named or (branch.front == self.front and branch.elbow_up == self.up)
 
     def fits_joint(self, k: int, value_deg: float) -> bool:
         """Say whether a joint has its full turns, and J5 its sign."""

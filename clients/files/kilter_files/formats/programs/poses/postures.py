@@ -18,6 +18,7 @@ WITHIN_DEG = 1e-6
 OUT_OF_REACH = "it is out of reach"
 SINGULAR = "it is at a singularity, where joints cannot be told apart"
 SEVERAL = "several joints reach it, and which it means is not stated"
+NOT_CERTAIN = "joints reach it that may not be all: it is at a singularity, or near one"
 NOT_STATED = "its configuration is not stated, and the target from which the arm comes is not known"
 
 
@@ -32,7 +33,7 @@ class Found:
 def by_configuration(
     stated: Configuration, postures: Sequence[Mapping[str, Any]], limits: Limits, signs: Sequence[float]
 ) -> Found | str:
-    """Return the one posture that has a stated configuration, or why there is none."""
+    """Return the one posture that has a stated configuration, or why there is none; without named branches, by its joints."""
     found: list[Found] = []
     for one in postures:
         branch = _branch(one)
@@ -48,7 +49,10 @@ def by_configuration(
 
 
 def after(near: Found, postures: Sequence[Mapping[str, Any]], limits: Limits, *, straight: bool) -> Found | str:
-    """Return the posture that follows another: along a line in its branch, else the nearest one; or why there is none."""
+    """Return the posture that follows another, or why there is none.
+
+    Along a line it is the one in its branch, else, and where branches have no names, the nearest.
+    """
     ranked = []
     for one in postures:
         branch = _branch(one)
@@ -65,7 +69,7 @@ def after(near: Found, postures: Sequence[Mapping[str, Any]], limits: Limits, *,
     far, singular, found = ranked[0]
     if singular:
         return SINGULAR
-    if straight:
+    if straight and found.branch.named:
         return found if far < FAR_DEG else "it is too far from the target before it to tell how the arm goes there"
     return found if len(ranked) == 1 or ranked[1][0] > CLEARER * far else SEVERAL
 
@@ -84,7 +88,7 @@ def _nearest(turns: Sequence[float], was: float) -> float:
 
 
 def _branch(one: Mapping[str, Any]) -> Branch:
-    return Branch(one["front"], one["elbow_up"], one["wrist"])
+    return Branch(one["front"], one["elbow_up"], one["wrist"], one.get("named", True))
 
 
 def _turns(value: float, bounds: tuple[float, float]) -> list[float]:
