@@ -5,19 +5,26 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
+from sqlalchemy import select
 
+from kilter_core.twin import thesis_katana
+from kilter_service.contract.error_words import interval
 from kilter_service.contract.fits import Errors
+from kilter_service.db.tables import JobRow, RobotRow
 from kilter_service.health import store as health
-from kilter_service.page.shared.accuracy import interval
+from kilter_service.versions import store
+from kilter_service.versions.store import NewVersion
 
 from .conftest import opened
 from .made import Made, made
 
+COARSE = "coarse-arm"
 PRESET = {"convention": "preset", "preset": "katana450-chapter5"}
 
 
@@ -39,6 +46,22 @@ def server(there: Made) -> httpx.Client:
 def cards(client: httpx.Client) -> list[str]:
     text = client.get("/").text
     return [re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", part)) for part in text.split("<article")[1:]]
+
+
+def calibrated(there: Made, robot: str, mean_mm: float) -> None:
+    """Store and activate a version of a robot whose held-out errors are these."""
+    errors = {"mean_mm": mean_mm, "rms_mm": 1.1 * mean_mm, "p95_mm": 2 * mean_mm, "max_mm": 3 * mean_mm}
+    report: dict[str, Any] = {"parameters": [], "metrics": {"validation": {"n": 40, "identified": errors}}}
+    covariance = {"names": [], "matrix": [], "units": "SI", "inadequacy_m": 1e-5, "noise_m": 1e-5}
+    limits = {"max_joint_deg": 3.0, "max_position_mm": 20.0}
+    new = NewVersion(thesis_katana().truth.to_document(), report, covariance, [], limits, None, "test", robot)
+    with there.database.transaction() as session:
+        key = session.execute(select(RobotRow.id).where(RobotRow.name == robot)).scalar_one()
+        job = f"job_{robot:0>16}"
+        session.add(JobRow(id=job, kind="identify", robot_id=key, request={"kind": "identify"}, state="succeeded"))
+        session.flush()
+        version = store.add(session, key, job, new)
+    there.client.post(f"/v1/versions/{version}/activate", json={"force": True, "reason": "test"}).raise_for_status()
 
 
 def beat(there: Made, version: str | None, streams: bool = True) -> None:
@@ -76,6 +99,25 @@ def test_the_state_of_the_corrector_is_that_of_this_robot(there: Made) -> None:
     assert f"Stream line-1 last corrected with {there.poor}, not the active one" in cards(there.client)[1]
     beat(there, None, streams=False)
     assert "No controller has sent it setpoints of this robot" in cards(there.client)[1]
+
+
+def test_robots_are_compared_in_one_unit_that_of_the_largest(there: Made) -> None:
+    small, large = COARSE.replace("coarse", "fine"), COARSE
+    for name, mean in ((small, 0.02), (large, 3.0)):
+        there.client.post("/v1/robots", json={"name": name, **PRESET}).raise_for_status()
+        calibrated(there, name, mean)
+    try:
+        found = {name: card for card in cards(there.client) for name in (small, large) if name in card}
+        assert "3.00 mm mean error" in found[large]
+        assert "0.0200 mm mean error" in found[small]
+        assert all("µm" not in card for card in found.values())
+        # Alone, the small one has the unit of its own numbers, in its head and in the sentence of the answer.
+        assert "20.0 µm" in there.client.get(f"/robots/{small}").text
+        said = there.client.get(f"/v1/robots/{small}/today").json()["sentences"][0]
+        assert said.startswith("Mean error 20.0 µm ")
+    finally:
+        for name in (small, large):
+            there.client.post(f"/v1/robots/{name}/retire").raise_for_status()
 
 
 def test_the_interval_of_a_mean_error() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 
 import httpx
+import pytest
 
 FIRST_KB, WITH_3D_KB = 400, 700
 LINKED = re.compile(r'(?:src|href)="(/assets/[^"]+)"')
@@ -23,6 +25,30 @@ def whole(server: httpx.Client, path: str, seen: set[str]) -> int:
     linked = set(LINKED.findall(server.get(path).text)) - seen
     seen |= linked
     return sent(server, path) + sum(sent(server, asset) for asset in linked)
+
+
+def on_the_wire(server: httpx.Client, path: str, takes: str) -> tuple[bytes, httpx.Headers]:
+    with server.stream("GET", path, headers={"Accept-Encoding": takes}) as answer:
+        return b"".join(answer.iter_raw()), answer.headers
+
+
+@pytest.mark.parametrize("path", ["/", "/new-robot", "/jobs", "/robots/nobody"])
+def test_html_is_compressed_for_browsers_that_take_it(server: httpx.Client, path: str) -> None:
+    plain, told = on_the_wire(server, path, "identity")
+    assert "content-encoding" not in told
+    for refusal in ("gzip;q=0", "br"):
+        assert on_the_wire(server, path, refusal)[0] == plain
+    packed, told = on_the_wire(server, path, "br, gzip")
+    assert told["content-encoding"] == "gzip"
+    assert "accept-encoding" in told["vary"].lower()
+    assert int(told["content-length"]) == len(packed)
+    assert gzip.decompress(packed) == plain
+    assert len(packed) < 0.7 * len(plain)
+
+
+def test_the_size_of_a_compressed_page_is_not_that_of_its_text(server: httpx.Client) -> None:
+    """Whoever sees sizes on the wire cannot tell what a page repeats."""
+    assert len({len(on_the_wire(server, "/", "gzip")[0]) for _ in range(12)}) > 1
 
 
 def test_the_first_page_is_light(server: httpx.Client) -> None:

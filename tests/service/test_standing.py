@@ -58,7 +58,7 @@ def test_each_view_of_a_robot_says_how_it_stands(
     assert client.get("/robots/nobody/state").status_code == 404
 
 
-GOOD = Accuracy(True, 40, 0.05, 0.04, 0.06, 0.09, 0.1, 2.0, 1.0)
+GOOD = Accuracy(True, 40, 0.05, 0.04, 0.06, 0.09, 0.1, 2.0, 1.0, 0.09)
 
 
 @pytest.mark.parametrize(

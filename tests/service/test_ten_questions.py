@@ -153,7 +153,8 @@ def how_good_today(asked: Asked, kilter: Kilter, read: Callable[[], Any]) -> Non
     _show_status({"url": "", **kilter.health(), "today": kilter.robots.today(ROBOT)})
     printed = read().out
     assert all(one in printed for one in today["sentences"])
-    assert f"Mean error {mean:.3g} mm" in printed
+    # The sentence has the number and the unit of the large one on the page.
+    assert f"Mean error {large(asked.text(OVERVIEW))[0]} " in printed
     assert f"{mm(mean)}" in asked.words(f"/jobs/{asked.judged['id']}")
 
 

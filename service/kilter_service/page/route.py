@@ -15,6 +15,7 @@ from kilter_core.errors import CoreError
 from kilter_service.audit import refusals
 from kilter_service.db.failures import in_words
 from kilter_service.errors import PROBLEMS, ServiceError
+from kilter_service.page.packing import packed
 from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
 from kilter_service.routing import GuardedRoute
 
@@ -41,7 +42,7 @@ class PageRoute(GuardedRoute):
                 response = refused(request, in_words(error) or _failed(request))
             for name, value in HEADERS.items():
                 response.headers.setdefault(name, value)
-            return response
+            return packed(request, response)
 
         return handle
 

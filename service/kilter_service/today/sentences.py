@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
+from kilter_service.contract.error_words import said_of_error, widest
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.texts import plural
 
@@ -41,7 +42,8 @@ def _sentences(today: Today) -> Iterator[str]:
 def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
     assert newest.errors.identified is not None
     mean, aside = newest.errors.identified.mean_mm, left_out(newest.errors.left_out)
-    yield f"Mean error {mean:.3g} mm {newest.rows}{aside}: {where(newest)}."
+    said = said_of_error(mean, largest(newest, today.own))
+    yield f"Mean error {said} {newest.rows}{aside}: {where(newest)}."
     if today.compared:
         yield today.compared
     if newest.source == "fitted":
@@ -53,17 +55,34 @@ def rows(source: str, refit: Sequence[str]) -> str:
     return SOURCES[source] + (f", {' and '.join(refit)} fitted to them" if refit else "")
 
 
-def compared(robot: str, newest: ErrorsToday | None, own: ErrorsToday | None, larger_by_mm: float | None) -> str:
-    """Say whether the arm is worse than the version's own job said; empty where nothing else is known of it."""
+def largest(*errors: ErrorsToday | None) -> float:
+    """Return the largest of the errors that stand beside each other, mm: the unit of all is that of this one."""
+    known = [(one.errors.identified, one.errors.n) for one in errors if one is not None]
+    return max((widest(found, n) for found, n in known if found is not None), default=0.0)
+
+
+def compared(
+    robot: str,
+    newest: ErrorsToday | None,
+    own: ErrorsToday | None,
+    larger_by_mm: float | None,
+    largest_mm: float | None = None,
+) -> str:
+    """Say whether the arm is worse than the version's own job said; empty where nothing else is known of it.
+
+    ``largest_mm``: of other robots beside it, whose unit the numbers then have.
+    """
     if newest is None or own is None or own.errors.identified is None or own.job_id == newest.job_id:
         return ""
-    mean, day = own.errors.identified.mean_mm, f"{own.at:%Y-%m-%d}"
+    most = max(largest(newest, own), largest_mm or 0.0)
+    mean, day = said_of_error(own.errors.identified.mean_mm, most), f"{own.at:%Y-%m-%d}"
     if larger_by_mm is None:
-        return f"Its own job said {mean:.3g} mm ({day}); the difference is not more than chance explains."
+        return f"Its own job said {mean} ({day}); the difference is not more than chance explains."
     command = f"`kilter evaluate {robot} --campaign {newest.campaigns[0].id} --refit base`"
     anew = f" Where the instrument was set up anew, evaluate with `--refit base` first: {command}."
+    more = said_of_error(larger_by_mm, most)
     return (
-        f"That is {larger_by_mm:.3g} mm more than the {mean:.3g} mm its own job said ({day}), more than chance explains: "
+        f"That is {more} more than the {mean} its own job said ({day}), more than chance explains: "
         "the arm, or what it was measured with, has changed." + ("" if newest.refit else anew)
     )
 

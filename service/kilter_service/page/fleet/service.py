@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.robot_reports import RobotSummary
@@ -21,6 +22,7 @@ from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
 from kilter_service.today import service as today
+from kilter_service.today.sentences import compared
 from kilter_service.versions import service as versions
 
 ALARMS = ("moved", "cannot_tell", "creeping")
@@ -86,7 +88,22 @@ def cards(database: Database, settings: Settings) -> list[Card]:
         correcting = seen.of(robot.name, robot.active_version, robot.controller_compensation)
         jobs_open, drifted = open_jobs.get(robot.name, 0), checked.get(robot.name)
         made.append(Card(robot, version, now, accuracy, correcting, jobs_open, drifted))
-    return sorted(made, key=lambda card: card.rank)
+    return sorted(in_one_unit(made), key=lambda card: card.rank)
+
+
+def in_one_unit(made: Sequence[Card]) -> list[Card]:
+    """Return cards whose errors all have the unit of the largest: robots are compared by them."""
+    most = max((card.accuracy.widest for card in made if card.accuracy is not None), default=0.0)
+    out = []
+    for card in made:
+        if card.accuracy is None or card.today is None:
+            out.append(card)
+            continue
+        now = card.today
+        said = compared(now.robot, now.newest, now.own, now.larger_by_mm, most)
+        same = now.model_copy(update={"compared": said})
+        out.append(replace(card, accuracy=replace(card.accuracy, widest=most), today=same))
+    return out
 
 
 def found(made: list[Card], asked: Asked) -> Part[Card]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
+from kilter_service.contract.error_words import interval, widest
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
 from kilter_service.contract.today import UNUSED, Today
-
-QUANTILE = 1.96  # of the standard normal at 97.5 %
+from kilter_service.today.sentences import largest
 
 
 @dataclass(frozen=True)
@@ -27,6 +26,7 @@ class Accuracy:
     largest: float | None
     nominal: float | None
     registration: float | None
+    widest: float  # the largest of the errors that stand beside the mean: its unit is that of all
     place: float | None = None  # of the nominal error, what is where instrument, base and tool are
     left_out: int | None = None  # rows that the errors leave out
     unused: bool = False  # of rows that no fit used, and not of those that its own job held out
@@ -35,11 +35,6 @@ class Accuracy:
     def half(self) -> float | None:
         """Half the width of the interval, mm."""
         return None if self.low is None or self.high is None else (self.high - self.low) / 2
-
-    @property
-    def widest(self) -> float:
-        """The largest of the errors that stand beside the mean, mm: its unit is that of all."""
-        return max(one for one in (self.mean, self.low, self.high, self.p95) if one is not None)
 
     @property
     def without(self) -> float:
@@ -61,21 +56,12 @@ def accuracy_of(metrics: Metrics) -> Accuracy | None:
 
 
 def accuracy_today(today: Today) -> Accuracy | None:
-    """Read the newest errors of a robot; None when nothing is known."""
+    """Read the newest errors of a robot, in the unit of the sentences on them; None when nothing is known."""
     newest = today.newest
     if newest is None or newest.errors.identified is None:
         return None
     found = _read(newest.source != "fitted", newest.errors, newest.errors.identified)
-    return replace(found, unused=newest.source in UNUSED)
-
-
-def interval(found: Errors, n: int | None) -> tuple[float, float] | None:
-    """Return the 95 % interval of a mean error over ``n`` points; None where the spread is not known."""
-    if not n or n < 2 or found.rms_mm is None:
-        return None
-    variance = max(found.rms_mm**2 - found.mean_mm**2, 0.0) * n / (n - 1)
-    half = QUANTILE * math.sqrt(variance / n)
-    return max(found.mean_mm - half, 0.0), found.mean_mm + half
+    return replace(found, unused=newest.source in UNUSED, widest=largest(newest, today.own))
 
 
 def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
@@ -83,7 +69,7 @@ def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
     low, high = ends or (None, None)
     return Accuracy(
         held_out, block.n, found.mean_mm, low, high, found.p95_mm, found.max_mm, _mean(block.nominal),
-        _mean(block.registration_only), block.place_mm, block.left_out,
+        _mean(block.registration_only), widest(found, block.n), block.place_mm, block.left_out,
     )  # fmt: skip
 
 

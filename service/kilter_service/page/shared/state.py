@@ -8,7 +8,7 @@ from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.today import Today
 from kilter_service.page.shared.accuracy import Accuracy
 from kilter_service.page.shared.correcting import OFF, Correcting
-from kilter_service.page.words import mm
+from kilter_service.page.words import beside
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary
     if drift is not None and drift.state in ("moved", "cannot_tell"):
         return State("Has moved", "bad", _without_word(drift.sentence))
     if today.changed:
-        said = f"Its error is {mm(today.larger_by_mm)} larger than at the fit, more than chance explains."
+        more = beside(today.larger_by_mm, None if accuracy is None else accuracy.widest)
+        said = f"Its error is {more} larger than at the fit, more than chance explains."
         return State("Has changed", "bad", said)
     if drift is not None and drift.state == "creeping":
         return State("Drifting", "warn", _without_word(drift.sentence))
