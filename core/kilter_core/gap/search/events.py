@@ -142,7 +142,8 @@ def _profile(problem: LinearizedProblem, course: Course, B: Floats, others: Sequ
 
 def _before(each: Floats) -> Floats:
     """Sums over all before each place."""
-    return np.asarray(np.cumsum(each, axis=0) - each)
+    out = np.cumsum(each, axis=0)
+    return np.asarray(np.subtract(out, each, out=out))
 
 
 def events_of(source: Source) -> tuple[Effect, ...]:

@@ -8,12 +8,14 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from kilter_core.gap.search.recent import Recent
 from kilter_core.types import Floats, Ints
 
 T = TypeVar("T")
 
+SURELY = 0.5  # of the smallest eigenvalue that counts: what rounding may hide of a bound
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
 
 
@@ -51,23 +53,39 @@ class Gram:
         """Inner products (Q, Q) of the candidates, what is taken projected off."""
         if self.K is None:
             return self.whole
-        A = self.whole - self.K @ self.whole[list(self.taken)]
+        A = self.whole - self.K @ self._rows
         return np.asarray(0.5 * (A + A.T))
 
     def blocks(self, columns: Ints) -> Floats:
         """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
         out = self.whole[columns[:, :, None], columns[:, None, :]]
         if self.K is not None:
-            out = out - self.K[columns] @ self.whole[list(self.taken)][:, columns].transpose(1, 0, 2)
+            out = out - self.K[columns] @ self._rows[:, columns].transpose(1, 0, 2)
         return np.asarray(out)
+
+    def block(self, columns: Ints) -> Floats:
+        """The same of one set (d, d): sets of a hundred columns are asked for by the thousand."""
+        out = self.whole.take(columns, 0).take(columns, 1)
+        if self.K is not None:
+            out = out - self.K[columns] @ self._rows.take(columns, 1)
+        return np.asarray(out)
+
+    @cached_property
+    def _rows(self) -> Floats:
+        """Rows (t, Q) of what is taken."""
+        return np.asarray(self.whole[list(self.taken)])
 
     def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
 
+    def keeps(self, kind: Hashable, columns: Sequence[int]) -> bool:
+        """Whether :meth:`kept` has it."""
+        return (self.taken, kind, tuple(columns)) in self.cache
+
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
         """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
-        return self.kept("inverse", columns, lambda: _inverted(self.blocks(np.array([columns], dtype=np.int64))[0]))
+        return self.kept("inverse", columns, lambda: _inverted(self.block(np.array(columns, dtype=np.int64))))
 
     def solve(self, columns: Sequence[int]) -> Floats:
         """Least-squares coefficients of unit columns."""
@@ -100,6 +118,29 @@ class Gram:
 
 
 def _inverted(A: Floats) -> tuple[Floats, int]:
+    """Pseudo-inverse and rank of a matrix (d, d): by its eigenvalues only where one may be too small to count."""
+    root = triangular(A)
+    if root is not None:
+        return root.T @ root, len(A)
+    return by_eigenvalues(A)
+
+
+def by_eigenvalues(A: Floats) -> tuple[Floats, int]:
+    """Pseudo-inverse and rank of a matrix (d, d) by its eigenvalues, several times slower."""
     w, V = np.linalg.eigh(A)
     keep = w > VISIBLE
     return (V[:, keep] / w[keep]) @ V[:, keep].T, int(keep.sum())
+
+
+def triangular(A: Floats) -> Floats | None:
+    """Triangle T (d, d) with T'T the inverse of a matrix; None where an eigenvalue may be as small as :data:`VISIBLE`.
+
+    The trace of the inverse is the sum of the inverse eigenvalues, so no eigenvalue is below its own inverse.
+    """
+    if not A.size:
+        return None
+    factor, fault = dpotrf(A, lower=1, clean=1)
+    if fault:
+        return None
+    root, fault = dtrtri(factor, lower=1)
+    return None if fault or not float(np.sum(root**2)) < SURELY / VISIBLE else np.asarray(root)

@@ -21,6 +21,9 @@ class Recent:
         self.most, self.bytes = most, 0
         self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
 
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._kept
+
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what ``make`` gives, made again only where it was forgotten."""
         found = self._kept.get(key)

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.gram import VISIBLE, Gram
+from kilter_core.gap.search.gram import SURELY, VISIBLE, Gram, triangular
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.projection import Projection
 from kilter_core.gap.search.tails import tail
@@ -29,6 +29,8 @@ CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
 _NUMBERS = itertools.count()
+FEW = 0.5  # share of the candidates of a size from which all are looked at, and kept for the next who asks
+WIDE = 4  # columns of a candidate from which a triangle is faster than eigenvalues of many candidates at once
 AT_A_TIME = 100  # flips of signs: all of thousands of poses fill the memory
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
@@ -99,13 +101,13 @@ class Scorer:
         return np.array([c.empirical for c in self.candidates], dtype=bool)
 
     def reductions(self, gram: Gram, data: Floats, among: Bools | None = None) -> tuple[Floats, Ints]:
-        """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,); zero of sizes of which none is ``among`` them."""
+        """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,); zero at will where not ``among`` them."""
         S = np.zeros((len(data), len(self.candidates)))
         d = np.zeros(len(self.candidates), dtype=np.int64)
         for n, block in enumerate(self.blocks):
             if among is not None and not among[block.place].any():
                 continue
-            half, degrees = self._halves(gram, n)
+            half, degrees, block = self._halves(gram, n, among)
             z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
             taken = np.sum(z**2, axis=2).T
             if block.one_sided.any():
@@ -114,10 +116,17 @@ class Scorer:
             S[:, block.place], d[block.place] = taken, degrees
         return S, d
 
-    def _halves(self, gram: Gram, n: int) -> tuple[Floats, Ints]:
-        """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, and its rank (K,)."""
-        columns = self.blocks[n].columns
-        return gram.kept(("halves", self.number, n), (), lambda: _rooted(gram.blocks(columns)))
+    def _halves(self, gram: Gram, n: int, among: Bools | None) -> tuple[Floats, Ints, Block]:
+        """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, its rank (K,), and the block.
+
+        Where few are ``among`` them, and all were not asked for yet, the block of these alone.
+        """
+        block, kind = self.blocks[n], ("halves", self.number, n)
+        wanted = None if among is None else among[block.place]
+        if wanted is not None and wanted.sum() <= FEW * len(wanted) and not gram.keeps(kind, ()):
+            few = Block(block.place[wanted], block.columns[wanted], block.one_sided[wanted])
+            return *_rooted(gram.blocks(few.columns)), few
+        return *gram.kept(kind, (), lambda: _rooted(gram.blocks(block.columns))), block
 
     def new_columns(self, beside: Sequence[int]) -> Ints:
         """How many columns each candidate (K,) adds to some."""
@@ -136,8 +145,11 @@ class Scorer:
         return float(self.scores(gram, among).p[place])
 
     def scores(self, gram: Gram, among: Bools | None = None) -> Scores:
-        """Scores of the data themselves, of all candidates or of those sizes that are ``among`` them."""
-        S, d = self.reductions(gram, gram.c[None], among)
+        """Scores of the data themselves, of all candidates or of those that are ``among`` them."""
+        return self.scores_of(gram, *self.reductions(gram, gram.c[None], among))
+
+    def scores_of(self, gram: Gram, S: Floats, d: Ints) -> Scores:
+        """The same of what :meth:`reductions` (1, K) has found."""
         T = self.scaled(S, d, np.array([gram.yy]), gram.nu, np.ones(1))[0]
         return Scores(S[0], d, T, self.tail(T[None], d, gram.nu)[0])
 
@@ -236,11 +248,21 @@ class Null:
 
 
 def _rooted(A: Floats) -> tuple[Floats, Ints]:
-    """Roots (K, d, d) of the pseudo-inverses of matrices (K, d, d), and their ranks (K,)."""
-    w, V = (A[:, :, 0], np.ones_like(A)) if A.shape[1] == 1 else np.linalg.eigh(A)
+    """Roots (K, d, d) of the pseudo-inverses of matrices (K, d, d), and their ranks (K,), as :meth:`Gram.inverse` has them."""
+    count, d = A.shape[:2]
+    root, degrees = np.zeros_like(A), np.full(count, d)
+    sure = np.zeros(count, dtype=bool)
+    if d >= WIDE:
+        # An eigenvalue is no larger than the least of the diagonal: many candidates share columns with what is taken.
+        for k in np.flatnonzero(np.diagonal(A, axis1=1, axis2=2).min(axis=1) > VISIBLE / SURELY):
+            found = triangular(A[k])
+            if found is not None:
+                root[k], sure[k] = found.T, True
+    w, V = (A[:, :, 0], np.ones_like(A)) if d == 1 else np.linalg.eigh(A[~sure])
     keep = w > VISIBLE
-    root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
-    return V * root[:, None, :], keep.sum(axis=1)
+    by = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
+    root[~sure], degrees[~sure] = V * by[:, None, :], keep.sum(axis=1)
+    return root, degrees
 
 
 def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:

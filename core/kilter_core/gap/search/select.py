@@ -360,7 +360,7 @@ class Selector(CandidateSets):
         without = self.criterion(gram, rest, variance)
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # no tail needs to be computed
             return None, -np.inf
-        able &= self.scorer.scores(given, among).p < critical
+        able &= self.scorer.scores_of(given, reductions, d).p < critical
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # its signs need not be looked at
             return None, -np.inf
         k, worth = self._first(gram, rest, np.asarray(value), able)

@@ -1,0 +1,81 @@
+"""Inverses of candidates' own blocks: those of numpy's pseudo-inverse, by whichever way they are made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kilter_core.gap.search.gram import VISIBLE, Gram, triangular
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.types import Floats
+from tests.core.gap.test_reach import world
+
+
+def with_eigenvalues(values: Floats, seed: int = 0) -> Floats:
+    """A symmetric matrix with these eigenvalues, in random directions."""
+    Q = np.linalg.qr(np.random.default_rng(seed).standard_normal((len(values), len(values))))[0]
+    A = (Q * values) @ Q.T
+    return 0.5 * (A + A.T)
+
+
+def gram_of(A: Floats) -> Gram:
+    return Gram(A, np.arange(1.0, len(A) + 1.0), 1.0, 100.0)
+
+
+@pytest.mark.parametrize("smallest", [1e-2, 1e-4, 1e-5])
+def test_an_inverse_is_that_of_a_pseudo_inverse(smallest: float) -> None:
+    A = with_eigenvalues(np.r_[smallest, np.linspace(0.1, 3.0, 30)])
+    inverse, rank = gram_of(A).inverse(range(31))
+    assert triangular(A) is not None
+    assert rank == 31
+    assert np.allclose(inverse, np.linalg.pinv(A, rcond=1e-12, hermitian=True), rtol=0.0, atol=1e-9 / smallest)
+
+
+@pytest.mark.parametrize(("smallest", "rank"), [(1.5 * VISIBLE, 31), (0.5 * VISIBLE, 30), (0.0, 30), (-1e-12, 30)])
+def test_a_direction_at_the_limit_is_judged_by_its_eigenvalue(smallest: float, rank: int) -> None:
+    A = with_eigenvalues(np.r_[smallest, np.linspace(0.1, 3.0, 30)])
+    assert triangular(A) is None
+    assert gram_of(A).inverse(range(31))[1] == rank
+
+
+def test_no_columns_have_no_inverse() -> None:
+    inverse, rank = gram_of(np.eye(3)).inverse(())
+    assert (inverse.shape, rank) == ((0, 0), 0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_candidates_asked_for_alone_take_what_they_take_among_all(seed: int) -> None:
+    gram, selector = world(seed)
+    scorer: Scorer = selector.scorer
+    rng = np.random.default_rng(seed)
+    for taken in ((), (3, 9), (0, 14, 20)):
+        given = gram.given(taken)
+        for _ in range(4):
+            among = rng.random(len(scorer.candidates)) < 0.3
+            few = scorer.reductions(given.with_data(given.c, given.yy), given.c[None], among)
+            every = Gram(gram.whole, gram.c, gram.yy, gram.nu).given(taken)
+            S, d = scorer.reductions(every, every.c[None])
+            assert np.array_equal(few[0][:, among], S[:, among])
+            assert np.array_equal(few[1][among], d[among])
+
+
+@pytest.mark.parametrize("taken", [(), (3, 9), (0, 14, 20)])
+def test_candidates_take_what_least_squares_says(taken: tuple[int, ...]) -> None:
+    """Projections of numpy's own least squares, of candidates independent of what is taken and of others."""
+    rng = np.random.default_rng(5)
+    W, y = rng.standard_normal((120, 24)), 5.0 * rng.standard_normal(120)
+    W[:, 21] = W[:, 4]
+    selector = world(1)[1]
+    given = Gram(W.T @ W, W.T @ y, float(y @ y), 120.0).given(taken)
+    S, d = selector.scorer.reductions(given, given.c[None])
+
+    def left(columns: list[int]) -> float:
+        X = W[:, columns]
+        return float(np.sum((y - X @ np.linalg.lstsq(X, y, rcond=1e-6)[0]) ** 2)) if columns else float(y @ y)
+
+    for k, candidate in enumerate(selector.scorer.candidates):
+        both = sorted({*taken, *candidate.columns})
+        ranks = [np.linalg.matrix_rank(W[:, c], tol=1e-6) if c else 0 for c in (both, list(taken))]
+        assert d[k] == ranks[0] - ranks[1]
+        signed = selector.scorer.one_sided[k] and S[0, k] == 0.0  # against its known sign it takes nothing
+        assert signed or S[0, k] == pytest.approx(left(list(taken)) - left(both), abs=1e-8)
