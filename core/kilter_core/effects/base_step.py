@@ -8,7 +8,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import BASE, TWIST, Batch, Derivative, Local, linear
+from kilter_core.effects.base import BASE, TWIST, Derivative, Local, linear
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import STATION
 from kilter_core.effects.step import Step
 from kilter_core.parameters import Parameter

@@ -10,7 +10,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import SOFTENING, Batch, Derivative, Effect, Local, option, soft_sign, width_of
+from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, option, soft_sign, width_of
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_TILT, Separator
 from kilter_core.errors import OptionError
 from kilter_core.parameters import Parameter

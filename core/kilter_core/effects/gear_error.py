@@ -10,7 +10,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.base import Effect, Local, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations

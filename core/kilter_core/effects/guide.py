@@ -10,7 +10,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import TWIST, Batch, Derivative, Local, linear
+from kilter_core.effects.base import TWIST, Derivative, Local, linear
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.over_range import OverRange
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats

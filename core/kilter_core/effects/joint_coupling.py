@@ -7,7 +7,8 @@ from typing import Self
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import Derivative, Effect, Local, linear, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_FOLLOWS, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations

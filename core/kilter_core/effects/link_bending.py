@@ -11,7 +11,8 @@ import numpy as np
 from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import Derivative, Effect, Local, linear, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import LINK_SAG, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations

@@ -10,7 +10,8 @@ import numpy as np
 from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, weighed
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Link, Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.base import Effect, Local, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import LOADS
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter

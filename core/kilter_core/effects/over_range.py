@@ -10,7 +10,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import Batch, Effect, option
+from kilter_core.effects.base import Effect, option
+from kilter_core.effects.batch import Batch
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.types import Floats

@@ -10,7 +10,8 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations

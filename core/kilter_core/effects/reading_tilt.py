@@ -8,7 +8,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Batch, Effect, Local
+from kilter_core.effects.base import Effect, Local
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear
+from kilter_core.effects.base import Derivative, Effect, Local, linear
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import DELAY
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats

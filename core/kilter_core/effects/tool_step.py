@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import TOOL, Batch, Derivative, Local, linear
+from kilter_core.effects.base import TOOL, Derivative, Local, linear
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import TOOL_SHIFT
 from kilter_core.effects.step import Step
 from kilter_core.parameters import Parameter

@@ -9,7 +9,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import Batch, Local
+from kilter_core.effects.base import Local
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.over_range import OverRange
 from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.parameters import Parameter

@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import Batch, Effect, Local, option
+from kilter_core.effects.base import Effect, Local, option
+from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_ZERO, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations

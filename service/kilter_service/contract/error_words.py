@@ -23,7 +23,7 @@ def interval(found: Errors, n: int | None) -> tuple[float, float] | None:
 def widest(found: Errors, n: int | None) -> float:
     """Return the largest of a mean error, the ends of its interval and its 95 % quantile, mm: its unit is that of all."""
     beside = (found.mean_mm, found.p95_mm, *(interval(found, n) or ()))
-    return max(one for one in beside if one is not None)
+    return float(max(one for one in beside if one is not None))
 
 
 def said_of_error(value_mm: float, largest_mm: float) -> str:

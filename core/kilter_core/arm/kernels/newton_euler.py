@@ -129,15 +129,13 @@ def load_wrenches(
     elements = axis.shape[0]
     n = primary.shape[0]
     moving = qd.shape[0] > 0
-    R = np.empty((3, 3))
-    p, z, r, f, t, flange = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    R, p, z, r = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    f, t, flange = np.empty(3), np.empty(3), np.empty(3)
     w, dw, acc, J3 = np.zeros(3), np.zeros(3), np.zeros(3), np.empty((3, 3))
-    scratch = np.empty((4, 3))
-    forces, moments = np.empty((elements + 1, 3)), np.empty((elements + 1, 3))
+    scratch, forces, moments = np.empty((4, 3)), np.empty((elements + 1, 3)), np.empty((elements + 1, 3))
     frames, origins, starts = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     links, behind, step_R, step_p = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-    tool_R = np.ascontiguousarray(tool[:3, :3])
-    tool_p = np.ascontiguousarray(tool[:3, 3])
+    tool_R, tool_p = np.ascontiguousarray(tool[:3, :3]), np.ascontiguousarray(tool[:3, 3])
     for row in range(q.shape[0]):
         forces[:] = 0.0
         moments[:] = 0.0

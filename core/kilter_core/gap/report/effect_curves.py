@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.effects.base import NOT_OF_ROWS
+from kilter_core.effects.batch import NOT_OF_ROWS
 from kilter_core.gap.evidence.final_fit import Amounts, amounts_of, widening
 from kilter_core.gap.evidence.intervals import interval_width
 from kilter_core.gap.evidence.verdict import Judged
