@@ -989,7 +989,7 @@ static void bending_rows(rows P, matrix W, int n, int m, int oj)
 }
 
 /* What every joint adds to its command, and the twist behind it,
- * at the loads and signs now in W. Not sided: with every play and clearance in its middle. */
+ * at the loads and signs now in W. Not sided: with every backlash and clearance in its middle. */
 static void deflections(rows P, matrix W, int n, int m, int oj, bool sided)
 {
     for (int i = 0; i < n; i++) {
@@ -1566,8 +1566,8 @@ static double command(matrix W, int n, int oj, int og, double share)
     return largest;
 }
 
-/* Load moments at the frames now in W, then where these loads leave the arm with plays and clearances in their middle.
- * */
+/* Load moments at the frames now in W, then where these loads leave the arm with backlash and clearance in their
+ * middle. */
 static void loads_where_it_hangs(rows P, matrix W, int S, int n, int m, int oj, bool dynamic)
 {
     load_moments(P, W, S, m, oj, dynamic, 0);

@@ -146,7 +146,7 @@ def test_moments_and_poses_equal_pinocchio(
         work[m + 1 : m + 1 + n, layout.SPEED_NOW], work[m + 1 : m + 1 + n, layout.ACCEL_NOW] = qd, qdd
         inverse.prepare(program.array, work, n, m, m + 1)
         tool = np.array(chain.load_frames(program.array, work, 0, m, m + 1))
-        newton_euler.load_moments(program.array, work, len(program.array) - 1, m, m + 1, dynamic)
+        newton_euler.load_moments(program.array, work, len(program.array) - 1, m, m + 1, dynamic, 0)
         tau = pin.rnea(model, state, q, qd if dynamic else zeros, qdd if dynamic else zeros)
         pin.framesForwardKinematics(model, state, q)
         # The load is what the links do to the joint: minus the torque that holds them.

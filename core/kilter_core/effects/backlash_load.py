@@ -16,6 +16,10 @@ from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
+PRIOR_SIGMA = (
+    "Standard deviation of the prior of half the backlash, rad (of a prismatic joint per 0.1 m). Where the load keeps its sign "
+    "the prior decides between backlash and the joint's zero: say 0.017 for hobby servos."
+)
 NO_MOMENT_NM = 1e-9  # below this the sign would be that of rounding noise
 
 
@@ -39,10 +43,11 @@ class BacklashLoad(Effect):
     remedy = "measure poses where the load on the joint has both signs, or the same poses with another payload"
 
     softening_nm: float | tuple[float, ...] = option(0.0, SOFTENING, low=0.0)
+    prior_sigma_rad: float = option(math.radians(0.1), PRIOR_SIGMA, low=1e-6, high=0.035)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Backlash b per joint, rad."""
-        return self.per_joint(robot, "backlash_load", "rad", math.radians(0.1), 0.0, math.radians(1.0), "backlash b")
+        return self.per_joint(robot, "backlash_load", "rad", self.prior_sigma_rad, 0.0, math.radians(1.0), "backlash b")
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by b."""

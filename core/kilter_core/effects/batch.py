@@ -29,7 +29,7 @@ class Batch(Conditions):
     first moment along each tool axis; it comes with ``payload_kg``. ``slopes`` say how the loads follow errors of the
     masses, where the model has such errors. ``blur (n, 2)`` N·m is how uncertain the load across and about each joint is
     where it changes its sign: a sign is then read as its expectation. ``centre_wrench`` and ``centre_axial`` are the loads
-    of the arm with every play and clearance in its middle, where those of the arm with its sides differ: what has a side
+    of the arm with every backlash and clearance in its middle, where those of the arm with its sides differ: what has a side
     takes it by ``sided_moment`` and ``sided_axial``, so that a sign near zero cannot change itself.
 
     An effect declares what it reads in ``needs``: the loads as "moments", measured columns by name. ``q``,
@@ -85,12 +85,12 @@ class Batch(Conditions):
 
     @property
     def sided_moment(self) -> Floats:
-        """As ``moment``, with plays and clearances in their middle."""
+        """As ``moment``, with backlash and clearance in their middle."""
         return self.moment if self.centre_wrench is None else self.centre_wrench[:, :, 3:]
 
     @property
     def sided_axial(self) -> Floats:
-        """As ``axial``, with plays and clearances in their middle."""
+        """As ``axial``, with backlash and clearance in their middle."""
         return self.axial if self.centre_axial is None else self.centre_axial
 
     def sided(self, name: str) -> Floats:

@@ -122,18 +122,18 @@ class RobotModel:
         """The rows with the loads of the arm where the effects of the load chain leave it.
 
         Each round leaves what the sag of the one before is off times the part of its load that a lever changes by it: after
-        three, of joints that give way by 2 deg, less than a tenth of a micrometre. Sides are taken by the loads of the
-        arm with plays and clearances in their middle, and stand still while it settles with them.
+        three, of joints that sag by 2 deg, less than a tenth of a micrometre. Sides are taken by the loads of the
+        arm with backlash and clearance in their middle, and stand still while it settles with them.
         """
         smooth, sided = (self._held_values(sides) for sides in (False, True))
         centre = self._batch_at(o)
         for _ in range(HANGING_ROUNDS):
-            centre = self._batch_at(o, self._given_way(centre, smooth))
+            centre = self._batch_at(o, self._deflected(centre, smooth))
         if not np.any(sided):
             return centre
-        sides, whole = self._given_way(centre, sided), centre
+        sides, whole = self._deflected(centre, sided), centre
         for _ in range(SIDED_ROUNDS):
-            whole = self._batch_at(o, self._given_way(whole, smooth) + sides)
+            whole = self._batch_at(o, self._deflected(whole, smooth) + sides)
         return replace(whole, centre_wrench=centre.wrench, centre_axial=centre.axial)
 
     def _held_values(self, sided: bool) -> Floats:
@@ -146,7 +146,7 @@ class RobotModel:
                 values[at] = [held.get(name, 0.0) for name in self.names[at]]
         return values
 
-    def _given_way(self, batch: Batch, values: Floats) -> Deflection:
+    def _deflected(self, batch: Batch, values: Floats) -> Deflection:
         total, _ = self._local(batch, values)
         return Deflection(total.dq, total.xi[:, : self.robot.n_joints])
 
@@ -280,19 +280,21 @@ class RobotModel:
         """Return the same model with its loads on the chain, under the tool, where the arm hangs as ``values (P,)`` say."""
         n = self.n_geometric
         T_tool = self.T_tool @ increment(values[n - 6 : n])
-        return replace(self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool, self._giving(values)))
+        return replace(
+            self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool, self._deflecting(values))
+        )
 
     def hanging_as(self, values: Floats) -> RobotModel:
-        """Return the same model with what gives way as ``values (P,)`` say, where loads are taken where the arm hangs.
+        """Return the same model with the deflections of ``values (P,)``, where its loads are taken where the arm hangs.
 
-        A fit holds both still; what it found is what the corrector lets give way.
+        A fit holds both still; what it found is what the corrector deflects by.
         """
         if self.load_chain is None or self.load_chain.effects is None:
             return self
-        return replace(self, load_chain=replace(self.load_chain, effects=self._giving(values)))
+        return replace(self, load_chain=replace(self.load_chain, effects=self._deflecting(values)))
 
-    def _giving(self, values: Floats) -> dict[str, float] | None:
-        """Values by name of the effects that have any; None without one that follows loads: then nothing gives way."""
+    def _deflecting(self, values: Floats) -> dict[str, float] | None:
+        """Values by name of the effects that have any; None without one that follows loads: then nothing deflects."""
         live = [(effect, at) for effect, at in self._reader if effect.stage != "measurement" and np.any(values[at])]
         if not any("moments" in effect.needs for effect, _ in live):
             return None

@@ -43,6 +43,10 @@ class BacklashLoadEffect(_AtJoints):
         0.0,
         description="Half-width over which the sign of the load changes, N m, 0 or more; one for all joints, or one for each.",
     )
+    prior_sigma_rad: Annotated[float, unit("rad", ge=1e-06, le=0.035)] = Field(
+        0.0017453292519943296,
+        description="Standard deviation of the prior of half the backlash, rad (of a prismatic joint per 0.1 m). Where the load keeps its sign the prior decides between backlash and the joint's zero: say 0.017 for hobby servos.",
+    )
 
 
 class AxialComplianceEffect(_AtJoints):

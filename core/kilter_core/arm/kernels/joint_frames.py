@@ -38,7 +38,7 @@ def mark_frames(primary, joint_frame, e, R, p, frames, origins):
 
 
 @compiled(**UNCOUNTED)
-def give_way(slot, row, e, xi, R, p, step_R, step_p, scratch):
+def add_twist(slot, row, e, xi, R, p, step_R, step_p, scratch):
     """Apply the twist behind element e of a row, if it has one, to the frame (R, p); ``slot (E,)`` says which of ``xi``."""
     s = slot[e]
     if s >= 0 and xi.shape[0] > 0:

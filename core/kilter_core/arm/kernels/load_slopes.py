@@ -6,7 +6,7 @@ import numpy as np
 
 from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, move, right_multiply, set_frame
-from kilter_core.arm.kernels.joint_frames import give_way, mark_frames, mark_starts, next_joint
+from kilter_core.arm.kernels.joint_frames import add_twist, mark_frames, mark_starts, next_joint
 
 JOINT, LINK_END, BASE = 0, 1, 2  # of which point loads are asked
 
@@ -50,7 +50,7 @@ def load_slopes(
             c, s = amount_of(axis[e], amount)
             move(axis[e], c, s, R, p)
             mark_frames(primary, joint_frame, e, R, p, all_frames, origins)
-            give_way(slot, row, e, xi, R, p, step_R, step_p, J3)
+            add_twist(slot, row, e, xi, R, p, step_R, step_p, J3)
             mark_frames(primary, joint_frame, e, R, p, links, behind)
             for b in range(bodies):
                 if body_element[b] == e:

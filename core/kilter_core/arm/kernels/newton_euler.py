@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, in_frame, move, right_multiply, rotate
-from kilter_core.arm.kernels.joint_frames import give_way, mark_frames, mark_starts, next_joint
+from kilter_core.arm.kernels.joint_frames import add_twist, mark_frames, mark_starts, next_joint
 
 
 @compiled(**UNCOUNTED)
@@ -149,7 +149,7 @@ def load_wrenches(
             _advance(axis[e], amount, speed, rate, moving, R, p, w, dw, acc, z, r, t)
             mark_frames(primary, joint_frame, e, R, p, frames, origins)
             r[:] = p
-            give_way(slot, row, e, xi, R, p, step_R, step_p, J3)
+            add_twist(slot, row, e, xi, R, p, step_R, step_p, J3)
             mark_frames(primary, joint_frame, e, R, p, links, behind)
             if moving:
                 for i in range(3):

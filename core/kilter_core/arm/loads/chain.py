@@ -28,7 +28,7 @@ class LoadChain:
     What a fitted base takes up of the first joint's zero rotates no load about a vertical first axis; of an arm on a wall it
     stays out of the loads.
 
-    ``effects`` are the parameters of effects by name at which the arm gives way: an arm that sags carries its weights at
+    ``effects`` are the parameters of effects by name at which the arm deflects: an arm that sags carries its weights at
     other levers, an error of its sag that grows with the square of it. Without them loads are taken at the joint readings.
     What tilts the base as a whole is left out of it: gravity stays as the robot states it.
     """
@@ -54,7 +54,7 @@ class LoadChain:
         return replace(robot, chain=Chain(tuple(elements), robot.n_joints), T_tool=self.T_tool)
 
     def to_document(self, robot: Robot) -> dict[str, Any]:
-        """JSON-able state, SI: constants by name, tool frame, and by name what gives way where anything does."""
+        """JSON-able state, SI: constants by name, tool frame, and by name what deflects where anything does."""
         document = {
             "values": dict(zip(_names(robot), self.values.tolist(), strict=True)), "T_tool": self.T_tool.tolist(),
         }  # fmt: skip
@@ -74,7 +74,7 @@ class LoadChain:
         values = np.array([elements[k].value for k in robot.chain.named], dtype=np.float64)
         stored = document["values"]
         values[indices(_names(robot), stored)] = list(stored.values())
-        effects = document.get("effects")  # versions of before have none: their loads are at the readings
+        effects = document.get("effects")  # earlier versions have none: their loads are at the readings
         return LoadChain(values, np.array(document["T_tool"], dtype=np.float64), effects)
 
 

@@ -1,4 +1,4 @@
-"""How far joints and links have given way where loads are taken: a sagging arm carries its weights at other levers."""
+"""How far joints and links are deflected where loads are taken: a sagging arm carries its weights at other levers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from kilter_core.arm.chain import Chain
 from kilter_core.types import Floats, Ints
 
-# Rounds of loads where the arm hangs, after those at the readings, in predictions and in the corrector alike: with plays and
-# clearances in their middle, and then on their sides.
+# Rounds of loads where the arm hangs, after those at the readings, in predictions and in the corrector alike: with backlash and
+# clearance in their middle, and then on their sides.
 HANGING_ROUNDS, SIDED_ROUNDS = 3, 2
 
 
@@ -31,7 +31,7 @@ class Deflection:
 
     @staticmethod
     def none(rows: int, joints: int) -> Deflection:
-        """Of an arm that gives way nowhere."""
+        """Of a rigid arm."""
         return Deflection(np.zeros((rows, joints)), np.zeros((0, joints, 6)))
 
     def select(self, rows: slice) -> Deflection:

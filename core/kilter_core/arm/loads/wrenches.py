@@ -68,7 +68,7 @@ def joint_loads(
         link_mass: masses (N, n, 4) that hang on the links beyond their own, kg and place m in the frame of the link; they
             weigh, whatever the arm's motion does to them is left out.
         link_wrench: force and moment (N, n, 6) on the links, about the origins and in the axes of their frames.
-        deflection: how far the arm has given way; None takes the loads at the joint readings.
+        deflection: how far the arm is deflected; None takes the loads at the joint readings.
 
     Source: thesis eq. 4.21 and 5.14, corrected (forces rotated into one frame, load sign).
 

@@ -253,7 +253,7 @@ def _bending_rows(P, W, n, m, oj):
 def deflections(P, W, n, m, oj, sided):
     """What every joint adds to its command, and the twist behind it, at the loads and signs now in W.
 
-    Not ``sided``: with every play and clearance in its middle.
+    Not ``sided``: with every backlash and clearance in its middle.
     """
     for i in range(n):
         j = oj + i

@@ -120,7 +120,7 @@ def _command(W, n, oj, og, share):
 
 @compiled(**FAST)
 def _loads_where_it_hangs(P, W, S, n, m, oj, dynamic):
-    """Load moments at the frames now in W, then where these loads leave the arm with plays and clearances in their middle."""
+    """Load moments at the frames now in W, then where these loads leave the arm with backlash and clearance in their middle."""
     load_moments(P, W, S, m, oj, dynamic, 0)
     for _ in range(int(P[S, HANGING])):
         deflections(P, W, n, m, oj, False)

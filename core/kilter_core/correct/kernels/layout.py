@@ -43,7 +43,7 @@ BASE_FRAME, FIRST_MOVE, MOUNT_X, MOUNT_Y, FIXED_MOMENT_X, FIXED_MOMENT_Y = 0, 12
 GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER = 0, 3, 10, 16, 17, 18, 19, 20, 21
 HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BENDINGS, MOUNT, LOAD_CHAIN = 22, 23, 24, 25, 26, 27, 28, 29, 30, 31
 FIRST, LEVERAGE, TURNED, SATURATES, ROUNDS = 32, 33, 34, 35, 36
-# Rounds of loads where the arm hangs, after those at the command: with plays and clearances in their middle, and then on
+# Rounds of loads where the arm hangs, after those at the command: with backlash and clearance in their middle, and then on
 # their sides. 0: at the command alone.
 HANGING, HANGING_SIDED = 37, 38
 # scratch of a move: frame of the load chain, identified joint line, sine, cosine wanted, load of its body (M: payload)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,8 @@ from kilter_client.errors import NotFoundError, UsageError
 from kilter_files import prepare
 
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
+# Likely size of half a servo's backlash: with the prior of an industrial gear that of a worn one went into the joint's zero.
+BACKLASH_RAD = math.radians(1.0)
 HELD_OUT = 0.25
 REACH_M = 0.3  # where no reach is known
 SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos correct nothing by themselves
@@ -101,7 +104,7 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
     loaded = list(range(2, len(arm["joints"])))  # the first is vertical, the last carries no moment about itself
     effects = [
         {"id": "axial_compliance", "joints": loaded},
-        {"id": "backlash_load", "joints": loaded, "softening_nm": 0.02},
+        {"id": "backlash_load", "joints": loaded, "softening_nm": 0.02, "prior_sigma_rad": BACKLASH_RAD},
     ]
     options = {"effects": effects, "masses": "as_stated", "limits": LIMITS}
     job = kilter.jobs.submit("identify", arm["name"], list(campaigns), HELD_OUT, options)

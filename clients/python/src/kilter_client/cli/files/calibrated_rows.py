@@ -29,9 +29,7 @@ def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
 
     """
     check_numpy()
-    from kilter_files.formats.lerobot.calibration import read_calibration, servo_of
-
-    found = read_calibration(calibration)
+    found = files_calibration.read_calibration(calibration)
     if found.of_a_leader:
         raise FileError(
             f"{calibration}: is of a leader, the kit measures the follower. Give the calibration of the follower, in "
@@ -39,7 +37,7 @@ def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
             file=str(calibration),
         )
     for joint in joints:
-        servo_of(found, joint)
+        files_calibration.servo_of(found, joint)
 
 
 def servo_conditions(calibration: Path | None) -> dict[str, Any]:
