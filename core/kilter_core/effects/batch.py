@@ -57,15 +57,12 @@ class Batch(Conditions):
         assert self.slopes is not None
         loads: dict[str, Any] = {}
         for name, parts in (ALL_LOADS if reads is None else reads).items():
-            loads[name] = getattr(self, name).copy()
+            own = self._held(name)
+            loads |= {k: getattr(self, k).copy() for k in own}
             for part, moved in zip(parts, self.slopes.changes(name, parts, change), strict=True):
-                here = loads[name] if name == "axial" else loads[name][..., part]
-                here += moved
-                centre = CENTRES.get(name, "")
-                if getattr(self, centre, None) is not None:
-                    own = loads.setdefault(centre, getattr(self, centre).copy())
-                    own = own if name == "axial" else own[..., part]
-                    own += moved
+                for k in own:
+                    here = loads[k] if name == "axial" else loads[k][..., part]
+                    here += moved
         return replace(self, **loads)
 
     def part(self, rows: slice) -> Batch:
@@ -86,23 +83,26 @@ class Batch(Conditions):
     @property
     def sided_moment(self) -> Floats:
         """As ``moment``, with backlash and clearance in their middle."""
-        return self.moment if self.centre_wrench is None else self.centre_wrench[:, :, 3:]
+        return self.sided("wrench")[:, :, 3:]
 
     @property
     def sided_axial(self) -> Floats:
         """As ``axial``, with backlash and clearance in their middle."""
-        return self.axial if self.centre_axial is None else self.centre_axial
+        return self.sided("axial")
+
+    def _held(self, name: str) -> tuple[str, ...]:
+        """The load of this name, and last that by which sides are taken where it is another."""
+        centre = CENTRES.get(name, "")
+        return (name,) if getattr(self, centre, None) is None else (name, centre)
 
     def sided(self, name: str) -> Floats:
         """The load of this name by which sides are taken."""
-        centre: Floats | None = getattr(self, CENTRES.get(name, ""), None)
-        own: Floats = getattr(self, name)
-        return own if centre is None else centre
+        found: Floats = getattr(self, self._held(name)[-1])
+        return found
 
     def stepped(self, name: str, step: Floats) -> Batch:
         """The same rows with ``step`` added to the load of this name, whoever reads it."""
-        own = [name, *([CENTRES[name]] if getattr(self, CENTRES.get(name, ""), None) is not None else [])]
-        loads: dict[str, Any] = {k: getattr(self, k) + step for k in own}
+        loads: dict[str, Any] = {k: getattr(self, k) + step for k in self._held(name)}
         return replace(self, **loads)
 
     def __len__(self) -> int:
