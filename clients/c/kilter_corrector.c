@@ -261,6 +261,23 @@ static tuple12 wanted_tool(rows P, matrix W, int m, int oj, bool lines)
     return product(T, constant(P, m, NOMINAL));
 }
 
+/* Write the frame T to W[k, c:c + 12]. */
+static void put_frame(matrix W, int k, int c, tuple12 T)
+{
+    W[k][c] = T.at[0];
+    W[k][c + 1] = T.at[1];
+    W[k][c + 2] = T.at[2];
+    W[k][c + 3] = T.at[3];
+    W[k][c + 4] = T.at[4];
+    W[k][c + 5] = T.at[5];
+    W[k][c + 6] = T.at[6];
+    W[k][c + 7] = T.at[7];
+    W[k][c + 8] = T.at[8];
+    W[k][c + 9] = T.at[9];
+    W[k][c + 10] = T.at[10];
+    W[k][c + 11] = T.at[11];
+}
+
 /* Frames of the load chain, in rows from at on (0: the nominal one), at the command into W; returns the tool. */
 static tuple12 load_frames(rows P, matrix W, int at, int m, int oj)
 {
@@ -279,37 +296,22 @@ static tuple12 load_frames(rows P, matrix W, int at, int m, int oj)
         } else {
             T = shifted_z(T, P.at[k][RATIO] * W[j][COMMAND]);
         }
-        W[k][0] = T.at[0];
-        W[k][1] = T.at[1];
-        W[k][2] = T.at[2];
-        W[k][3] = T.at[3];
-        W[k][4] = T.at[4];
-        W[k][5] = T.at[5];
-        W[k][6] = T.at[6];
-        W[k][7] = T.at[7];
-        W[k][8] = T.at[8];
-        W[k][9] = T.at[9];
-        W[k][10] = T.at[10];
-        W[k][11] = T.at[11];
+        put_frame(W, k, 0, T);
     }
     return product(T, constant(P, at + m, NOMINAL));
 }
 
-/* Write the frame T to W[k, c:c + 12]. */
-static void put_frame(matrix W, int k, int c, tuple12 T)
+/* Frame T behind move k at the command of joint row j with its local correction. */
+static tuple12 moved_of(rows P, matrix W, int k, int j, tuple12 T)
 {
-    W[k][c] = T.at[0];
-    W[k][c + 1] = T.at[1];
-    W[k][c + 2] = T.at[2];
-    W[k][c + 3] = T.at[3];
-    W[k][c + 4] = T.at[4];
-    W[k][c + 5] = T.at[5];
-    W[k][c + 6] = T.at[6];
-    W[k][c + 7] = T.at[7];
-    W[k][c + 8] = T.at[8];
-    W[k][c + 9] = T.at[9];
-    W[k][c + 10] = T.at[10];
-    W[k][c + 11] = T.at[11];
+    if (P.at[k][KIND] == 0.0) {
+        double shift = P.at[k][RATIO] * (W[j][COMMAND] - W[j][WANTED] + W[j][SHIFT]);
+        const tuple2 got1 = sine_cosine_near(W[k][SINE], W[k][COSINE], shift);
+        double s = got1.at[0];
+        double c = got1.at[1];
+        return rotated_z(T, s, c);
+    }
+    return shifted_z(T, P.at[k][RATIO] * (W[j][COMMAND] + W[j][SHIFT]));
 }
 
 /* Frame T behind the twist of joint row j. */
@@ -331,15 +333,7 @@ static void hanging_frames(rows P, matrix W, int at, int m, int oj)
             T = product(T, constant(P, at + k, NOMINAL));
         }
         int j = oj + (int)P.at[k][JOINT];
-        if (P.at[k][KIND] == 0.0) {
-            double shift = P.at[k][RATIO] * (W[j][COMMAND] - W[j][WANTED] + W[j][SHIFT]);
-            const tuple2 got1 = sine_cosine_near(W[k][SINE], W[k][COSINE], shift);
-            double s = got1.at[0];
-            double c = got1.at[1];
-            T = rotated_z(T, s, c);
-        } else {
-            T = shifted_z(T, P.at[k][RATIO] * (W[j][COMMAND] + W[j][SHIFT]));
-        }
+        T = moved_of(P, W, k, j, T);
         put_frame(W, k, 0, T);
         if (P.at[k][PRIMARY] >= 0.0) {
             T = twisted(P, W, j, T);
@@ -369,15 +363,7 @@ static tuple12 identified_tool(rows P, matrix W, int m, int oj)
             T = product(T, constant(P, k, IDENTIFIED));
         }
         int j = oj + (int)P.at[k][JOINT];
-        double shift = P.at[k][RATIO] * (W[j][COMMAND] - W[j][WANTED] + W[j][SHIFT]);
-        if (P.at[k][KIND] == 0.0) {
-            const tuple2 got1 = sine_cosine_near(W[k][SINE], W[k][COSINE], shift);
-            double s = got1.at[0];
-            double c = got1.at[1];
-            T = rotated_z(T, s, c);
-        } else {
-            T = shifted_z(T, P.at[k][RATIO] * (W[j][COMMAND] + W[j][SHIFT]));
-        }
+        T = moved_of(P, W, k, j, T);
         W[k][LINE] = T.at[2];
         W[k][LINE + 1] = T.at[5];
         W[k][LINE + 2] = T.at[8];

@@ -71,9 +71,18 @@ def load_frames(P, W, at, m, oj):
             T = rotated_z(T, s, c)
         else:
             T = shifted_z(T, P[k, RATIO] * W[j, COMMAND])
-        W[k, 0], W[k, 1], W[k, 2], W[k, 3], W[k, 4], W[k, 5] = T[0], T[1], T[2], T[3], T[4], T[5]
-        W[k, 6], W[k, 7], W[k, 8], W[k, 9], W[k, 10], W[k, 11] = T[6], T[7], T[8], T[9], T[10], T[11]
+        _put_frame(W, k, 0, T)
     return product(T, _constant(P, at + m, NOMINAL))
+
+
+@compiled(**FAST)
+def _moved(P, W, k, j, T):
+    """Frame T behind move k at the command of joint row j with its local correction."""
+    if P[k, KIND] == 0.0:
+        shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED] + W[j, SHIFT])
+        s, c = sine_cosine_near(W[k, SINE], W[k, COSINE], shift)
+        return rotated_z(T, s, c)
+    return shifted_z(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
 
 
 @compiled(**FAST)
@@ -84,12 +93,7 @@ def hanging_frames(P, W, at, m, oj):
         if k > 0:
             T = product(T, _constant(P, at + k, NOMINAL))
         j = oj + int(P[k, JOINT])
-        if P[k, KIND] == 0.0:
-            shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED] + W[j, SHIFT])
-            s, c = sine_cosine_near(W[k, SINE], W[k, COSINE], shift)
-            T = rotated_z(T, s, c)
-        else:
-            T = shifted_z(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
+        T = _moved(P, W, k, j, T)
         _put_frame(W, k, 0, T)
         if P[k, PRIMARY] >= 0.0:
             T = _twisted(P, W, j, T)
@@ -99,15 +103,9 @@ def hanging_frames(P, W, at, m, oj):
 @compiled(**FAST)
 def _put_frame(W, k, c, T):
     """Write the frame T to W[k, c:c + 12]."""
-    W[k, c], W[k, c + 1], W[k, c + 2], W[k, c + 3], W[k, c + 4], W[k, c + 5] = T[0], T[1], T[2], T[3], T[4], T[5]
-    W[k, c + 6], W[k, c + 7], W[k, c + 8], W[k, c + 9], W[k, c + 10], W[k, c + 11] = (
-        T[6],
-        T[7],
-        T[8],
-        T[9],
-        T[10],
-        T[11],
-    )
+    W[k, c], W[k, c + 1], W[k, c + 2], W[k, c + 3] = T[0], T[1], T[2], T[3]
+    W[k, c + 4], W[k, c + 5], W[k, c + 6], W[k, c + 7] = T[4], T[5], T[6], T[7]
+    W[k, c + 8], W[k, c + 9], W[k, c + 10], W[k, c + 11] = T[8], T[9], T[10], T[11]
 
 
 @compiled(**FAST)
@@ -141,12 +139,7 @@ def identified_tool(P, W, m, oj):
         if k > 0:
             T = product(T, _constant(P, k, IDENTIFIED))
         j = oj + int(P[k, JOINT])
-        shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED] + W[j, SHIFT])
-        if P[k, KIND] == 0.0:
-            s, c = sine_cosine_near(W[k, SINE], W[k, COSINE], shift)
-            T = rotated_z(T, s, c)
-        else:
-            T = shifted_z(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
+        T = _moved(P, W, k, j, T)
         W[k, LINE], W[k, LINE + 1], W[k, LINE + 2] = T[2], T[5], T[8]
         W[k, LINE + 3], W[k, LINE + 4], W[k, LINE + 5] = T[9], T[10], T[11]
         if P[k, PRIMARY] >= 0.0:
