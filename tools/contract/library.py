@@ -162,17 +162,22 @@ def _call(called: str, signature: inspect.Signature) -> str:
     kinds = [one.kind for one in signature.parameters.values()]
     if inspect.Parameter.KEYWORD_ONLY in kinds:
         given.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
-    line = f"{called}({', '.join(given)}) -> {signature.return_annotation}"
+    line = f"{called}({', '.join(given)}) -> {_short(signature.return_annotation)}"
     if len(line) <= WIDEST:
         return line
     body = "".join(f"    {one},\n" for one in given)
-    return f"{called}(\n{body}) -> {signature.return_annotation}"
+    return f"{called}(\n{body}) -> {_short(signature.return_annotation)}"
+
+
+def _short(annotation: str) -> str:
+    """An annotation as people read it: the types of answers are known without the module that each is in."""
+    return re.sub(r"\btyped\.\w+\.", "", annotation)
 
 
 def _argument(one: inspect.Parameter) -> str:
     stars = "**" if one.kind is inspect.Parameter.VAR_KEYWORD else ""
     default = "" if one.default is inspect.Parameter.empty else f" = {one.default!r}"
-    return f"{stars}{one.name}: {one.annotation}{default}"
+    return f"{stars}{one.name}: {_short(one.annotation)}{default}"
 
 
 def _described(thing: Any) -> str:

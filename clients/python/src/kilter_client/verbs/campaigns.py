@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
+from kilter_client import typed
 from kilter_client.calls import campaigns as calls
 from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.given import Data, moment_of, name_of, rows_of
@@ -18,8 +19,6 @@ from kilter_client.verbs.things import Thing, reference
 if TYPE_CHECKING:
     from datetime import date, datetime
 
-    from kilter_client.typed.campaigns import Campaign, Uploaded
-    from kilter_client.typed.others import SuspiciousRows
     from kilter_files import Prepared
 
 MOST_LINES = 8  # of a file that are named in a refusal
@@ -34,7 +33,7 @@ def upload(
     tool_force_n: Sequence[float] | None = None, tool_moment_nm: Sequence[float] | None = None, notes: str = "",
     measured_at: datetime | date | str | None = None, instrument: str | None = None, campaign: Thing | None = None,
     progress: Watching = True,
-) -> Steps[Uploaded]:  # fmt: skip
+) -> Steps[typed.campaigns.Uploaded]:  # fmt: skip
     """Upload measurements as a campaign of a robot; the same rows again change nothing.
 
     Args:
@@ -65,8 +64,6 @@ def upload(
         ObservationError: the rows are not what their columns say; nothing is stored.
 
     """
-    from kilter_client.typed.campaigns import Uploaded
-
     conditions = conditions_of(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
@@ -78,7 +75,9 @@ def upload(
     wanted |= {"conditions": conditions, "numbered": name is None, "measured_at": at, "instrument": instrument}
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
     into = None if campaign is None else reference("campaign", campaign)
-    return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, prepared, progress)))
+    return typed.campaigns.Uploaded.read(
+        (yield from _watched(reference("robot", robot), into, wanted, prepared, progress))
+    )
 
 
 def conditions_of(**told: Any) -> dict[str, Any]:
@@ -142,33 +141,27 @@ def _placed(error: ObservationError, prepared: Prepared) -> ObservationError:
     return error
 
 
-def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[Campaign]:
+def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[typed.campaigns.Campaign]:
     """Return a campaign: its rows, role, conditions and uploads.
 
     Raises:
         NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
-    from kilter_client.typed.campaigns import Campaign
-
-    return Campaign.read((yield from calls.one(reference("campaign", campaign), robot)))
+    return typed.campaigns.Campaign.read((yield from calls.one(reference("campaign", campaign), robot)))
 
 
-def suspicious(campaign: Thing, *, robot: str | None = None) -> Steps[SuspiciousRows]:
+def suspicious(campaign: Thing, *, robot: str | None = None) -> Steps[typed.others.SuspiciousRows]:
     """Return the rows of a campaign that look wrong: by how many mm and standard deviations, and who says so.
 
     Raises:
         NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
-    from kilter_client.typed.others import SuspiciousRows
-
-    return SuspiciousRows.read((yield from calls.suspicious(reference("campaign", campaign), robot)))
+    return typed.others.SuspiciousRows.read((yield from calls.suspicious(reference("campaign", campaign), robot)))
 
 
-def campaigns(robot: Thing, *, retired: bool = False) -> Steps[Records[Campaign]]:
+def campaigns(robot: Thing, *, retired: bool = False) -> Steps[Records[typed.campaigns.Campaign]]:
     """Return the campaigns of a robot, oldest first; with ``retired`` also those that are out of use."""
-    from kilter_client.typed.campaigns import Campaign
-
     found = yield from calls.list_campaigns(reference("robot", robot), retired=retired)
-    return Records(Campaign, [Campaign.read(one) for one in found])
+    return Records(typed.campaigns.Campaign, [typed.campaigns.Campaign.read(one) for one in found])

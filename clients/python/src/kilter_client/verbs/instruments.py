@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from kilter_client import typed
 from kilter_client.calls import instruments as calls
 from kilter_client.given import day_of
 from kilter_client.results.record import Records
@@ -12,7 +13,6 @@ from kilter_client.steps import Steps
 if TYPE_CHECKING:
     from datetime import date
 
-    from kilter_client.typed.campaigns import Instrument
 
 Kind = Literal["laser_tracker", "arm_cmm", "cmm", "camera", "ball_bar", "other"]
 Standard = Literal["iso_10360_10", "iso_10360_12", "other"]
@@ -30,7 +30,7 @@ def add_instrument(
     certified_on: date | str | None = None,
     valid_until: date | str | None = None,
     notes: str = "",
-) -> Steps[Instrument]:
+) -> Steps[typed.campaigns.Instrument]:
     """Add an instrument with its maximum permissible error and its certificate; the same one twice changes nothing.
 
     With its next certificate it is added under another name: what was measured before keeps the certificate of then.
@@ -51,8 +51,6 @@ def add_instrument(
         UsageError: a day that is none; ConflictError: another instrument has that name.
 
     """
-    from kilter_client.typed.campaigns import Instrument
-
     wanted = {
         "name": name,
         "kind": kind,
@@ -65,11 +63,12 @@ def add_instrument(
         "valid_until": day_of(valid_until),
         "notes": notes,
     }
-    return Instrument.read((yield from calls.add(wanted)))
+    return typed.campaigns.Instrument.read((yield from calls.add(wanted)))
 
 
-def instruments() -> Steps[Records[Instrument]]:
+def instruments() -> Steps[Records[typed.campaigns.Instrument]]:
     """Return the instruments by name, with permissible errors in um and um/m, and their certificates."""
-    from kilter_client.typed.campaigns import Instrument
-
-    return Records(Instrument, [Instrument.read(one) for one in (yield from calls.list_instruments())])
+    return Records(
+        typed.campaigns.Instrument,
+        [typed.campaigns.Instrument.read(one) for one in (yield from calls.list_instruments())],
+    )

@@ -6,28 +6,15 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, cast
+from typing import Any, TypeAlias, Unpack, cast
 
+from kilter_client import typed
 from kilter_client.calls import jobs as calls
 from kilter_client.files import readings
 from kilter_client.progress import Watching, watched
 from kilter_client.results.record import Record, Records
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.things import Thing, reference, references
-
-if TYPE_CHECKING:
-    from kilter_client.typed.evaluations import EvaluateResult
-    from kilter_client.typed.identifications import IdentifyResult, JointParametersResult
-    from kilter_client.typed.options import (
-        EvaluateOptions,
-        GapOptions,
-        IdentifyOptions,
-        JointParametersOptions,
-        PlanOptions,
-    )
-    from kilter_client.typed.plans import PlanResult
-    from kilter_client.typed.searches import GapResult
-    from kilter_client.typed.server import JobSummary
 
 # A share of the poses, campaigns, or {"folds": 5}.
 HeldOut: TypeAlias = "float | Thing | Sequence[Thing] | Mapping[str, int] | None"
@@ -51,8 +38,8 @@ def identify(
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
-    **options: Unpack[IdentifyOptions],
-) -> Steps[IdentifyResult]:
+    **options: Unpack[typed.options.IdentifyOptions],
+) -> Steps[typed.identifications.IdentifyResult]:
     """Identify a robot's parameters from campaigns; the result names a new version.
 
     Args:
@@ -70,7 +57,7 @@ def identify(
 
     """
     wanted = asked("identify", robot, campaigns, options, validation, name)
-    return cast("IdentifyResult", (yield from run(wanted, progress, timeout_s)))
+    return cast("typed.identifications.IdentifyResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def gap(
@@ -82,8 +69,8 @@ def gap(
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
-    **options: Unpack[GapOptions],
-) -> Steps[GapResult]:
+    **options: Unpack[typed.options.GapOptions],
+) -> Steps[typed.searches.GapResult]:
     """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used.
 
     ``confirmation`` are campaigns of another day or set-up in which it must see again what it found. The rest is as in
@@ -95,7 +82,7 @@ def gap(
 
     """
     wanted = asked("gap", robot, campaigns, options, validation, name, confirmation)
-    return cast("GapResult", (yield from run(wanted, progress, timeout_s)))
+    return cast("typed.searches.GapResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def evaluate(
@@ -105,8 +92,8 @@ def evaluate(
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
-    **options: Unpack[EvaluateOptions],
-) -> Steps[EvaluateResult]:
+    **options: Unpack[typed.options.EvaluateOptions],
+) -> Steps[typed.evaluations.EvaluateResult]:
     """Compare a version with campaigns: errors in mm and degrees, or the criteria of ISO 9283.
 
     Without ``version`` it is the active one, else the nominal robot.
@@ -117,7 +104,7 @@ def evaluate(
 
     """
     wanted = asked("evaluate", robot, campaigns, options, None, name)
-    return cast("EvaluateResult", (yield from run(wanted, progress, timeout_s)))
+    return cast("typed.evaluations.EvaluateResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def plan(
@@ -127,8 +114,8 @@ def plan(
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
-    **options: Unpack[PlanOptions],
-) -> Steps[PlanResult]:
+    **options: Unpack[typed.options.PlanOptions],
+) -> Steps[typed.plans.PlanResult]:
     """Plan poses to measure: for ISO 9283, to identify well, or to distinguish two effects.
 
     Raises:
@@ -137,7 +124,7 @@ def plan(
 
     """
     wanted = asked("plan", robot, campaigns, options, None, name)
-    return cast("PlanResult", (yield from run(wanted, progress, timeout_s)))
+    return cast("typed.plans.PlanResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def joint_parameters(
@@ -149,8 +136,8 @@ def joint_parameters(
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
-    **options: Unpack[JointParametersOptions],
-) -> Steps[JointParametersResult]:
+    **options: Unpack[typed.options.JointParametersOptions],
+) -> Steps[typed.identifications.JointParametersResult]:
     """Measure clearance, backlash and stiffness of joints directly, or say with ``propose`` where to read for that.
 
     ``readings_file`` is a CSV file of inclinometer readings, in deg; ``campaigns`` have link-side encoders.
@@ -165,7 +152,7 @@ def joint_parameters(
     if readings_file is not None:
         chosen["readings"] = readings.read_readings(Path(fspath(readings_file)))
     wanted = asked("joint_parameters", robot, campaigns, chosen, validation, name)
-    return cast("JointParametersResult", (yield from run(wanted, progress, timeout_s)))
+    return cast("typed.identifications.JointParametersResult", (yield from run(wanted, progress, timeout_s)))
 
 
 def submit(
@@ -238,12 +225,10 @@ def job(job: Thing, *, robot: str | None = None) -> Steps[Record]:
     return _read((yield from calls.one(reference("job", job), robot)))
 
 
-def jobs(robot: Thing | None = None, *, limit: int = 100) -> Steps[Records[JobSummary]]:
+def jobs(robot: Thing | None = None, *, limit: int = 100) -> Steps[Records[typed.server.JobSummary]]:
     """Return the newest jobs, of one robot or of all."""
-    from kilter_client.typed.server import JobSummary
-
     found = yield from calls.list_jobs(None if robot is None else reference("robot", robot), limit)
-    return Records(JobSummary, [JobSummary.read(one) for one in found])
+    return Records(typed.server.JobSummary, [typed.server.JobSummary.read(one) for one in found])
 
 
 def cancel(job: Thing, *, robot: str | None = None) -> Steps[Record]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+from kilter_client import typed
 from kilter_client.calls import kept
 from kilter_client.calls import robots as robot_calls
 from kilter_client.calls.references import Kind
@@ -11,9 +12,6 @@ from kilter_client.errors import UsageError
 from kilter_client.results.record import Record
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.things import Thing, What, kind_of, reference
-
-if TYPE_CHECKING:
-    from kilter_client.typed.comparisons import Tombstone
 
 
 def change(
@@ -61,19 +59,17 @@ def restore(thing: Thing, *, kind: What | None = None, robot: str | None = None)
     return (yield from _do("restore", thing, kind, robot))
 
 
-def purge(thing: Thing, *, kind: What | None = None) -> Steps[Tombstone]:
+def purge(thing: Thing, *, kind: What | None = None) -> Steps[typed.comparisons.Tombstone]:
     """Delete a retired campaign, version or robot for good, by its full id; returns its tombstone: its hash, who, when.
 
     Raises:
         ConflictError: something cites it, or it is in use.
 
     """
-    from kilter_client.typed.comparisons import Tombstone
-
     what = kind_of(thing, kind)
     called = reference(what, thing)
     found = yield from robot_calls.do(called, "purge") if what == "robot" else kept.purge(_kept(what), called)
-    return Tombstone.read(found)
+    return typed.comparisons.Tombstone.read(found)
 
 
 def _do(doing: str, thing: Thing, kind: What | None, robot: str | None) -> Steps[Record]:
@@ -91,10 +87,10 @@ def _kept(what: What) -> Kind:
 
 
 def _read(what: What, document: Document) -> Record:
-    from kilter_client.typed.campaigns import Campaign
-    from kilter_client.typed.robots import RobotReport
-    from kilter_client.typed.versions import Version
-
-    kinds: dict[str, Any] = {"campaign": Campaign, "version": Version, "robot": RobotReport}
+    kinds: dict[str, Any] = {
+        "campaign": typed.campaigns.Campaign,
+        "version": typed.versions.Version,
+        "robot": typed.robots.RobotReport,
+    }
     found: Record = kinds[what].read(document)
     return found

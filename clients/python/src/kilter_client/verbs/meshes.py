@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
+from kilter_client import typed
 from kilter_client.calls import meshes as calls
 from kilter_client.errors import UsageError
 from kilter_client.files import files_link_meshes
@@ -14,26 +15,23 @@ from kilter_client.results.record import Records
 from kilter_client.steps import Steps
 from kilter_client.verbs.things import Thing, reference
 
-if TYPE_CHECKING:
-    from kilter_client.typed.robots import Mesh
-
 FORMS: Mapping[str, calls.Form] = {".stl": "stl", ".obj": "obj"}
 
 
-def meshes(robot: Thing) -> Steps[Records[Mesh]]:
+def meshes(robot: Thing) -> Steps[Records[typed.robots.Mesh]]:
     """Return the shapes of a robot's links, from base to tool.
 
     Raises:
         NotFoundError: there is no such robot.
 
     """
-    from kilter_client.typed.robots import Mesh
-
     found = yield from calls.list_meshes(reference("robot", robot))
-    return Records(Mesh, [Mesh.read(one) for one in found])
+    return Records(typed.robots.Mesh, [typed.robots.Mesh.read(one) for one in found])
 
 
-def set_mesh(robot: Thing, link: str, file: str | PathLike[str], *, unit: Literal["mm", "m"] = "mm") -> Steps[Mesh]:
+def set_mesh(
+    robot: Thing, link: str, file: str | PathLike[str], *, unit: Literal["mm", "m"] = "mm"
+) -> Steps[typed.robots.Mesh]:
     """Give a link its shape, in place of the one it has. It is drawn only.
 
     Args:
@@ -47,18 +45,18 @@ def set_mesh(robot: Thing, link: str, file: str | PathLike[str], *, unit: Litera
         ApiError: the file is not a mesh, or the robot has no such link.
 
     """
-    from kilter_client.typed.robots import Mesh
-
     path = Path(fspath(file))
     form = FORMS.get(path.suffix.lower())
     if form is None:
         raise UsageError(f"{path}: give a file that ends in .stl or .obj.")
-    return Mesh.read((yield from calls.put(reference("robot", robot), link, path.read_bytes(), form, unit)))
+    return typed.robots.Mesh.read(
+        (yield from calls.put(reference("robot", robot), link, path.read_bytes(), form, unit))
+    )
 
 
 def set_urdf_meshes(
     robot: Thing, urdf: str | PathLike[str], *, packages: Mapping[str, str | PathLike[str]] | None = None
-) -> Steps[Records[Mesh]]:
+) -> Steps[Records[typed.robots.Mesh]]:
     """Give the links of a robot the shapes that its URDF names; needs trimesh.
 
     Args:
@@ -71,16 +69,14 @@ def set_urdf_meshes(
         ApiError: the robot was not described by a URDF.
 
     """
-    from kilter_client.typed.robots import Mesh
-
     name = reference("robot", robot)
     folders = {package: Path(fspath(folder)) for package, folder in (packages or {}).items()}
     asked = yield from calls.of_urdf(name)
     made = []
     for one in files_link_meshes.link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
         put = yield from calls.put(name, one.link, one.content, "stl", "mm")
-        made.append(Mesh.read(put))
-    return Records(Mesh, made)
+        made.append(typed.robots.Mesh.read(put))
+    return Records(typed.robots.Mesh, made)
 
 
 def remove_mesh(robot: Thing, link: str) -> Steps[None]:

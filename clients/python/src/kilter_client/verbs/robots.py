@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+from kilter_client import typed
 from kilter_client.calls import robots as calls
 from kilter_client.errors import UsageError
 from kilter_client.files import read
@@ -14,12 +15,6 @@ from kilter_client.given import Data, rows_of
 from kilter_client.results.record import Records
 from kilter_client.steps import Steps
 from kilter_client.verbs.things import Thing, reference
-
-if TYPE_CHECKING:
-    from kilter_client.typed.acceptance import Acceptance
-    from kilter_client.typed.drifts import DriftHistory, DriftList
-    from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
-    from kilter_client.typed.server import BridgeList, Today
 
 Compensation = Literal["none", "factory", "kilter", "unknown"]
 
@@ -36,7 +31,7 @@ def add_robot(
     turned: Sequence[str] = (),
     follows: Sequence[str] = (),
     controller_compensation: Compensation | None = None,
-) -> Steps[RobotReport]:
+) -> Steps[typed.robots.RobotReport]:
     """Add a robot from a file (JSON, URDF, a table, another tool's), from a document, or from a preset.
 
     The same robot twice changes nothing.
@@ -61,15 +56,13 @@ def add_robot(
         RobotError: it cannot be an arm; ConflictError: another robot has that name.
 
     """
-    from kilter_client.typed.robots import RobotReport
-
     document = _document(source, preset, name, _Described(convention, base_link, tip_link, model, turned, follows))
     if controller_compensation is not None:
         document = {**document, "controller_compensation": controller_compensation}
-    return RobotReport.read((yield from calls.add(document)))
+    return typed.robots.RobotReport.read((yield from calls.add(document)))
 
 
-def set_controller_compensation(robot: Thing, compensation: Compensation) -> Steps[RobotReport]:
+def set_controller_compensation(robot: Thing, compensation: Compensation) -> Steps[typed.robots.RobotReport]:
     """Say whether the controller of a robot corrects by itself: nothing is corrected twice.
 
     Args:
@@ -80,9 +73,7 @@ def set_controller_compensation(robot: Thing, compensation: Compensation) -> Ste
         NotFoundError: there is no such robot.
 
     """
-    from kilter_client.typed.robots import RobotReport
-
-    return RobotReport.read((yield from calls.compensate(reference("robot", robot), compensation)))
+    return typed.robots.RobotReport.read((yield from calls.compensate(reference("robot", robot), compensation)))
 
 
 def check_robot(
@@ -96,7 +87,7 @@ def check_robot(
     model: str | None = None,
     turned: Sequence[str] = (),
     follows: Sequence[str] = (),
-) -> Steps[RobotCheck]:
+) -> Steps[typed.robots.RobotCheck]:
     """Evaluate a robot without adding it: axes, the arm at zero and its reach in mm, what looks wrong.
 
     Arguments are those of ``add_robot``.
@@ -106,10 +97,8 @@ def check_robot(
         FileError: the file is not what it should be; RobotError: it cannot be an arm.
 
     """
-    from kilter_client.typed.robots import RobotCheck
-
     given = _Described(convention, base_link, tip_link, model, turned, follows)
-    return RobotCheck.read((yield from calls.check(_document(source, preset, name or "unnamed", given))))
+    return typed.robots.RobotCheck.read((yield from calls.check(_document(source, preset, name or "unnamed", given))))
 
 
 def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> Steps[dict[str, Any]]:
@@ -126,47 +115,39 @@ def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> S
     return (yield from calls.convert(_document(source, None, None, _Described()), to))
 
 
-def today(robot: Thing) -> Steps[Today]:
+def today(robot: Thing) -> Steps[typed.server.Today]:
     """Return how good a robot is today: its newest error on rows that no fit used, and what is missing.
 
     Raises:
         NotFoundError: there is no such robot.
 
     """
-    from kilter_client.typed.server import Today
-
-    return Today.read((yield from calls.today(reference("robot", robot))))
+    return typed.server.Today.read((yield from calls.today(reference("robot", robot))))
 
 
-def bridges(robot: Thing) -> Steps[BridgeList]:
+def bridges(robot: Thing) -> Steps[typed.server.BridgeList]:
     """Return the bridges of a robot, those that run first: what each does, since when, and whether it is gone.
 
     Raises:
         NotFoundError: there is no such robot.
 
     """
-    from kilter_client.typed.server import BridgeList
-
-    return BridgeList.read((yield from calls.bridges(reference("robot", robot))))
+    return typed.server.BridgeList.read((yield from calls.bridges(reference("robot", robot))))
 
 
-def drift_history(robot: Thing) -> Steps[DriftHistory]:
+def drift_history(robot: Thing) -> Steps[typed.drifts.DriftHistory]:
     """Return the checks of a robot, the control charts of its active version, and how it stands by them.
 
     Raises:
         NotFoundError: there is no such robot.
 
     """
-    from kilter_client.typed.drifts import DriftHistory
-
-    return DriftHistory.read((yield from calls.drift(reference("robot", robot))))
+    return typed.drifts.DriftHistory.read((yield from calls.drift(reference("robot", robot))))
 
 
-def drift_list() -> Steps[DriftList]:
+def drift_list() -> Steps[typed.drifts.DriftList]:
     """Return how all robots stand by their checks, the worst first."""
-    from kilter_client.typed.drifts import DriftList
-
-    return DriftList.read((yield from calls.drifts()))
+    return typed.drifts.DriftList.read((yield from calls.drifts()))
 
 
 def accept(
@@ -177,7 +158,7 @@ def accept(
     campaigns: Sequence[str] = (),
     refit: Sequence[str] | None = None,
     instrument: str | None = None,
-) -> Steps[Acceptance]:
+) -> Steps[typed.acceptance.Acceptance]:
     """Decide by ISO 14253-1 whether an arm keeps a tolerance, on rows that its version was not fitted to.
 
     Its ``decision`` is ``"accepted"``, ``"rejected"`` or ``"not_proved"``.
@@ -196,8 +177,6 @@ def accept(
         ConflictError: no row is left that was not fitted.
 
     """
-    from kilter_client.typed.acceptance import Acceptance
-
     wanted = {
         "tolerance_mm": tolerance_mm,
         "version": version,
@@ -205,7 +184,7 @@ def accept(
         "refit": None if refit is None else ",".join(refit) or "none",
         "instrument": instrument,
     }
-    return Acceptance.read((yield from calls.accept(reference("robot", robot), wanted)))
+    return typed.acceptance.Acceptance.read((yield from calls.accept(reference("robot", robot), wanted)))
 
 
 def find_robot(
@@ -216,7 +195,7 @@ def find_robot(
     convention: str = "chain",
     base: str = "axis",
     follows: Sequence[str] = (),
-) -> Steps[FoundRobot]:
+) -> Steps[typed.robots.FoundRobot]:
     """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and each axis.
 
     Args:
@@ -231,22 +210,18 @@ def find_robot(
         ObservationError: the rows are not circles; FileError: the file is not what it should be.
 
     """
-    from kilter_client.typed.robots import FoundRobot
-
     found = yield from calls.from_circles(rows_of(data, columns), name, convention, base, follows)
-    return FoundRobot.read(found)
+    return typed.robots.FoundRobot.read(found)
 
 
-def find_frame(points: Mapping[str, Any]) -> Steps[Frame]:
+def find_frame(points: Mapping[str, Any]) -> Steps[typed.robots.Frame]:
     """Find a frame from digitised ``points`` or ``features``: its pose in mm and deg, and how far each point is off.
 
     Raises:
         CalibrationError: the points make no frame.
 
     """
-    from kilter_client.typed.robots import Frame
-
-    return Frame.read((yield from calls.frame(points)))
+    return typed.robots.Frame.read((yield from calls.frame(points)))
 
 
 class _Described(NamedTuple):
@@ -281,20 +256,19 @@ def _document(
     return read.read_robot(Path(fspath(source or "")), described)
 
 
-def robot(name: Thing) -> Steps[RobotReport]:
+def robot(name: Thing) -> Steps[typed.robots.RobotReport]:
     """Return a robot: joints with limits in deg or mm, names of its parameters, its active version.
 
     Raises:
         NotFoundError: there is no such robot.
 
     """
-    from kilter_client.typed.robots import RobotReport
-
-    return RobotReport.read((yield from calls.one(reference("robot", name))))
+    return typed.robots.RobotReport.read((yield from calls.one(reference("robot", name))))
 
 
-def robots(*, retired: bool = False) -> Steps[Records[RobotSummary]]:
+def robots(*, retired: bool = False) -> Steps[Records[typed.robots.RobotSummary]]:
     """Return the robots by name; with ``retired`` also those that are out of use."""
-    from kilter_client.typed.robots import RobotSummary
-
-    return Records(RobotSummary, [RobotSummary.read(one) for one in (yield from calls.list_robots(retired))])
+    return Records(
+        typed.robots.RobotSummary,
+        [typed.robots.RobotSummary.read(one) for one in (yield from calls.list_robots(retired))],
+    )

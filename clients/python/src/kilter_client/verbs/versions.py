@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_client import typed
 from kilter_client.calls import versions as calls
 from kilter_client.given import Data, rows_of
 from kilter_client.results.record import Records
@@ -15,33 +16,27 @@ from kilter_client.verbs.things import Thing, reference, references
 if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected
     from kilter_client.results.rows import Rows
-    from kilter_client.typed.comparisons import VersionDiff
-    from kilter_client.typed.versions import ActivatedVersion, Activation, Version, VersionPreview, VersionSummary
 
 
-def version(version: Thing, *, robot: str | None = None) -> Steps[Version]:
+def version(version: Thing, *, robot: str | None = None) -> Steps[typed.versions.Version]:
     """Return a version: its parameters with nominal, value and sigma, its errors in mm, what it was made from.
 
     Raises:
         NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
-    from kilter_client.typed.versions import Version
-
-    return Version.read((yield from calls.one(reference("version", version), robot)))
+    return typed.versions.Version.read((yield from calls.one(reference("version", version), robot)))
 
 
-def versions(robot: Thing, *, retired: bool = False) -> Steps[Records[VersionSummary]]:
+def versions(robot: Thing, *, retired: bool = False) -> Steps[Records[typed.versions.VersionSummary]]:
     """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
-    from kilter_client.typed.versions import VersionSummary
-
     found = yield from calls.list_versions(reference("robot", robot), retired)
-    return Records(VersionSummary, [VersionSummary.read(one) for one in found])
+    return Records(typed.versions.VersionSummary, [typed.versions.VersionSummary.read(one) for one in found])
 
 
 def activate(
     version: Thing, *, robot: str | None = None, force: bool = False, reason: str = ""
-) -> Steps[ActivatedVersion]:
+) -> Steps[typed.versions.ActivatedVersion]:
     """Make a version the one that corrects, unless it predicts worse than the active one.
 
     ``force`` activates it nevertheless; the log records this and the ``reason``.
@@ -51,49 +46,41 @@ def activate(
         ConflictError: it predicts worse, or is retired.
 
     """
-    from kilter_client.typed.versions import ActivatedVersion
+    return typed.versions.ActivatedVersion.read(
+        (yield from calls.activate(reference("version", version), force, reason, robot))
+    )
 
-    return ActivatedVersion.read((yield from calls.activate(reference("version", version), force, reason, robot)))
 
-
-def rollback(robot: Thing) -> Steps[ActivatedVersion]:
+def rollback(robot: Thing) -> Steps[typed.versions.ActivatedVersion]:
     """Return to the version that was active before.
 
     Raises:
         ConflictError: there was none.
 
     """
-    from kilter_client.typed.versions import ActivatedVersion
-
-    return ActivatedVersion.read((yield from calls.rollback(reference("robot", robot))))
+    return typed.versions.ActivatedVersion.read((yield from calls.rollback(reference("robot", robot))))
 
 
-def activations(robot: Thing) -> Steps[Records[Activation]]:
+def activations(robot: Thing) -> Steps[Records[typed.versions.Activation]]:
     """Return who activated which version, when and why, newest first."""
-    from kilter_client.typed.versions import Activation
-
     found = yield from calls.activations(reference("robot", robot))
-    return Records(Activation, [Activation.read(one) for one in found])
+    return Records(typed.versions.Activation, [typed.versions.Activation.read(one) for one in found])
 
 
-def preview(version: Thing, *, robot: str | None = None) -> Steps[VersionPreview]:
+def preview(version: Thing, *, robot: str | None = None) -> Steps[typed.versions.VersionPreview]:
     """Return how a version would correct: the largest correction in mm and where, and which poses it would refuse."""
-    from kilter_client.typed.versions import VersionPreview
-
-    return VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
+    return typed.versions.VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
 
 
-def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[VersionDiff]:
+def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[typed.comparisons.VersionDiff]:
     """Compare two versions, parameter by parameter; ``"nominal"`` is the nominal robot.
 
     Raises:
         NotFoundError: there is no such version.
 
     """
-    from kilter_client.typed.comparisons import VersionDiff
-
     one, other = reference("version", first), reference("version", second)
-    return VersionDiff.read((yield from calls.diff(one, other, robot)))
+    return typed.comparisons.VersionDiff.read((yield from calls.diff(one, other, robot)))
 
 
 def residuals(version: Thing, campaigns: Thing | Sequence[Thing] = (), *, robot: str | None = None) -> Steps[Rows]:
