@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.acceptance import Acceptance
+from kilter_client.certificates import why_not
 from kilter_client.corrector import StreamError, root_of, session_config
 from kilter_client.in_use import MOST_REPLIES, InUse
 from kilter_client.sessions import Sessions
@@ -239,8 +240,6 @@ class Link:
             if time.monotonic() > end:
                 break
             time.sleep(0.02)
-        from kilter_client.certificates import why_not  # loads TLS: only where a stream cannot be opened
-
         robot = self._place.robot
         if why := why_not(zenoh, self._place.endpoints, config):
             raise StreamError(why)

@@ -27,6 +27,7 @@ from typing import Any
 
 from kilter_client.acceptance import Acceptance
 from kilter_client.carried import Carried, farthest
+from kilter_client.certificates import why_not
 from kilter_client.corrector import StreamError, find_corrector
 from kilter_client.frames import QD, QDD, RESET, SETTLED, Answer
 from kilter_client.in_use import InUse
@@ -135,8 +136,6 @@ class CorrectedStream(Link):
         try:
             self._session = self._open(zenoh, self._place.endpoints)
         except zenoh.ZError as error:
-            from kilter_client.certificates import why_not  # loads TLS: only where a stream cannot be opened
-
             why = why_not(zenoh, self._place.endpoints, self._zenoh_config) or self._silent
             raise StreamError(why) from error
         atexit.register(self.close)

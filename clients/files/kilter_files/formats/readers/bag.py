@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_files.formats.joints.described import describe_bag
+from kilter_files.formats.joints.joint_log import log_of_bag
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 
 if TYPE_CHECKING:
@@ -32,14 +34,10 @@ class Bag(Reader["JointLog"]):
 
     def describe(self, head: Head) -> Document:
         """Topics, and the joints of the one that is asked for or the only one."""
-        from kilter_files.formats.joints.described import describe_bag
-
         return describe_bag(head.path, head.hints.log)
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> JointLog:
         """Read the joints of a topic."""
-        from kilter_files.formats.joints.joint_log import log_of_bag
-
         return log_of_bag(path, hints.log)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kilter_files.formats.logs.ballbar import ballbar_table, is_ballbar
+from kilter_files.formats.logs.described import describe_ballbar
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.tables.table import Table
 
@@ -17,20 +19,14 @@ class BallBarLog(Reader[Table]):
 
     def recognises(self, head: Head) -> bool:
         """Columns that are an angle and a radius."""
-        from kilter_files.formats.logs.ballbar import is_ballbar
-
         return head.layout is not None and is_ballbar(head.layout)
 
     def describe(self, head: Head) -> Document:
         """Runs, and their circles."""
-        from kilter_files.formats.logs.described import describe_ballbar
-
         return describe_ballbar(head)
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:
         """Read lengths of a bar, with the joints that stand beside them."""
-        from kilter_files.formats.logs.ballbar import ballbar_table
-
         return ballbar_table(path)
 
 

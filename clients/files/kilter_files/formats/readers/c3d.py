@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import NO_HINTS, Head, Hints, RecordingReader
+from kilter_files.formats.recordings.c3d import read_c3d
+from kilter_files.formats.recordings.c3d_parameters import is_c3d
+from kilter_files.tables.recording import in_stated_unit
 
 if TYPE_CHECKING:
     from kilter_files.tables.recording import Recording
@@ -21,15 +24,10 @@ class C3d(RecordingReader):
 
     def recognises(self, head: Head) -> bool:
         """The second byte, and the number of the block before it; or the ending, so that damage is named."""
-        from kilter_files.formats.recordings.c3d_parameters import is_c3d
-
         return is_c3d(head.start) or head.ending in self.endings
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Recording:
         """Read the frames."""
-        from kilter_files.formats.recordings.c3d import read_c3d
-        from kilter_files.tables.recording import in_stated_unit
-
         return in_stated_unit(read_c3d(path, hints.allow_cut), hints.unit)
 
 

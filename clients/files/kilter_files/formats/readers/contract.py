@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from kilter_files.formats.joints.described import describe_log
+from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.units import JOINT, unit_of
@@ -33,9 +35,6 @@ class Contract(Reader[Prepared]):
         names = [name for name in _full_names(head.layout) if unit_of(name) is not None]
         if not any(JOINT.fullmatch(name) for name in names):
             return {"columns": [{"name": name} for name in names], "warnings": ["no joints"]} | shape
-        from kilter_files.formats.joints.described import describe_log
-        from kilter_files.formats.joints.joint_log import read_joint_log
-
         found = describe_log(read_joint_log(head.path)) | shape
         if not any(MEASURED.fullmatch(name) for name in names):
             return found

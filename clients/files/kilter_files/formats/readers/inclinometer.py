@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kilter_files.formats.logs.described import describe_inclinometer
+from kilter_files.formats.logs.inclinometer import tilts_of
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.recordings.marker_header import understand
 from kilter_files.ground.errors import FileError
@@ -19,14 +21,10 @@ class InclinometerLog(Reader[Table]):
 
     def recognises(self, head: Head) -> bool:
         """Columns that are inclinations, without coordinates."""
-        from kilter_files.formats.logs.inclinometer import tilts_of
-
         return head.layout is not None and bool(tilts_of(head.layout)) and not understand(head.layout).xyz
 
     def describe(self, head: Head) -> Document:
         """Ranges of the inclinations."""
-        from kilter_files.formats.logs.described import describe_inclinometer
-
         return describe_inclinometer(head)
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:

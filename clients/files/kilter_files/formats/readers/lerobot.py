@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_files.formats.lerobot.described import describe_dataset
+from kilter_files.formats.lerobot.log import log_of_dataset
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 
 if TYPE_CHECKING:
@@ -31,14 +33,10 @@ class LeRobot(Reader["JointLog"]):
 
     def describe(self, head: Head) -> Document:
         """Episodes and joints; with a calibration the joints as they are read."""
-        from kilter_files.formats.lerobot.described import describe_dataset
-
         return describe_dataset(head.path, head.hints.log)
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> JointLog:
         """Read the joints of all episodes."""
-        from kilter_files.formats.lerobot.log import log_of_dataset
-
         return log_of_dataset(path, hints.log)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_files.formats.lerobot.calibration import looks_like_one, read_calibration
+from kilter_files.formats.lerobot.described import describe_calibration
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 
 if TYPE_CHECKING:
@@ -23,20 +25,14 @@ class LeRobotCalibration(Reader["Calibration"]):
 
     def recognises(self, head: Head) -> bool:
         """An object whose first servo has a homing offset."""
-        from kilter_files.formats.lerobot.calibration import looks_like_one
-
         return looks_like_one(head.start)
 
     def describe(self, head: Head) -> Document:
         """The servos with their ranges."""
-        from kilter_files.formats.lerobot.described import describe_calibration
-
         return describe_calibration(head.path)
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Calibration:
         """Read the servos."""
-        from kilter_files.formats.lerobot.calibration import read_calibration
-
         return read_calibration(path)
 
 

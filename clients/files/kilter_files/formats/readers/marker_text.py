@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import NO_HINTS, Document, Head, Hints, RecordingReader
 from kilter_files.formats.recordings.marker_header import is_recording
+from kilter_files.formats.recordings.marker_text import read_marker_text
+from kilter_files.formats.recordings.polaris_long import long_columns
+from kilter_files.tables.recording import in_stated_unit
 
 if TYPE_CHECKING:
     from kilter_files.tables.recording import Recording
@@ -21,8 +24,6 @@ class MarkerText(RecordingReader):
 
     def recognises(self, head: Head) -> bool:
         """A long table of tools, or coordinates with a counter, a rate or a clock."""
-        from kilter_files.formats.recordings.polaris_long import long_columns
-
         layout = head.layout
         return layout is not None and (long_columns(layout) is not None or is_recording(layout, head.hints.rate_hz))
 
@@ -33,9 +34,6 @@ class MarkerText(RecordingReader):
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Recording:
         """Read the frames."""
-        from kilter_files.formats.recordings.marker_text import read_marker_text
-        from kilter_files.tables.recording import in_stated_unit
-
         return in_stated_unit(read_marker_text(path, hints.rate_hz, hints.allow_cut), hints.unit)
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import NO_HINTS, Head, Hints, RecordingReader
+from kilter_files.formats.recordings.ndi_n3d import is_n3d, read_n3d
+from kilter_files.tables.recording import in_stated_unit
 
 if TYPE_CHECKING:
     from kilter_files.tables.recording import Recording
@@ -21,15 +23,10 @@ class N3d(RecordingReader):
 
     def recognises(self, head: Head) -> bool:
         """The numbers of its header; or the ending, so that damage is named."""
-        from kilter_files.formats.recordings.ndi_n3d import is_n3d
-
         return (b"\0" in head.start and is_n3d(head.start)) or head.ending in self.endings
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Recording:
         """Read the frames."""
-        from kilter_files.formats.recordings.ndi_n3d import read_n3d
-        from kilter_files.tables.recording import in_stated_unit
-
         return in_stated_unit(read_n3d(path, hints.allow_cut), hints.unit)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kilter_files.formats.joints.described import describe_log
+from kilter_files.formats.joints.joint_log import log_of_targets
 from kilter_files.formats.programs.targets import dialect_of
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.program import read_program
@@ -24,9 +26,6 @@ class Program(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Ranges of the joints."""
-        from kilter_files.formats.joints.described import describe_log
-        from kilter_files.formats.joints.joint_log import log_of_targets
-
         return describe_log(log_of_targets(head.path))
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
+from kilter_files.formats.tables.tdms import channels, read_channel
+from kilter_files.formats.tables.tdms_columns import read_tdms
 from kilter_files.tables.source import Source
 
 MOST_CHANNELS, MOST_SAMPLES = 64, 5_000_000  # of which the range is looked for
@@ -26,8 +28,6 @@ class Tdms(Reader[Source]):
 
     def describe(self, head: Head) -> Document:
         """Channels with their rates, units and ranges."""
-        from kilter_files.formats.tables.tdms import channels, read_channel
-
         out: list[Document] = []
         for channel in channels(head.path):
             about: Document = {
@@ -45,8 +45,6 @@ class Tdms(Reader[Source]):
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read the channels."""
-        from kilter_files.formats.tables.tdms_columns import read_tdms
-
         return read_tdms(path, hints.layout.missing_numbers)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from kilter_files.formats.points.described import describe_points
 from kilter_files.formats.points.tracker_header import PRESETS
+from kilter_files.formats.points.tracker_text import read_tracker
 from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader
 from kilter_files.tables.table import Table
 
@@ -23,14 +25,10 @@ class TrackerText(Reader[Table]):
 
     def describe(self, head: Head) -> Document:
         """Ranges of the coordinates, and points that cannot be right."""
-        from kilter_files.formats.points.described import describe_points
-
         return describe_points(head, self.read(head.path, head.hints))
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:
         """Read the points."""
-        from kilter_files.formats.points.tracker_text import read_tracker
-
         return read_tracker(path, hints.preset, hints.euler)
 
     def listed(self) -> Iterator[tuple[str, str]]:
