@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import logging
+from typing import TYPE_CHECKING
+
+from kilter_files.ground.later import Later
+
+if TYPE_CHECKING:
+    from kilter_service.db import failures
+else:
+    failures = Later("kilter_service.db.failures")
 
 
 def log_failure(log: logging.Logger, error: Exception, message: str, *arguments: object) -> None:
     """Log a sentence with what the database or its disk says; only what Kilter does not know has its traceback."""
-    from kilter_service.db.failures import CODES, in_words  # imports SQLAlchemy: not before the process does its work
-
-    known = in_words(error)
-    if known is not None and (known is error or known.code in CODES):
+    known = failures.in_words(error)
+    if known is not None and (known is error or known.code in failures.CODES):
         log.error(f"{message}: %s", *arguments, known.message)
     else:
         log.error(message, *arguments, exc_info=error)

@@ -11,16 +11,49 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import ValidationError
 
+from kilter_files.ground.later import Later
 from kilter_service.observability import logs, tracing
 from kilter_service.private_files import UMASK, protect
 from kilter_service.settings import DATABASE_FILE, JOBS_FILE, Settings
 from kilter_service.signing import command
 from kilter_service.version import code_version
 from kilter_service.zenoh_config import command as zenoh_command
+
+# A command loads what it runs, and nothing else.
+if TYPE_CHECKING:
+    from kilter_service import compiling, db, server_file, serving, supervisor
+    from kilter_service.audit import service as audits
+    from kilter_service.auth import listen_rules, token
+    from kilter_service.backup import commands
+    from kilter_service.backup import upgrade as upgrading
+    from kilter_service.corrector import process as corrector_process
+    from kilter_service.db import failures, revision
+    from kilter_service.doctor import commands as doctor_commands
+    from kilter_service.jobs import worker as jobs
+    from kilter_service.jobs.retention import service as retention
+    from kilter_service.ros2 import process as ros2_process
+else:
+    audits = Later("kilter_service.audit.service")
+    listen_rules = Later("kilter_service.auth.listen_rules")
+    token = Later("kilter_service.auth.token")
+    commands = Later("kilter_service.backup.commands")
+    upgrading = Later("kilter_service.backup.upgrade")
+    compiling = Later("kilter_service.compiling")
+    corrector_process = Later("kilter_service.corrector.process")
+    db = Later("kilter_service.db")
+    failures = Later("kilter_service.db.failures")
+    revision = Later("kilter_service.db.revision")
+    doctor_commands = Later("kilter_service.doctor.commands")
+    retention = Later("kilter_service.jobs.retention.service")
+    jobs = Later("kilter_service.jobs.worker")
+    ros2_process = Later("kilter_service.ros2.process")
+    server_file = Later("kilter_service.server_file")
+    serving = Later("kilter_service.serving")
+    supervisor = Later("kilter_service.supervisor")
 
 ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder
 TRACED = frozenset({"api", "worker"})
@@ -41,25 +74,17 @@ Command = Callable[[Settings, argparse.Namespace], None]
 
 def serve(settings: Settings, _: argparse.Namespace) -> None:
     """Run API, worker and corrector together, and the ROS 2 adaptor where topics are set."""
-    from kilter_service.supervisor import serve
-
-    serve(settings)
+    supervisor.serve(settings)
 
 
 def api(settings: Settings, arguments: argparse.Namespace) -> None:
     """Run the HTTP API alone."""
-    from kilter_service import serving
-
     if arguments.fd is not None:
         serving.serve(settings, socket.socket(fileno=arguments.fd))
         return
-    from kilter_service.auth.listen_rules import check_binding
-    from kilter_service.auth.token import admin_token
-    from kilter_service.server_file import ServerFile
-
-    check_binding(settings)
-    admin_token(settings)
-    with serving.listener(settings) as opened, ServerFile(settings.server_file) as file:
+    listen_rules.check_binding(settings)
+    token.admin_token(settings)
+    with serving.listener(settings) as opened, server_file.ServerFile(settings.server_file) as file:
         serving.check_database(settings)
         document = {
             "url": serving.url_of(opened, settings),
@@ -74,36 +99,26 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def worker(settings: Settings, arguments: argparse.Namespace) -> None:
     """Run a process that executes jobs."""
-    from kilter_service import serving
-
     if not arguments.supervised:  # nobody migrates the database meanwhile
         serving.check_database(settings)
     with serving.lasting():
-        from kilter_service.jobs.worker import run
-
+        run = jobs.run  # imports the worker's libraries
     run(settings)
 
 
 def corrector(settings: Settings, arguments: argparse.Namespace) -> None:
     """Run the process that corrects setpoints over zenoh."""
-    from kilter_service.corrector.process import run
-
-    run(settings, arguments.deserted.is_set)
+    corrector_process.run(settings, arguments.deserted.is_set)
 
 
 def ros2(settings: Settings, _: argparse.Namespace) -> None:
     """Run the process that corrects messages of ROS 2."""
-    from kilter_service.ros2.process import run
-
-    run(settings)
+    ros2_process.run(settings)
 
 
 def migrate(settings: Settings, _: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter."""
-    from kilter_service.backup.upgrade import upgrade
-    from kilter_service.db import revision
-
-    done = upgrade(settings)
+    done = upgrading.upgrade(settings)
     print(f"The database {'was brought to' if done.steps else 'is at'} revision {revision.HEAD}.")
     if done.copy is not None:
         print(f"As it was it is kept as {done.copy}.")
@@ -111,26 +126,21 @@ def migrate(settings: Settings, _: argparse.Namespace) -> None:
 
 def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter, or say what that would do (--check)."""
-    from kilter_service.backup.commands import upgrade
-
-    upgrade(settings, arguments)
+    commands.upgrade(settings, arguments)
 
 
 def audit(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check that the audit in a database is whole; no server need run."""
-    from kilter_service.audit.service import head_in, heads_in, verify
-    from kilter_service.db import Database, revision
-
-    head = head_in(arguments.head)
+    head = audits.head_in(arguments.head)
     noted = [] if head is None else [head]
     if arguments.journal:
-        told = heads_in(Path(arguments.journal))
+        told = audits.heads_in(Path(arguments.journal))
         print(f"The journal names {len(set(told))} entries.")
         noted += told
-    database = Database(settings.database)
+    database = db.Database(settings.database)
     try:
         revision.check(database)
-        last = verify(database, *noted)
+        last = audits.verify(database, *noted)
     finally:
         database.close()
     print(f"The audit is whole: {last.number} entries, the last is {last.number}:{last.sha256}.")
@@ -138,61 +148,46 @@ def audit(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def doctor(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check what the server needs on this machine, one line each, with the remedy."""
-    from kilter_service.doctor.commands import doctor
-
-    doctor(settings, arguments)
+    doctor_commands.doctor(settings, arguments)
 
 
 def backup(settings: Settings, arguments: argparse.Namespace) -> None:
     """Write all that is stored to a file, while the server runs."""
-    from kilter_service.backup.commands import backup
-
-    backup(settings, arguments)
+    commands.backup(settings, arguments)
 
 
 def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring a backup into an empty data folder or database."""
-    from kilter_service.backup.commands import restore
-
-    restore(settings, arguments)
+    commands.restore(settings, arguments)
 
 
 def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check every hash of the database, or of a backup, while the server runs."""
-    from kilter_service.backup.commands import verify
-
-    verify(settings, arguments)
+    commands.verify(settings, arguments)
 
 
 def seal(settings: Settings, arguments: argparse.Namespace) -> None:
     """Seal all rows anew: with a new key, or after a change by hand."""
-    from kilter_service.backup.commands import seal
-
-    seal(settings, arguments)
+    commands.seal(settings, arguments)
 
 
 def purge_jobs(settings: Settings, arguments: argparse.Namespace) -> None:
     """Delete jobs that ended long ago and that nothing needs, while the server runs."""
-    from kilter_service.db import Database, revision
-    from kilter_service.jobs.retention import service
-
-    age = service.age_in(arguments.older_than)
-    database = Database(settings.database)
+    age = retention.age_in(arguments.older_than)
+    database = db.Database(settings.database)
     try:
         revision.check(database)
         if arguments.dry_run:
-            print(f"{service.count(database, age)} jobs would be purged.")
+            print(f"{retention.count(database, age)} jobs would be purged.")
             return
-        print(f"{service.purge(database, age, 'kilterd purge-jobs')} jobs were purged; the audit names them.")
+        print(f"{retention.purge(database, age, 'kilterd purge-jobs')} jobs were purged; the audit names them.")
     finally:
         database.close()
 
 
 def compile_kernels(_: Settings, __: argparse.Namespace) -> None:
     """Compile the numeric kernels once, for every process of this installation; nothing else is touched."""
-    from kilter_service.compiling import compile_kernels
-
-    compile_kernels()
+    compiling.compile_kernels()
 
 
 def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
@@ -314,9 +309,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _end(error: Exception) -> NoReturn:
     """Say in one sentence why the command ends; what Kilter does not know is raised again, with its traceback."""
-    from kilter_service.db.failures import in_words
-
-    known = in_words(error)
+    known = failures.in_words(error)
     if known is None and not isinstance(error, OSError):
         raise error
     logs.say_end(str(error) if known is None else known.message)

@@ -10,10 +10,19 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
+from kilter_files.ground.later import Later
 from kilter_service.errors import ServiceError
 from kilter_service.memory import ShortPauses, keep_small
 from kilter_service.settings import Settings
+
+if TYPE_CHECKING:
+    from kilter_service import db
+    from kilter_service.db import revision
+else:
+    db = Later("kilter_service.db")
+    revision = Later("kilter_service.db.revision")
 
 log = logging.getLogger("kilter.api")
 
@@ -90,9 +99,7 @@ def check_database(settings: Settings, wait_s: float = 0.0) -> None:
         ServiceError: it has another one after ``wait_s``.
 
     """
-    from kilter_service.db import Database, revision
-
-    database = Database(settings.database)
+    database = db.Database(settings.database)
     try:
         revision.wait(database, wait_s)
     finally:

@@ -17,8 +17,9 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
+from kilter_files.ground.later import Later
 from kilter_service.auth.listen_rules import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.child import Child
@@ -30,6 +31,11 @@ from kilter_service.private_files import private_folder
 from kilter_service.server_file import ServerFile
 from kilter_service.serving import listener, url_of
 from kilter_service.settings import LOCK_FILE, Settings
+
+if TYPE_CHECKING:
+    from kilter_service.backup import upgrade
+else:
+    upgrade = Later("kilter_service.backup.upgrade")
 
 log = logging.getLogger("kilter.serve")
 
@@ -197,9 +203,7 @@ def _start(settings: Settings, children: list[Program], stop: threading.Event) -
 
 
 def _migrate(settings: Settings) -> None:
-    from kilter_service.backup.upgrade import upgrade  # after the children were started: importing takes a moment
-
-    upgrade(settings)
+    upgrade.upgrade(settings)  # loaded after the children were started: it takes a moment
 
 
 def _stop(children: list[Program]) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PRODUCT = ("core/kilter_core", "service/kilter_service", "clients/files", "clients/python/src", "clients/lerobot")
-MOST = 269  # import statements inside functions; only ever fewer
+MOST = 96  # import statements inside functions; only ever fewer
 
 
 INDENTED = re.compile(r"^[ \t]+(?:import|from)\s", re.MULTILINE)

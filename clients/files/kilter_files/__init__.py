@@ -1,27 +1,199 @@
-"""Files of measurements, made ready for upload.
-
-A name is imported when it is first asked for: a start does not wait for the readers.
-"""
+"""Files of measurements, made ready for upload."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.later import Later, np
+from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
+
 if TYPE_CHECKING:
-    from kilter_files.ready import draft, inspect, prepare, preset_of, read_joints
-    from kilter_files.tables.table import Prepared, Table
+    from kilter_files.formats import opening, reader, registry
+    from kilter_files.formats.joints import joint_log
+    from kilter_files.formats.points import tracker_header
+    from kilter_files.formats.reader import LogHints
+    from kilter_files.ground import units
+    from kilter_files.look import draft as drafts
+    from kilter_files.look import inspection
+    from kilter_files.look.draft import Draft
+    from kilter_files.maps import column_map as column_maps
+    from kilter_files.maps import mapped
+    from kilter_files.rig import points
+    from kilter_files.tables import joint_log as joint_logs
+    from kilter_files.tables import source
+    from kilter_files.tables.joint_log import JointLog
 
     DEVICES: Mapping[str, Callable[[Path], Table]]
+else:
+    joint_log = Later("kilter_files.formats.joints.joint_log")
+    opening = Later("kilter_files.formats.opening")
+    tracker_header = Later("kilter_files.formats.points.tracker_header")
+    reader = Later("kilter_files.formats.reader")
+    registry = Later("kilter_files.formats.registry")
+    units = Later("kilter_files.ground.units")
+    drafts = Later("kilter_files.look.draft")
+    inspection = Later("kilter_files.look.inspection")
+    column_maps = Later("kilter_files.maps.column_map")
+    mapped = Later("kilter_files.maps.mapped")
+    points = Later("kilter_files.rig.points")
+    joint_logs = Later("kilter_files.tables.joint_log")
+    source = Later("kilter_files.tables.source")
 
-__all__ = ["DEVICES", "Prepared", "draft", "inspect", "prepare", "preset_of", "read_joints"]
+__all__ = ["DEVICES", "Prepared", "draft", "inspect", "prepare", "read_joints"]
 
 
 def __getattr__(name: str) -> Any:
-    """``DEVICES``: the reader of each device's files, by name; else what one of the modules calls so."""
-    if name not in __all__:
+    """``DEVICES``: the reader of each device's files, by name, gathered from the readers when it is asked for."""
+    if name != "DEVICES":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    ready = import_module("kilter_files.ready")
-    return ready.devices() if name == "DEVICES" else getattr(ready, name)
+
+    return {name: one.read for name, one in registry.readers_for(reader.DEVICE).items()}
+
+
+TYPES = {".csv": CSV_TYPE, ".parquet": PARQUET_TYPE, ".json": JSON_TYPE}
+
+
+def prepare(
+    path: Path | str,
+    device: str | None = None,
+    column_map: Path | str | None = None,
+    joined: Path | str | None = None,
+    *,
+    preset: str | None = None,
+    euler: str | None = None,
+    hints: LogHints | None = None,
+) -> Prepared:
+    """Read a file for upload: through its map, else by its preset or its device, else byte for byte as it is.
+
+    ``joined`` is the second file of a map with a table [join], or the joints of the points of a ``preset``; ``hints`` are
+    of these joints, and ``euler`` is the order of the preset's angles. A workbook of contract columns needs no map.
+
+    Raises:
+        FileError: the file, or the map, is not what it should be; the message names place and remedy.
+        MissingPackageError: the format needs the extra ``files``.
+
+    """
+    path, other = Path(path), None if joined is None else Path(joined)
+    if column_map is not None and (preset or euler):
+        raise UsageError("A preset and the order of its angles belong to an export of points, without a column map.")
+    if column_map is not None:
+        return Prepared.from_table(_mapped(path, Path(column_map), other))
+    preset = preset or preset_of(device, path, joined=other is not None)
+    if preset is not None:
+        return _points(path, preset, euler, other, hints)
+    if other is not None:
+        raise FileError(f"{other}: a second file needs a column map with a table [join] (--map).", file=str(other))
+
+    if path.suffix.lower() in (".xlsx", ".xlsm"):
+        return Prepared.from_table(read_contract(path))
+    by_device = registry.readers_for(reader.DEVICE).get(device or "")
+    if by_device is not None and not _is_joined(path):
+        return Prepared.from_table(by_device.read(path))
+    return as_it_is(path)
+
+
+def preset_of(device: str | None, path: Path, joined: bool = False) -> str | None:
+    """Return the preset that a device names, where its file is an export of points and not contract columns already."""
+
+    if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
+        return None
+    return device if joined or not registry.recognised(path, "contract-columns") else None
+
+
+def _points(path: Path, preset: str, euler: str | None, joints: Path | None, hints: LogHints | None) -> Prepared:
+
+    if preset not in tracker_header.PRESETS:
+        raise UsageError(f"preset {preset!r}: is not one of {', '.join(tracker_header.PRESETS)}.")
+    return points.prepare_points(path, preset, euler, None if joints is None else read_joints(joints, None, hints))
+
+
+def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
+    """Return how a file is read, before anything is sent: its kind, columns or markers, notes, warnings and problems.
+
+    ``said`` is what the file does not say itself: ``rate_hz``, ``allow_cut``, ``preset``, ``euler``, ``unit``.
+
+    Raises:
+        FileError: the file cannot be read at all, with place and remedy.
+
+    """
+    return inspection.inspect(Path(path), reader.Hints(**said))
+
+
+def draft(path: Path | str) -> Draft:
+    """Draft a column map for a file: what names and ranges tell, and marks where they do not.
+
+    Raises:
+        FileError: no table of numbers is found in it.
+
+    """
+    return drafts.draft(Path(path))
+
+
+def read_contract(path: Path) -> Table:
+    """Read a workbook of contract columns.
+
+    Raises:
+        FileError: other columns, or a damaged workbook.
+
+    """
+    return mapped.contract_table(opening.open_source(path, None, source.Layout()))
+
+
+def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | None = None) -> JointLog:
+    """Read a joint log: as it is, or any table through its map.
+
+    Raises:
+        FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
+
+    """
+
+    if column_map is None:
+        return joint_log.read_joint_log(path, hints or reader.LogHints())
+
+    table = _mapped(path, column_map, None)
+    return joint_logs.checked_log(path, {name: np.array(values) for name, values in table.columns.items()}, table.lines)
+
+
+def _mapped(path: Path, column_map: Path, joined: Path | None) -> Table:
+    """Read a file and those of the map's [join] tables, and return them in contract columns."""
+
+    chosen = column_maps.read_map(column_map, registry.readers_for(reader.MAP))
+    opened = opening.open_source(path, chosen.form, chosen.layout)
+    places = mapped.further_files(path, chosen, joined)
+    further = [
+        opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)
+    ]
+    return mapped.mapped(opened, chosen, further)
+
+
+def _is_joined(path: Path) -> bool:
+    """Tell whether a device's log was joined with the joint log already: all of its columns are the contract's."""
+
+    if path.suffix.lower() != ".csv":
+        return False
+    try:
+        with path.open(encoding="utf-8") as stream:
+            names = stream.readline(65_536).strip().split(",")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return all(units.unit_of(name) is not None for name in names)
+
+
+def as_it_is(path: Path) -> Prepared:
+    """Read a file that already has contract columns; its bytes, and so its content hash, stay what they are."""
+    kind = TYPES.get(path.suffix.lower())
+    if kind is None:
+        raise FileError(
+            f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Send it with a column map "
+            f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "
+            f"({', '.join(registry.readers_for(reader.DEVICE))}).",
+            file=str(path),
+        )
+    try:
+        return Prepared(path.read_bytes(), kind, notes=("contract columns, sent as they are",))
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}.", file=str(path)) from error

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.evaluate import rows_of
-from kilter_core.evaluate.uncertainty import Budget, Conformity, judge
-from kilter_core.evaluate.uncertainty.budget import K
-from kilter_core.identify.estimate import refitted
-from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors
-from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
 from kilter_service.contract.instruments import Instrument
+from kilter_service.core import (
+    core_budget,
+    core_evaluate,
+    core_measurement,
+    core_model,
+    core_uncertainty,
+    estimate,
+    metrics,
+)
 from kilter_service.instruments.permissible import permissible
+
+if TYPE_CHECKING:
+    from kilter_core.evaluate.uncertainty import Conformity
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.model import Calibration
+
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,19 +67,19 @@ def judged(
     """
     if rows.position is None and rows.markers is None:
         return None
-    measurement = Measurement.of(rows, calibration.marker_points, held=True)
-    fitted = refitted(calibration, measurement, tuple(refit))
-    budget = Budget.of(fitted, known, measurement, permissible(instrument), refit)
+    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
+    fitted = estimate.refitted(calibration, measurement, tuple(refit))
+    budget = core_uncertainty.Budget.of(fitted, known, measurement, permissible(instrument), refit)
     if budget is None:
         return None
-    error = rows_of(fitted, measurement).error
+    error = core_evaluate.rows_of(fitted, measurement).error
     seen = ~np.isnan(error).any(axis=1)
     if not seen.any():
         return None
     sizes = np.linalg.norm(error[seen], axis=1)
-    conformity = judge(sizes, K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
-    nominal = refitted(Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
-    before, after = (Errors.of(one, measurement).to_document() for one in (nominal, fitted))
+    conformity = core_uncertainty.judge(sizes, core_budget.K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
+    nominal = estimate.refitted(core_model.Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
+    before, after = (metrics.Errors.of(one, measurement).to_document() for one in (nominal, fitted))
     document = {"instrument": instrument and instrument.name, **budget.to_document()}
     return Judged(conformity, before, after, document, _places(rows)[seen], sizes, numbers[seen])
 

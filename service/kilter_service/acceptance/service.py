@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from kilter_service.acceptance import words
+from kilter_service.acceptance.rows import judged, shown, span
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors, Remark
@@ -109,8 +110,6 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
 
 
 def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iterable[Part]:
-    from kilter_service.acceptance.rows import judged
-
     calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
     known = predictive.Predictive.from_document(
         versions.covariance(session, version_id), versions.get(session, version_id).report
@@ -135,8 +134,6 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iter
 
 
 def _part(session: Session, key: str, found: Judged, used: Instrument | None, refit: Sequence[str]) -> Part:
-    from kilter_service.acceptance.rows import shown
-
     record, uploads = campaigns.get(session, key), campaigns.uploads_of(session, key)
     at = record.measured_at or max(one.created_at for one in uploads)
     places, sizes = shown(found)
@@ -165,8 +162,6 @@ def _decision(parts: Sequence[Part]) -> tuple[Decision, JudgedCampaign, list[Rem
 
 
 def _span(parts: Sequence[Part]) -> tuple[list[float], list[float]]:
-    from kilter_service.acceptance.rows import span
-
     low, high = span([one.judged for one in parts])
     return to_mm(low).tolist(), to_mm(high).tolist()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from kilter_service import backup_folder
 from kilter_service.backup import service
+from kilter_service.backup import upgrade as upgrading
 from kilter_service.db import revision
 from kilter_service.settings import Settings
 from kilter_service.texts import plural
@@ -42,9 +43,7 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter, or say what that would do."""
-    from kilter_service.backup import upgrade
-
-    plan = upgrade.planned(settings) if arguments.check else upgrade.upgrade(settings)
+    plan = upgrading.planned(settings) if arguments.check else upgrading.upgrade(settings)
     if not plan.steps:
         print(f"The database is at revision {revision.HEAD}: there is nothing to upgrade.")
         return

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from kilter_core.observations.repeats import last_motion
+from kilter_files.ground.later import pc
 from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.looking import Rows
 from kilter_service.campaigns.repeats import Repeats, repeats

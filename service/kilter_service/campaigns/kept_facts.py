@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from kilter_service.campaigns import looking
+from kilter_service.campaigns.facts import facts
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.db import Database
 
@@ -32,8 +33,6 @@ def facts_of(database: Database, campaign: Campaign, reading: Callable[[Rows], N
         ObservationError: nothing was uploaded yet. ServiceError: no such campaign, or parts of it are missing.
 
     """
-    from kilter_service.campaigns.facts import facts  # compiled kernels: not at the start of the API process
-
     key = key_of(campaign)
     with _lock:
         if key in _facts:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.model import Calibration
 from kilter_core.observations import Observations as Seen
-from kilter_core.transforms import nearest_rotation
 from kilter_service.campaigns.repeats import MAD, Repeats
+from kilter_service.core import core_model, transforms
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
 
 def _left(robot: Robot, q: Floats, points: Floats) -> Floats:
     """How far (m) each point is from the nominal arm; base and tool point are fitted to the nearer half in turn."""
-    model = Calibration.nominal(robot).model
+    model = core_model.Calibration.nominal(robot).model
     pose = model.in_frames(np.eye(4), np.eye(4)).predict(Seen(q), model.values0())
     f, F = pose.position, pose.rotation
     tool, kept = model.T_tool[:3, 3], np.ones(len(q), dtype=bool)
@@ -116,7 +115,7 @@ def _left(robot: Robot, q: Floats, points: Floats) -> Floats:
     for _ in range(ROUNDS):
         body = f + F @ tool
         a, b = body[kept].mean(axis=0), points[kept].mean(axis=0)
-        R = nearest_rotation((body[kept] - a).T @ (points[kept] - b))
+        R = transforms.nearest_rotation((body[kept] - a).T @ (points[kept] - b))
         local = (points - b) @ R.T + a
         tool = np.median(np.einsum("nji,nj->ni", F, local - f)[kept], axis=0)
         left = np.linalg.norm(f + F @ tool - local, axis=1)

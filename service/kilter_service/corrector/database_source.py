@@ -8,12 +8,24 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
+from kilter_files.ground.later import Later
 from kilter_service.core import program
 from kilter_service.corrector.active import Active, version_number, workspace_of
 
 if TYPE_CHECKING:
-    from kilter_service.db import Database
+    from kilter_service import correction_limits, db
+    from kilter_service.db import revision
+    from kilter_service.robots import compensation
+    from kilter_service.robots import store as robots
     from kilter_service.versions import store
+
+else:
+    correction_limits = Later("kilter_service.correction_limits")
+    db = Later("kilter_service.db")
+    revision = Later("kilter_service.db.revision")
+    compensation = Later("kilter_service.robots.compensation")
+    robots = Later("kilter_service.robots.store")
+    store = Later("kilter_service.versions.store")
 
 log = logging.getLogger("kilter.corrector")
 
@@ -28,37 +40,26 @@ class DatabaseSource:
         self._compiled: dict[tuple[str, int], Active] = {}
 
     @cached_property
-    def _database(self) -> Database:
-        from kilter_service.db import Database
-
-        return Database(self._url)
+    def _database(self) -> db.Database:
+        return db.Database(self._url)
 
     def stamp(self) -> Hashable:
         """What changes with every activation and with what controllers correct; None while the database has no tables."""
-        from kilter_service.db import revision
-        from kilter_service.robots import store as robots
-        from kilter_service.robots.compensation import CORRECTS
-        from kilter_service.versions import store
-
         self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
         if not self._migrated:
             return None
         with self._database.reading() as session:
-            return store.active_stamp(session), robots.compensated(session, CORRECTS)
+            return store.active_stamp(session), robots.compensated(session, compensation.CORRECTS)
 
     def load(self) -> Mapping[str, Active]:
         """Every robot's active version, but of those whose controllers correct: they would be corrected twice.
 
         One that cannot be compiled is logged and leaves the others alone.
         """
-        from kilter_service.robots import store as robots
-        from kilter_service.robots.compensation import CORRECTS
-        from kilter_service.versions import store
-
         if not self._migrated:
             return {}
         with self._database.reading() as session:
-            twice = robots.compensated(session, CORRECTS)
+            twice = robots.compensated(session, compensation.CORRECTS)
             names = store.robots_with_active(session)
             found = [store.active_version(session, name) for name in names if name not in twice]
         for name in twice & set(names):
@@ -83,9 +84,7 @@ class DatabaseSource:
 
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
-    from kilter_service.correction_limits import options_of
-
-    options = options_of(version.limits, temperature_c)
+    options = correction_limits.options_of(version.limits, temperature_c)
     return Active(
         robot=version.robot,
         version_id=version.id,

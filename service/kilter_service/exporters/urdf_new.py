@@ -10,12 +10,12 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.arm.conversions import JointFrames, Screws, joint_frames
 from kilter_core.errors import RobotError
-from kilter_core.model.geometry import flange_frames, flange_screws, wanted_tool
+from kilter_service.core import core_conversions, core_geometry
 from kilter_service.exporters.urdf_words import numbers, set_origin
 
 if TYPE_CHECKING:
+    from kilter_core.arm.conversions import JointFrames, Screws
     from kilter_core.arm.robot import Joint, Link, Robot
     from kilter_core.model import Calibration
 
@@ -33,10 +33,10 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
         RobotError: no axis of a joint has ratio 1 or -1.
 
     """
-    robot, screws = calibration.robot, flange_screws(calibration)
+    robot, screws = calibration.robot, core_geometry.flange_screws(calibration)
     leader = _leaders(robot, screws)
     turned = _reversed(screws, leader)
-    frames = joint_frames(turned)
+    frames = core_conversions.joint_frames(turned)
     root = Element("robot", name=name)
     SubElement(root, "link", name="base_link")
     parent = "base_link"
@@ -53,7 +53,7 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
     if robot.has_masses:
         _add_masses(root, robot, calibration, frames, leader)
     _fixed(root, parent, "flange", frames.end)
-    _fixed(root, "flange", "tool", wanted_tool(calibration))
+    _fixed(root, "flange", "tool", core_geometry.wanted_tool(calibration))
     return root
 
 
@@ -76,7 +76,7 @@ def _reversed(screws: Screws, leader: dict[int, int]) -> Screws:
     for k in leader.values():
         direction[k] *= ratio[k]
         ratio[k] = 1.0
-    return Screws(direction, screws.point, screws.prismatic, screws.joint, ratio, screws.home)
+    return core_conversions.Screws(direction, screws.point, screws.prismatic, screws.joint, ratio, screws.home)
 
 
 def _axis(root: Element, parent: str, joint: Joint, name: str, origin: Floats) -> str:
@@ -115,7 +115,7 @@ def _add_masses(
     root: Element, robot: Robot, calibration: Calibration, frames: JointFrames, leader: dict[int, int]
 ) -> None:
     """Give the links of the axes their masses, rotated from the chain's frames into the links'."""
-    elements = flange_frames(calibration).elements
+    elements = core_geometry.flange_frames(calibration).elements
     at, T = [], np.eye(4)
     for origin in frames.origin:
         T = T @ origin

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_service.core import transforms
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ def set_origin(joint: Element, T: Floats) -> None:
     """Write a pose (4, 4) as the origin of a joint, with every digit that counts."""
     origin = joint.find("origin")
     origin = SubElement(joint, "origin") if origin is None else origin
-    xyz, rpy = xyz_rpy_from_pose(T)
+    xyz, rpy = transforms.xyz_rpy_from_pose(T)
     origin.set("xyz", numbers(xyz))
     origin.set("rpy", numbers(away_from_the_cut(rpy)))
 

@@ -10,11 +10,19 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from kilter_files.ground.later import Later
 from kilter_service.failure_log import Failing
 from kilter_service.settings import Settings
 
 if TYPE_CHECKING:
-    from kilter_service.db import Database
+    from kilter_service import db
+    from kilter_service.db import revision
+    from kilter_service.health import store
+
+else:
+    db = Later("kilter_service.db")
+    revision = Later("kilter_service.db.revision")
+    store = Later("kilter_service.health.store")
 
 log = logging.getLogger("kilter.health")
 
@@ -57,9 +65,7 @@ class Pulse:
         self._round_at = time.monotonic()
 
     def _run(self) -> None:
-        from kilter_service.db import Database  # imports SQLAlchemy: not before the process does its work
-
-        database = Database(self._settings.database)
+        database = db.Database(self._settings.database)
         while not self._ended.wait(BEAT_S if self._said else 0.0):
             self._said = True
             if self._well() and time.monotonic() - self._round_at < STUCK_S:
@@ -67,10 +73,7 @@ class Pulse:
         self._tell(database, stopped=True)
         database.close()
 
-    def _tell(self, database: Database, *, stopped: bool) -> None:
-        from kilter_service.db import revision
-        from kilter_service.health import store
-
+    def _tell(self, database: db.Database, *, stopped: bool) -> None:
         try:
             # Before the tables are there, as while a new server makes them, the check of the database says what is missing.
             self._migrated = self._migrated or revision.current(database) == revision.HEAD

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
-from kilter_core.transforms import pose_from_xyz_rpy
+from kilter_service.core import transforms
 from kilter_service.importers.urdf import chain_document
 from kilter_service.importers.urdf_masses import hanging
 from kilter_service.importers.urdf_tree import numbers, parse
@@ -86,7 +86,9 @@ def _of(link: Element) -> Iterator[Shape]:
     place = f"link {link.get('name')}"
     for visual in link.findall("visual"):
         origin, geometry = visual.find("origin"), visual.find("geometry")
-        pose = pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place))
+        pose = transforms.pose_from_xyz_rpy(
+            numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place)
+        )
         for one in [] if geometry is None else geometry:
             if one.tag == "mesh":
                 file = one.get("filename") or ""

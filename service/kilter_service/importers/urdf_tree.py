@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
-from kilter_core.transforms import pose_from_xyz_rpy
+from kilter_service.core import transforms
 from kilter_service.importers.xml_text import read_xml
 from kilter_service.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
 from kilter_service.texts import LINE
@@ -57,7 +57,7 @@ class UrdfJoint:
     @property
     def origin(self) -> Floats:
         """Pose (4, 4) of the joint in its parent link."""
-        return pose_from_xyz_rpy(self.xyz, self.rpy)
+        return transforms.pose_from_xyz_rpy(self.xyz, self.rpy)
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,7 @@ def _body(link: Element) -> Body:
     if inertial is None:
         return Body()
     origin, tensor = inertial.find("origin"), inertial.find("inertia")
-    T = pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place))
+    T = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place))
     six = [float(numbers(tensor, f"i{pair}", (0,), place)[0]) for pair in ("xx", "yy", "zz", "xy", "xz", "yz")]
     mass = float(numbers(inertial.find("mass"), "value", (0,), place)[0])
     return Body(mass, T[:3, 3], T[:3, :3] @ symmetric(six) @ T[:3, :3].T)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from kilter_service.core import core_model, predictive
 from kilter_service.jobs.plain import plain
+from kilter_service.versions.suggested import WORKSPACE, suggested
 
 if TYPE_CHECKING:
     from kilter_service.jobs.kind import JobInput, JobOutput
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
 
 def with_limits(output: JobOutput, job: JobInput) -> JobOutput:
     """Set the limits of the version, and say in its report what it does within them."""
-    from kilter_service.versions.suggested import WORKSPACE, suggested
-
     version = output.version
     if version is None:
         return output

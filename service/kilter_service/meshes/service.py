@@ -9,6 +9,7 @@ from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShape, 
 from kilter_service.db import Database
 from kilter_service.db.row import now
 from kilter_service.errors import ServiceError
+from kilter_service.importers.urdf_shapes import link_shapes
 from kilter_service.meshes import store
 from kilter_service.meshes.reading import triangles
 from kilter_service.meshes.records import MeshRecord
@@ -130,8 +131,6 @@ def of_urdf(database: Database, robot: str) -> UrdfShapes:
             "(`kilter mesh set`).",
             code="option_invalid",
         )
-    from kilter_service.importers.urdf_shapes import link_shapes
-
     found = link_shapes(document["urdf"], document["base_link"], document["tip_link"])
     return UrdfShapes(shapes=[_placed(*one) for one in found.shapes], left_out=found.left_out)
 

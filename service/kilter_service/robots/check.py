@@ -8,14 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.arm.conversions import Screws, screws_of_chain
-from kilter_core.arm.documents import robot_from_document
-from kilter_core.model import Calibration
-from kilter_core.model.geometry import arm_screws
-from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
+from kilter_service.core import core_conversions, core_documents, core_geometry, core_model, transforms
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.plausibility import implausible
@@ -23,6 +19,7 @@ from kilter_service.robots.wire import joint_summary
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
+    from kilter_core.arm.conversions import Screws
     from kilter_core.arm.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -40,8 +37,8 @@ def check(document: RobotDocument) -> RobotCheck:
     """
     posted = document.model_dump(mode="json", exclude_none=True)
     understood = core_document(posted)
-    robot = robot_from_document(understood.document)
-    screws = arm_screws(Calibration.nominal(robot))
+    robot = core_documents.robot_from_document(understood.document)
+    screws = core_geometry.arm_screws(core_model.Calibration.nominal(robot))
     base = robot.T_base
     placed = screws.moved(base, np.eye(4))
     reach = _reach(robot, placed)
@@ -88,9 +85,9 @@ def _between(screws: Screws, k: int) -> tuple[float, float]:
 
 def _zero(robot: Robot, screws: Screws) -> Zero:
     """Points of the arm at zero: base, the frames on the axes, and the tool."""
-    flange = robot.T_base @ screws_of_chain(robot.chain).home
+    flange = robot.T_base @ core_conversions.screws_of_chain(robot.chain).home
     points = [robot.T_base[:3, 3], *screws.point, flange[:3, 3], screws.home[:3, 3]]
-    xyz, rpy = xyz_rpy_from_pose(screws.home)
+    xyz, rpy = transforms.xyz_rpy_from_pose(screws.home)
     millimetres, degrees = _mm(xyz), _plain(to_deg(rpy))
     tool = Pose(
         x_mm=millimetres[0], y_mm=millimetres[1], z_mm=millimetres[2],

@@ -5,21 +5,25 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.procedures.circle_points import AxisFit, robot_from_circles
 from kilter_service.contract.robot_reports import CircleAxis, FoundRobot
 from kilter_service.contract.robots import Target
 from kilter_service.contract.units import MAX_JOINTS
+from kilter_service.core import circle_points
 from kilter_service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.tables import reading
 from kilter_service.tables.assemble import observations
 from kilter_service.tables.columns import read_columns
 from kilter_service.wire import to_deg, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.procedures.circle_points import AxisFit
+
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 
@@ -47,7 +51,7 @@ def found_robot(
     if points is None:
         raise ObservationError("Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ... .")
     slides = np.array([kind == "prismatic" for kind in kinds])
-    found = robot_from_circles(
+    found = circle_points.robot_from_circles(
         rows.q,
         slides,
         points.reshape(len(rows), -1, 3),

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import indent, tostring
 
-from kilter_core.arm.conversions import drive_document, load_document, pose_document, robot_document
-from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.robot import Robot
-from kilter_core.model import Calibration
 from kilter_service.contract.robots import RobotDocument
+from kilter_service.core import core_conversions, core_documents, core_model
 from kilter_service.exporters.urdf_new import new_urdf
 from kilter_service.robots.documents import SETTINGS, core_document
+
+if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
 
 
 def convert(document: RobotDocument, to: str) -> dict[str, Any]:
@@ -22,15 +22,17 @@ def convert(document: RobotDocument, to: str) -> dict[str, Any]:
 
     """
     posted = document.model_dump(mode="json", exclude_none=True)
-    robot = robot_from_document(core_document(posted).document)
-    made = _urdf(robot) if to == "urdf" else robot_document(robot, to)
+    robot = core_documents.robot_from_document(core_document(posted).document)
+    made = _urdf(robot) if to == "urdf" else core_conversions.robot_document(robot, to)
     return made | {key: posted[key] for key in ("source", *SETTINGS) if key in posted}
 
 
 def _urdf(robot: Robot) -> dict[str, Any]:
-    root = new_urdf(robot.name, Calibration.nominal(robot))
+    root = new_urdf(robot.name, core_model.Calibration.nominal(robot))
     indent(root)
-    driven = [{"name": joint.name, **told} for joint in robot.joints if (told := drive_document(joint))]
+    driven = [
+        {"name": joint.name, **told} for joint in robot.joints if (told := core_conversions.drive_document(joint))
+    ]
     return (
         {
             "name": robot.name,
@@ -39,9 +41,9 @@ def _urdf(robot: Robot) -> dict[str, Any]:
             "base_link": "base_link",
             "tip_link": "flange",
             "gravity_m_s2": robot.gravity.tolist(),
-            "base": pose_document(robot.T_base),
-            "tool": pose_document(robot.T_tool),
+            "base": core_conversions.pose_document(robot.T_base),
+            "tool": core_conversions.pose_document(robot.T_tool),
         }
-        | load_document(robot)
+        | core_conversions.load_document(robot)
         | ({"joints": driven} if driven else {})
     )

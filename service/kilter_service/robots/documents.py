@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from kilter_core.errors import RobotError
+from kilter_service.importers.urdf import chain_document
 
 SETTINGS = ("controller_compensation",)  # what a document says beside the arm
 KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma", "load")
@@ -26,10 +27,6 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
     """
     if posted["convention"] != "urdf":
         return CoreDocument(without_settings(posted), [])
-    from kilter_service.importers.urdf import (
-        chain_document,  # imports numpy and scipy: not at the start of the API process
-    )
-
     result = chain_document(posted["urdf"], posted["base_link"], posted["tip_link"], posted["name"])
     document = dict(result.document)
     document.update((key, posted[key]) for key in KEPT if key in posted)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.arm.conversions import pose_document
-from kilter_core.arm.documents.parts import pose_of
 from kilter_core.errors import OptionError
-from kilter_core.model.closed_inverse import axes_of, flange, kind_of
-from kilter_core.model.general_inverse import reaching
 from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
 from kilter_service.contract.units import Pose
+from kilter_service.core import closed_inverse, core_conversions, core_parts, general_inverse
 from kilter_service.db import Database
 from kilter_service.robots import service
 from kilter_service.wire import to_deg, to_rad
@@ -32,8 +29,8 @@ def forward(database: Database, name: str, rows: JointRows) -> Flanges:
     if wrong is not None:
         said = f"Row {wrong + 1} has {len(rows.joints_deg[wrong])} joints, {name!r} has {arm.n_joints}."
         raise OptionError(said, option="joints_deg")
-    poses = (flange(arm, q) for q in to_rad(np.array(rows.joints_deg, dtype=np.float64)))
-    return Flanges(flanges=[Pose.model_validate(pose_document(T)) for T in poses])
+    poses = (closed_inverse.flange(arm, q) for q in to_rad(np.array(rows.joints_deg, dtype=np.float64)))
+    return Flanges(flanges=[Pose.model_validate(core_conversions.pose_document(T)) for T in poses])
 
 
 def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
@@ -44,14 +41,14 @@ def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
         OptionError: more poses than one request computes of an arm without a closed form.
 
     """
-    axes = axes_of(service.arm(database, name))
-    if kind_of(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
+    axes = closed_inverse.axes_of(service.arm(database, name))
+    if closed_inverse.kind_of(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
         raise OptionError(
             f"{name!r} has no closed form, and its joints are found for {MOST_WITHOUT_FORM} poses at a time, "
             f"not {len(wanted.flanges)}. Send them in parts.",
             option="flanges",
         )
-    rows = [reaching(axes, pose_of(pose.model_dump())) for pose in wanted.flanges]
+    rows = [general_inverse.reaching(axes, core_parts.pose_of(pose.model_dump())) for pose in wanted.flanges]
     return Postures(
         postures=[
             [

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.arm.conventions import PARALLEL_RAD
+from kilter_service.core import core_conventions
 from kilter_service.robots.drives import unsaid_drives
 from kilter_service.wire import to_deg, to_mm, to_rad
 
@@ -84,7 +84,7 @@ def _axes(robot: Robot, screws: Screws) -> Iterator[str]:
         coupled = screws.joint[k] in screws.joint[:k] or screws.joint[k - 1] in screws.joint[k + 1 :]
         if sine < 1e-9 and aside < 1e-9 and not coupled:
             yield f"{names} rotate about the same axis: their offsets cannot be told apart, and one of them looks missing."
-        elif 1e-6 < sine < math.sin(PARALLEL_RAD):
+        elif 1e-6 < sine < math.sin(core_conventions.PARALLEL_RAD):
             yield f"The axes of {names} are {to_deg(math.asin(sine)):.4f} deg from parallel: nominal axes are exact."
 
 

@@ -18,7 +18,10 @@ from kilter_service.contract.robots import RobotDocument, Target
 from kilter_service.contract.units import MAX_JOINTS, Name
 from kilter_service.limits import MAX_CIRCLE_MB
 from kilter_service.page_query import PageOfList
-from kilter_service.robots import service
+from kilter_service.robots import nominal, service
+from kilter_service.robots.check import check as checked
+from kilter_service.robots.circles import found_robot
+from kilter_service.robots.convert import convert as converted
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 from kilter_service.tables import reading
@@ -46,20 +49,12 @@ def add(document: RobotDocument, response: Response, database: DatabaseOfApp, _:
 @router.post("/check")
 def check(document: RobotDocument) -> RobotCheck:
     """Say what a document comes to, without adding it: axes, the arm at zero, reach, and what looks wrong."""
-    from kilter_service.robots.check import (
-        check as report,  # imports numpy and scipy: not at the start of the API process
-    )
-
-    return report(document)
+    return checked(document)
 
 
 @router.post("/convert", response_model_exclude_none=True)
 def convert(document: RobotDocument, to: Target) -> RobotDocument:
     """Write a document in another convention, without adding it: the same poses at the same joint readings."""
-    from kilter_service.robots.convert import (
-        convert as converted,  # imports numpy and scipy: not at the start of the process
-    )
-
     return DOCUMENT.validate_python(converted(document, to))
 
 
@@ -85,10 +80,6 @@ async def from_circles(
 
 
 def _found(path: Path, media: str, name: str, to: Target, base: str, follows: list[str]) -> FoundRobot:
-    from kilter_service.robots.circles import (
-        found_robot,  # imports numpy and scipy: not at the start of the API process
-    )
-
     return found_robot(path, media, name, to, base, follows)
 
 
@@ -107,16 +98,12 @@ def get(robot: str, database: DatabaseOfApp) -> RobotReport:
 @router.post("/{robot}/forward")
 def forward(robot: str, rows: JointRows, database: DatabaseOfApp) -> Flanges:
     """Say where the nominal flange is at these joints."""
-    from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
-
     return nominal.forward(database, robot, rows)
 
 
 @router.post("/{robot}/inverse")
 def inverse(robot: str, wanted: Flanges, database: DatabaseOfApp) -> Postures:
     """Find all joints that bring the nominal flange to these poses, of a six-axis arm."""
-    from kilter_service.robots import nominal  # imports numpy and scipy: not at the start of the API process
-
     return nominal.inverse(database, robot, wanted)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from kilter_core.errors import ObservationError
+from kilter_files.ground.later import csv as arrow
 from kilter_files.ground.later import pa, pc
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_CELL, MAX_CELLS, MAX_COLUMNS, MAX_HEADER_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES
@@ -101,8 +102,6 @@ def whole_table(path: Path, media: str, most_rows: int) -> pa.Table:
 
 
 def _csv_tables(path: Path, named: Names) -> Iterator[pa.Table]:
-    from pyarrow import csv as arrow
-
     columns = _header(path)
     try:
         reader = arrow.open_csv(

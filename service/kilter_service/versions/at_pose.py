@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.correct.walker import correct_trajectory
-from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
 from kilter_core.observations import Observations
-from kilter_core.transforms import inverse
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import predictive, transforms, walker
 from kilter_service.correction_limits import options_of
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
@@ -96,13 +94,13 @@ def _looked_at(
     limits: CorrectionLimits,
     temperature_c: float | None,
 ) -> AtPose:
-    arm, wanted = acting(calibration, rows), calibration.wanted()
-    to_base = inverse(np.asarray(wanted.model.T_base))
+    arm, wanted = predictive.acting(calibration, rows), calibration.wanted()
+    to_base = transforms.inverse(np.asarray(wanted.model.T_base))
     tool, expected = arm.predict(rows).position[0], wanted.predict(rows).position[0]
-    done = correct_trajectory(arm, rows, options_of(limits, temperature_c))
+    done = walker.correct_trajectory(arm, rows, options_of(limits, temperature_c))
     there = {effect.id for effect in arm.model.effects}
     missing = [one.id for one in calibration.model.effects if one.stage != "measurement" and one.id not in there]
-    sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / QUANTILE
+    sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / predictive.QUANTILE
     return AtPose(
         rows.q[0], to_base[:3, :3] @ tool + to_base[:3, 3], to_base[:3, :3] @ (tool - expected),
         Status(int(done.status[0])).name, tuple(_parts(arm, known, rows, expected)), tuple(dict.fromkeys(missing)), sigma,
@@ -134,5 +132,5 @@ def _part(
     jacobian = arm.model.jacobian(rows, arm.values, np.array(free, dtype=np.int64), False)[1][0, :3]
     along = np.asarray((shift / size) @ jacobian)
     variance = float(np.einsum("i,ij,j", along, known.covariance[np.ix_(place, place)], along))
-    half = QUANTILE * math.sqrt(max(variance, 0.0))
+    half = predictive.QUANTILE * math.sqrt(max(variance, 0.0))
     return Part(name, size, size - half, size + half)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.repeats import numbered_poses
-from kilter_files.ground.later import parquet
+from kilter_files.ground.later import parquet, stats
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
 from kilter_service.contract.comparisons import PairedErrors
@@ -107,9 +107,7 @@ def sentence(found: PairedErrors, a: str, b: str) -> str:
 
 def chance(better: int, worse: int) -> float:
     """Probability of at least so uneven a count where both are equally likely: exact sign test, two-sided."""
-    from scipy.stats import binomtest
-
-    return float(binomtest(better, better + worse, 0.5).pvalue) if better + worse else 1.0
+    return float(stats.binomtest(better, better + worse, 0.5).pvalue) if better + worse else 1.0
 
 
 def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
@@ -124,12 +122,10 @@ def size_of(table: Mapping[str, Any]) -> Floats:
 
 
 def _interval(means: Floats) -> tuple[float, float | None, float | None]:
-    from scipy.stats import t
-
     mean, count = float(means.mean()), len(means)
     if count < POSES_OF_INTERVAL:
         return mean, None, None
-    half = float(t.ppf(0.975, count - 1) * means.std(ddof=1) / np.sqrt(count))
+    half = float(stats.t.ppf(0.975, count - 1) * means.std(ddof=1) / np.sqrt(count))
     return mean, mean - half, mean + half
 
 

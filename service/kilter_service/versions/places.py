@@ -9,18 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.arm.frames import increment
-from kilter_core.correct.walker import correct_trajectory
-from kilter_core.identify.estimate import registration_only
-from kilter_core.identify.row_errors import RowErrors, mean_of
-from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
-from kilter_core.measurement import Measurement
-from kilter_core.model import Calibration as CoreCalibration
 from kilter_core.observations import Observations
-from kilter_core.transforms import inverse
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import (
+    core_frames,
+    core_measurement,
+    core_model,
+    estimate,
+    predictive,
+    row_errors,
+    transforms,
+    walker,
+)
 from kilter_service.correction_limits import options_of
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
@@ -139,7 +141,11 @@ class _Frame:
 def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[str]) -> _Frame | None:
     rows = np.flatnonzero(where)
     shape = calibration.marker_points
-    here = refitted(calibration, Measurement.of(part.rows.select(where), shape), refit) if refit else calibration
+    here = (
+        refitted(calibration, core_measurement.Measurement.of(part.rows.select(where), shape), refit)
+        if refit
+        else calibration
+    )
     found = [_sizes(part, here, rows[k : k + SLICE]) for k in range(0, len(rows), SLICE)]
     if any(one is None for one in found):
         return None
@@ -150,26 +156,28 @@ def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[s
 
 def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] | None:
     """Places (n, 3) m of rows and the sizes (n,) m of their errors; None where no instrument saw a place."""
-    measurement = Measurement.of(part.rows.select(rows), here.marker_points)
+    measurement = core_measurement.Measurement.of(part.rows.select(rows), here.marker_points)
     if not measurement.observes_places:
         return None
     predicted = here.predict(measurement.observations)
-    size = np.linalg.norm(mean_of(measurement.residual(predicted).points), axis=1)
+    size = np.linalg.norm(row_errors.mean_of(measurement.residual(predicted).points), axis=1)
     return in_base(here, predicted.position), size
 
 
 def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
     """Errors (n, 3, 3) m of the rows chosen, by stage; registration is fitted to some rows, evenly chosen."""
-    nominal = CoreCalibration.nominal(frame.here.robot)
+    nominal = core_model.Calibration.nominal(frame.here.robot)
     some = frame.rows[np.linspace(0, len(frame.rows) - 1, min(len(frame.rows), FITTED_ROWS)).astype(np.int64)]
-    fitted = registration_only(nominal, Measurement.of(part.rows.select(some), frame.here.marker_points))
+    fitted = estimate.registration_only(
+        nominal, core_measurement.Measurement.of(part.rows.select(some), frame.here.marker_points)
+    )
     return _errors(part, dict(zip(STAGES, (nominal, fitted, frame.here), strict=True)), frame.rows[chosen])
 
 
 def _errors(part: Part, stages: dict[str, Calibration], rows: Ints) -> Floats:
     """Errors (n, stages, 3) m of rows, in the axes of the robot's base."""
-    measurement = Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points)
-    return np.stack([RowErrors.of(stages, measurement, rows).left[name] for name in stages], axis=1)
+    measurement = core_measurement.Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points)
+    return np.stack([row_errors.RowErrors.of(stages, measurement, rows).left[name] for name in stages], axis=1)
 
 
 def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
@@ -189,16 +197,16 @@ def reach(database: Database, version: str) -> Reach:
         limits = CorrectionLimits(**store.get(session, version).limits)
         calibration, known = store.calibration(session, version), store.known(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
-    done = correct_trajectory(calibration, rows, options_of(limits, None))
+    done = walker.correct_trajectory(calibration, rows, options_of(limits, None))
     good = done.status == Status.OK
     rows = rows.select(good)
     before = np.linalg.norm(done.error_removed[good], axis=1)
-    after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / QUANTILE
-    points = acting(calibration, rows).predict(rows).position
+    after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / predictive.QUANTILE
+    points = predictive.acting(calibration, rows).predict(rows).position
     return Reach(in_base(calibration, points), before, after)
 
 
 def in_base(calibration: Calibration, points: Floats) -> Floats:
     """Points (N, 3) m of the measurements in the frame of the robot's base."""
-    base = inverse(calibration.model.T_base @ increment(calibration.values[:6]))
+    base = transforms.inverse(calibration.model.T_base @ core_frames.increment(calibration.values[:6]))
     return np.asarray(points @ base[:3, :3].T + base[:3, 3])

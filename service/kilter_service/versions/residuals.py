@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from kilter_core.evaluate import rows_of
-from kilter_core.identify.setups import with_own
-from kilter_core.identify.tukey import sizes_of
-from kilter_core.measurement import Measurement
+from kilter_files.ground.later import pa
 from kilter_service.campaigns import store as campaigns
+from kilter_service.core import core_evaluate, core_measurement, setups, tukey
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.tables.writing import write_table
@@ -110,15 +107,15 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
     turn, size = np.full(count, np.nan), np.full(count, np.nan)
     point_noise, turn_noise = wire.noise_of(report)
     for where, refit in frames_of(part, report):
-        measurement = Measurement.of(part.rows.select(where), shape)
+        measurement = core_measurement.Measurement.of(part.rows.select(where), shape)
         here = refitted(calibration, measurement, refit) if refit else calibration
-        found = rows_of(here, measurement, refit, known)
+        found = core_evaluate.rows_of(here, measurement, refit, known)
         left = measurement.residual(here.predict(measurement.observations))
         if np.isnan(turn_noise):
             left = left.of_points()
         error[where] = found.error
         u95[where] = np.nan if found.u95 is None else found.u95
-        size[where] = sizes_of(left, point_noise or np.nan, turn_noise or np.nan)
+        size[where] = tukey.sizes_of(left, point_noise or np.nan, turn_noise or np.nan)
         if left.turns is not None:
             turn[where] = np.linalg.norm(left.turns, axis=1)
     return wire.residual_columns(error, u95, turn, size)
@@ -143,4 +140,4 @@ def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple
 
 def refitted(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
     """Return a calibration with the frames in which it predicts these rows best."""
-    return with_own(calibration, measurement, "huber", frames)
+    return setups.with_own(calibration, measurement, "huber", frames)

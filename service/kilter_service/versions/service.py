@@ -15,17 +15,17 @@ from kilter_service.paging import Page, in_time
 from kilter_service.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.into_controller import said_of_controller
-from kilter_service.versions import store, wire
+from kilter_service.versions import at_pose as poses
+from kilter_service.versions import contributions as moves
+from kilter_service.versions import joint_space, store, wire
+from kilter_service.versions import places as measured
+from kilter_service.versions import residuals as left
+from kilter_service.versions import workspace as space
 from kilter_service.versions.preview import preview as looked_at
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from kilter_service.versions.at_pose import AtPose
-    from kilter_service.versions.contributions import Contribution
-    from kilter_service.versions.places import Places, Reach
-    from kilter_service.versions.workspace import Workspace
 
     Floats = NDArray[np.float64]
 
@@ -82,54 +82,36 @@ def preview(database: Database, version_id: str, temperature_c: float | None) ->
 
 def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:
     """Return what a version leaves of every row of campaigns, as a file."""
-    from kilter_service.versions.residuals import (
-        residuals as table,  # compiled kernels: not at the start of the API process
-    )
-
-    return table(database, version_id, campaigns, media)
+    return left.residuals(database, version_id, campaigns, media)
 
 
-def contributions(database: Database, version_id: str) -> tuple[int, list[Contribution]]:
+def contributions(database: Database, version_id: str) -> tuple[int, list[moves.Contribution]]:
     """Say how far each effect of a version moves the tool, and over how many poses."""
-    from kilter_service.versions.contributions import (
-        contributions as moved,  # compiled kernels: not at the start of the API process
-    )
-
-    return moved(database, version_id)
+    return moves.contributions(database, version_id)
 
 
-def places(database: Database, version_id: str, campaign: str) -> Places:
+def places(database: Database, version_id: str, campaign: str) -> measured.Places:
     """Return the errors of a campaign's rows where they were measured: nominal, with registration only, with a version."""
-    from kilter_service.versions.places import places as found  # compiled kernels: not at the start of the API process
-
-    return found(database, version_id, campaign)
+    return measured.places(database, version_id, campaign)
 
 
 def joint_errors(database: Database, version_id: str, campaign: str) -> Floats:
     """Return the errors of the rows of :func:`places` as the least motions (N, n) of the joints, rad or m."""
-    from kilter_service.versions.joint_space import joint_errors as found  # compiled kernels: not at the start
-
-    return found(database, version_id, campaign)
+    return joint_space.joint_errors(database, version_id, campaign)
 
 
 def at_pose(
     database: Database, version_id: str, q: Floats | None, campaign: str, row: int, temperature_c: float | None
-) -> AtPose:
+) -> poses.AtPose:
     """Say where the tool is at a pose, what moves it there, and how well that is known."""
-    from kilter_service.versions.at_pose import at_pose as found  # compiled kernels: not at the start
-
-    return found(database, version_id, q, campaign, row, temperature_c)
+    return poses.at_pose(database, version_id, q, campaign, row, temperature_c)
 
 
-def workspace(database: Database, version_id: str, temperature_c: float | None) -> Workspace:
+def workspace(database: Database, version_id: str, temperature_c: float | None) -> space.Workspace:
     """Say what a version does at poses all over the joint limits, and where their tools are."""
-    from kilter_service.versions.workspace import workspace as found  # compiled kernels: not at the start
-
-    return found(database, version_id, temperature_c)
+    return space.workspace(database, version_id, temperature_c)
 
 
-def reach(database: Database, version_id: str) -> Reach:
+def reach(database: Database, version_id: str) -> measured.Reach:
     """Return how far a version corrects the tool, and how well it knows it, all over the joint limits."""
-    from kilter_service.versions.places import reach as found  # compiled kernels: not at the start of the API process
-
-    return found(database, version_id)
+    return measured.reach(database, version_id)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from kilter_core.correct.needs import needs
-from kilter_core.identify.plausibility.believable import reach
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import believable, core_needs
 from kilter_service.versions.preview import at_poses, drawn
 from kilter_service.wire import to_deg, to_mm
 
@@ -29,7 +28,7 @@ def suggested(
 ) -> tuple[CorrectionLimits, dict[str, Any]]:
     """Return the limits for a version, and what its report says of them (mm, degrees). What was ``asked`` for stays."""
     q = drawn(calibration.robot)
-    found = needs(calibration, q)
+    found = core_needs.needs(calibration, q)
     shift = to_mm(max(found.largest_m, found.farthest_m))
     own = {
         "max_joint_deg": _rounded_up(to_deg(found.largest_rad), STEP_DEG),
@@ -41,7 +40,7 @@ def suggested(
     there = at_poses(calibration, known, limits, q)
     return limits, {
         "poses": len(q),
-        "reach_mm": to_mm(reach(calibration.robot)),
+        "reach_mm": to_mm(believable.reach(calibration.robot)),
         "needed_deg": turn_deg,
         "needed_mm": shift_mm,
         "ok": there.counts.get("OK", 0),

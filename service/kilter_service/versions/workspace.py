@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.identify.uncertainty.predictive import acting
 from kilter_core.observations import Observations
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.core import predictive
 from kilter_service.db import Database
 from kilter_service.versions import store
 from kilter_service.versions.places import in_base
@@ -45,5 +45,5 @@ def workspace(database: Database, version_id: str, temperature_c: float | None) 
         calibration, known = store.calibration(session, version_id), store.known(session, version_id)
     q = drawn(calibration.robot)
     rows = Observations(q=q)
-    points = in_base(calibration, acting(calibration, rows).predict(rows).position)
+    points = in_base(calibration, predictive.acting(calibration, rows).predict(rows).position)
     return Workspace(calibration.robot, limits, at_poses(calibration, known, limits, q, temperature_c), points)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from kilter_files.formats.reader import Document
 from kilter_files.ground.arrays import Floats
+from kilter_files.ground.later import np
 
 
 def column(name: str, unit: str | None, values: Floats) -> Document:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["csv", "interpolate", "mujoco", "np", "pa", "parquet", "pc", "special", "transform"]
+__all__ = ["csv", "interpolate", "mujoco", "np", "pa", "parquet", "pc", "special", "stats", "transform"]
 
 
 class Later:
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.compute as pc
     from pyarrow import csv, parquet
-    from scipy import interpolate, special
+    from scipy import interpolate, special, stats
     from scipy.spatial import transform
 else:
-    csv, interpolate, mujoco, np, pa, parquet, pc, special, transform = map(
+    csv, interpolate, mujoco, np, pa, parquet, pc, special, stats, transform = map(
         Later,
         (
             "pyarrow.csv",
@@ -50,6 +50,7 @@ else:
             "pyarrow.parquet",
             "pyarrow.compute",
             "scipy.special",
+            "scipy.stats",
             "scipy.spatial.transform",
         ),
     )

@@ -6,12 +6,11 @@ import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, missing_package
+from kilter_files.ground.later import np
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.time_stamps import stamp_of
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from kilter_files.ground.arrays import Floats
+from kilter_files.ground.later import np
 
 
 def matrices_of(quaternions: Floats) -> Floats:

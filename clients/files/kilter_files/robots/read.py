@@ -9,7 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.robots.coupling import coupled
+from kilter_files.robots.katana import read_katana
+from kilter_files.robots.table import read_table
 from kilter_files.robots.text import read_text
+from kilter_files.robots.universal import read_universal
 
 URDF = (".urdf", ".xml")
 TABLES = (".csv", ".tsv", ".txt", ".xlsx")
@@ -71,8 +75,6 @@ def described_document(document: Mapping[str, Any], described: Described) -> dic
 
 def _described(document: dict[str, Any], described: Described) -> dict[str, Any]:
     if described.turned or described.follows:
-        from kilter_files.robots.coupling import coupled
-
         document = coupled(document, described.turned, described.follows)
     return {**document, "name": described.name} if described.name else document
 
@@ -81,16 +83,10 @@ def _read(path: Path, ending: str, described: Described) -> dict[str, Any]:
     if ending in URDF:
         return _urdf(path, described)
     if ending in TABLES:
-        from kilter_files.robots.table import read_table
-
         return read_table(path, described.convention, _name(path, described))
     if ending in UR:
-        from kilter_files.robots.universal import read_universal
-
         return read_universal(path, described.model, _name(path, described))
     if ending in KATANA:
-        from kilter_files.robots.katana import read_katana
-
         return read_katana(path, _name(path, described))
     return _json(path)
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from kilter_files.ground.arrays import Floats
+from kilter_files.ground.later import np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 # Optotrak writes -3.697e28 (bytes EE EE EE EE); nothing that is measured in mm comes near
 BEYOND_MM = 1e12

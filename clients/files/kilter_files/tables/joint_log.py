@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.units import JOINT, SELDOM
 
 MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turns either way

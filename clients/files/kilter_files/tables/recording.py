@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.units import SIZES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 BLOCK_BYTES = 8 << 20
 

@@ -15,6 +15,7 @@ from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, programs, robots, versions
 from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import meshes as shapes
+from kilter_client.wording import reworded
 
 if TYPE_CHECKING:
     import httpx
@@ -185,6 +186,4 @@ def connect(url: str | None = None, token: str | None = None) -> Kilter:
         ServerUnreachableError: nothing says where the server is.
 
     """
-    from kilter_client.wording import reworded
-
     return Kilter(url, token, reword=reworded)

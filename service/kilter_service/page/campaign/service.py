@@ -12,6 +12,7 @@ import numpy as np
 from kilter_core.errors import CoreError, ObservationError
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.facts import unit_of
 from kilter_service.campaigns.kept_facts import facts_of, key_of
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.suspicious import SuspiciousRows
@@ -114,8 +115,6 @@ def of_column(database: Database, campaign: Campaign, name: str) -> NDArray[np.f
 
 def unit(database: Database, campaign: Campaign, name: str) -> str:
     """Return the unit of :func:`of_column`."""
-    from kilter_service.campaigns.facts import unit_of
-
     return next(unit_of(one)[0] for one in looking.columns(database, campaign.id) if one.name == name)
 
 
@@ -138,7 +137,5 @@ def _keep(campaign: Campaign, rows: Rows) -> None:
 
 
 def _values(rows: Rows, column: Column) -> NDArray[np.float64]:
-    from kilter_service.campaigns.facts import unit_of
-
     cells = rows.table.column(column.name).to_numpy(zero_copy_only=False)
     return np.asarray(cells * unit_of(column)[1], dtype=np.float64)

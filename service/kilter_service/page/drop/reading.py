@@ -8,6 +8,7 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service import sandbox
 from kilter_service.campaigns import looking
+from kilter_service.campaigns.facts import facts
 from kilter_service.db import Database
 from kilter_service.page.drop.drafts import Draft
 from kilter_service.sandbox import Ended, Limits
@@ -63,8 +64,6 @@ def _why(ended: Ended) -> str:
 
 
 def _look(database: Database, draft: Draft) -> None:
-    from kilter_service.campaigns.facts import facts  # compiled kernels: not at the start of the API process
-
     try:
         rows, draft.refusal, belong = looking.of_file(database, draft.robot, draft.rows, draft.understood["media"])
         draft.facts = facts(rows, belong)

@@ -19,6 +19,7 @@ from kilter_service.page.drop.drafts import plain_name
 from kilter_service.page.figures.meanings import CORRECTED
 from kilter_service.page.figures.plot import BOTTOM, LEFT, RIGHT, TOP, Plot
 from kilter_service.page.figures.scale import Axis
+from kilter_service.robots.check import check
 from kilter_service.robots.wire import DOCUMENT
 
 if TYPE_CHECKING:
@@ -71,8 +72,6 @@ def look(told: Told, folder: Path) -> Looked:
         RobotError: the document cannot be an arm.
 
     """
-    from kilter_service.robots.check import check  # imports numpy and scipy: not at the start of the API process
-
     document = read({**_said(told, folder), "controller_compensation": told.compensation})
     report = check(document)
     return Looked(document, report, draw(report))

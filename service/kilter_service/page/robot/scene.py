@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_service.campaigns import looking
+from kilter_service.campaigns.facts import meaning, unit_of
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.meshes import service as meshes
@@ -99,8 +100,6 @@ def places(database: Database, version: str, campaign: str) -> Document:
 
 def _label(column: Column) -> str:
     """Say what a column holds, with its unit."""
-    from kilter_service.campaigns.facts import meaning, unit_of
-
     unit = unit_of(column)[0]
     return f"{meaning(column)}, {unit}" if unit else meaning(column)
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from kilter_service.campaigns.facts import ColumnFacts
 from kilter_service.page import words
 from kilter_service.page.figures.coverage import Bar, Coverage
 from kilter_service.page.figures.meanings import ERROR
@@ -73,8 +74,6 @@ def _noise(facts: Facts) -> tuple[str, str]:
 
 
 def _column(one: object) -> Sequence[str]:
-    from kilter_service.campaigns.facts import ColumnFacts
-
     assert isinstance(one, ColumnFacts)
     gaps = "none" if one.empty == 0 else words.count(one.empty)
     return [one.name, one.what, one.unit or "–", words.number(one.low, 5), words.number(one.high, 5), gaps]

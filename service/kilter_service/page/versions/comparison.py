@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
@@ -34,8 +36,6 @@ class Left:
     @property
     def numbers(self) -> Mapping[str, float]:
         """Mean, 95th percentile and largest, mm."""
-        import numpy as np
-
         sizes = np.asarray(self.sizes)
         found = (float(sizes.mean()), float(np.percentile(sizes, 95)), float(sizes.max()))
         return dict(zip(BARS, found, strict=True))
@@ -136,8 +136,6 @@ def _bars(left: Sequence[Left]) -> Plot:
 
 
 def _curve(left: Sequence[Left]) -> Plot:
-    import numpy as np
-
     shares = np.linspace(0.0, 100.0, STEPS + 1)
     curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
     told = (10, 25, 50, 75, 90, 95, 99, 100)

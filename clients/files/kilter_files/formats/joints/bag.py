@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kilter_files.formats.joints.mcap_check import MCAP, SQLITE, check_mcap, check_sqlite
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import KilterError
 from kilter_files.ground.faults import fault, head_of, missing_package
+from kilter_files.ground.later import np
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.joint_order import ordered
 from kilter_files.formats.lerobot.log import log_of_dataset
@@ -15,6 +13,7 @@ from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, LogHints
 from kilter_files.formats.registry import recognised
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.units import NAMES, unit_of
 from kilter_files.tables.joint_log import JointLog, checked_log
 from kilter_files.tables.source import Layout

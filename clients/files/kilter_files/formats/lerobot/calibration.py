@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.names import did_you_mean
 
 FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.formats.lerobot.calibration import (
     DEGREES,
     NORM_MODES,
@@ -20,6 +18,7 @@ from kilter_files.formats.lerobot.dataset import FINISH, STATE, Dataset, open_da
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.tables.joint_log import JointLog, checked_log
 
 BLOCK = 65_536  # rows

@@ -6,10 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from kilter_files.formats.logs.inclinometer import TIME
 from kilter_files.formats.points.tracker_header import plain
@@ -17,10 +14,14 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import cut_remark, lines_of
 from kilter_files.ground.text_layout import UNITS, TextLayout, sniff
 from kilter_files.ground.units import converter
 from kilter_files.tables.table import Table
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 ANGLE = re.compile(r"^(?:angle|winkel|theta|angularposition|ang)[a-z]*$")
 RADIUS = re.compile(r"^(?:radius|ballbarlength|barlength|length|r)$")

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.formats.points.tracker_header import plain
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.units import SIZES, converter

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from kilter_files.formats.column import column
 from kilter_files.formats.reader import Document, Head
+from kilter_files.ground.later import np
 from kilter_files.ground.units import unit_of
 from kilter_files.tables.table import Table
 

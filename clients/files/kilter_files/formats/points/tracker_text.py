@@ -9,14 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.formats.points.tracker_header import PRESETS, Preset, meaning
 from kilter_files.formats.points.tracker_time import stamped_times
 from kilter_files.formats.recordings.marker_header import unit_above
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.orientation import from_euler, is_sequence
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of, lines_of
 from kilter_files.ground.text_layout import TextLayout, sniff

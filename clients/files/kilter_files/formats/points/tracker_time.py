@@ -6,11 +6,10 @@ import itertools
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import lines_of
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.time_stamps import seconds_of, stamp_of

@@ -11,8 +11,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.formats.recordings.c3d_parameters import (
     BROKEN,
     SECTOR,
@@ -25,6 +23,7 @@ from kilter_files.formats.recordings.c3d_parameters import (
     unsigned,
 )
 from kilter_files.ground.faults import CUT, fault, head_of
+from kilter_files.ground.later import np
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import without_gaps
 from kilter_files.tables.recording import Block, Recording, frames_per_block

@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 
 SECTOR = 512
 MAGIC = 0x50

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.formats.recordings.marker_header import (
     FRAMES,
     RATE,
@@ -20,6 +18,7 @@ from kilter_files.formats.recordings.polaris_long import long_columns, read_long
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import CUT, fault
+from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.units import SIZES

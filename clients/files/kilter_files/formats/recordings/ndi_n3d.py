@@ -6,9 +6,8 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from kilter_files.ground.faults import CUT, fault, head_of
+from kilter_files.ground.later import np
 from kilter_files.tables.gaps import without_gaps
 from kilter_files.tables.recording import Block, Recording, frames_per_block
 

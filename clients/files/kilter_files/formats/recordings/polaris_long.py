@@ -7,14 +7,14 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from kilter_files.formats.points.tracker_header import plain
 from kilter_files.formats.recordings.marker_header import unit_above
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import MISSING, count_rows, lines_of
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.turns import quaternions_of
@@ -22,7 +22,9 @@ from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import unit_quaternions, without_gaps
 from kilter_files.tables.recording import Block, Recording
 
-Whole = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 
 TOOL = re.compile(r"tool(?:id|name|handle|number|no)?|handle|port(?:handle|no|number)?|rom|sensor(?:id)?")
 FRAME = re.compile(r"frame(?:no|number|nr|index)?")
@@ -104,7 +106,7 @@ def read_long(path: Path, layout: TextLayout, columns: LongColumns, rate_hz: flo
 
 def _recording(
     path: Path, layout: TextLayout, columns: LongColumns, rate_hz: float | None, tools: list[str],
-    frames: Whole, cells: list[tuple[int, int, int, list[float]]],
+    frames: NDArray[np.int64], cells: list[tuple[int, int, int, list[float]]],
 ) -> Recording:  # fmt: skip
     at, tool, line = (np.array([cell[k] for cell in cells]) for k in range(3))
     values = np.array([cell[3] for cell in cells])
@@ -153,7 +155,7 @@ def _turns(path: Path, values: Floats, points: Floats, line: Floats) -> Floats:
 
 def _time(
     path: Path, layout: TextLayout, columns: LongColumns, rate_hz: float | None,
-    frames: Whole, at: Whole, values: Floats,
+    frames: NDArray[np.int64], at: NDArray[np.int64], values: Floats,
 ) -> tuple[Floats, float]:  # fmt: skip
     if rate_hz is not None:
         return (frames - frames[0]) / rate_hz, rate_hz

@@ -11,6 +11,7 @@ from typing import Any
 
 from kilter_files.formats.tables.mat_check import check_mat
 from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.later import np
 
 EXPRESSION = re.compile(
     r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
@@ -37,11 +38,9 @@ class MatSource:
     @property
     def choices(self) -> list[str]:
         """Every column of every variable, written both ways: ``q[:,0]`` and ``q(:,1)``."""
-        import numpy
-
         out: list[str] = []
         for name, value in _named(self.variables):
-            array = numpy.asarray(value)
+            array = np.asarray(value)
             if array.dtype.kind in "iufb" and array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
                 out += [f"{name}[:,{k}]" for k in range(array.shape[1])]
                 out += [f"{name}(:,{k + 1})" for k in range(array.shape[1])]
@@ -79,14 +78,12 @@ class MatSource:
         return [math.nan if value in missing else value for value in column.astype(float).tolist()]
 
     def _array(self, expression: str | int, name: str) -> Any:
-        import numpy
-
         value: Any = self.variables
         for part in name.split("."):
             if not isinstance(value, Mapping) or part not in value:
                 raise self._error(expression, f"needs a variable {name!r}; the file has {', '.join(self.names)}")
             value = value[part]
-        array = numpy.asarray(value)
+        array = np.asarray(value)
         if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
             raise self._error(expression, f"is not a real array (type {array.dtype}, shape {array.shape})")
         return array

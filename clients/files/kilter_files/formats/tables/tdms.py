@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault, missing_package
+from kilter_files.ground.later import np
 from kilter_files.ground.names import did_you_mean
 
 LEAD_IN = struct.Struct("<4sIIQQ")

@@ -10,6 +10,7 @@ from kilter_client.calls import campaigns, robots
 from kilter_client.errors import KilterError, ObservationError
 from kilter_client.files import files_refusals, files_summary
 from kilter_client.given import Data, rows_of
+from kilter_client.results.dry_run import DryRun
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.campaigns import conditions_of
 from kilter_client.verbs.things import Thing, reference
@@ -45,8 +46,6 @@ def dry_run(
         FileError: the file is not what it should be; UsageError: the data are not rows.
 
     """
-    from kilter_client.results.dry_run import DryRun
-
     conditions = conditions_of(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,

@@ -14,6 +14,7 @@ from kilter_client.files import readings
 from kilter_client.progress import Watching, watched
 from kilter_client.results.record import Record, Records
 from kilter_client.steps import Document, Steps
+from kilter_client.typed.names import JOBS, MODULE_OF
 from kilter_client.verbs.things import Thing, reference, references
 
 # A share of the poses, campaigns, or {"folds": 5}.
@@ -195,8 +196,6 @@ def check(
         OptionError: an option that does not exist or does not fit.
 
     """
-    from kilter_client.typed.names import JOBS
-
     wanted = asked(kind, robot, campaigns, options, validation, "", confirmation)
     told = yield from calls.check(str(wanted["robot"]), wanted)
     found: type[Record] = getattr(import_module("kilter_client.typed.checks"), f"{JOBS[kind].removesuffix('Job')}Check")
@@ -292,8 +291,6 @@ def _waited(
 
 def _read(document: Document) -> Record:
     """Read a job by its kind; one of a kind that this release does not know keeps its document."""
-    from kilter_client.typed.names import JOBS, MODULE_OF
-
     name = JOBS.get(str(document.get("kind")))
     if name is None:
         return Record.read(document)

@@ -14,6 +14,7 @@ from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
 from kilter_client.files import files_found, files_reading, one_target
 from kilter_client.given import signs_of
+from kilter_client.results.program import FilteredProgram
 from kilter_client.steps import Document, Steps
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
 from kilter_client.verbs.things import Thing, reference
@@ -65,8 +66,6 @@ def filter(  # noqa: A001 - a verb, as the command is called
         ConflictError: the robot has no active version.
 
     """
-    from kilter_client.results.program import FilteredProgram
-
     programs = _programs(program, bases, tools)
     coupled = _coupled(programs[0], fanuc_j3)
     name = reference("robot", robot)

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 from kilter_client import typed
 from kilter_client.calls import versions as calls
 from kilter_client.given import Data, rows_of
+from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Records
+from kilter_client.results.rows import Rows, saved
 from kilter_client.steps import Steps
 from kilter_client.verbs.things import Thing, reference, references
 
@@ -90,8 +92,6 @@ def residuals(version: Thing, campaigns: Thing | Sequence[Thing] = (), *, robot:
         NotFoundError: there is no such version or campaign.
 
     """
-    from kilter_client.results.rows import Rows
-
     used = references("campaign", campaigns)
     return Rows((yield from calls.residuals(reference("version", version), used, "csv", robot)))
 
@@ -105,8 +105,6 @@ def export(
         OptionError: there is no such format; FileError: the file cannot be written.
 
     """
-    from kilter_client.results.rows import saved
-
     content = yield from calls.export(reference("version", version), form, robot)
     if path is not None:
         saved(content, path)
@@ -149,8 +147,6 @@ def correct(
         FileError, UsageError: the trajectory is neither such a file nor rows.
 
     """
-    from kilter_client.results.corrected import Corrected
-
     chosen = None if not version else reference("version", version)
     answer = yield from calls.correct(
         reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
