@@ -138,6 +138,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /new-robot/check": OPERATE.timed(SMALLER),
     "POST /new-robot": ADMINISTER,
     "GET /robots/{robot}/correct": READ,
+    "GET /robots/{robot}/kit": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/settings": READ,
     "POST /robots/{robot}/remarks": ADMINISTER,
     "POST /robots/{robot}/compensation": ADMINISTER,

@@ -14,6 +14,7 @@ from kilter_service.page.fleet.routes import router as fleet
 from kilter_service.page.gap.routes import router as gap
 from kilter_service.page.job_list.routes import router as job_list
 from kilter_service.page.jobs.routes import router as jobs
+from kilter_service.page.kit.routes import router as kit
 from kilter_service.page.login.routes import router as login
 from kilter_service.page.new_robot.routes import router as new_robot
 from kilter_service.page.report.routes import router as report
@@ -22,6 +23,6 @@ from kilter_service.page.stream.routes import router as stream
 from kilter_service.page.versions.routes import router as versions
 
 ROUTERS: tuple[APIRouter, ...] = (
-    assets, login, fleet, robot, versions, drop, campaign, stream, report, audit, job_list, gap, jobs, new_robot, correct,
+    assets, login, fleet, robot, versions, drop, campaign, stream, report, audit, job_list, gap, jobs, new_robot, correct, kit,
     access,
 )  # fmt: skip

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
 from kilter_client import Kilter
+from kilter_client.locate import locate
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_arm import tool_mm
 from tests.clients.lerobot.so101_twin import Twin, ticks
@@ -59,6 +63,14 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     steps = command("kit", "so100")
     assert "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
     assert "nobody" in command.json("kit", "nobody", code=1)["detail"]
+    assert "no views of this arm yet" in page("so100")
+    kilter.robots.add({"name": "few", "convention": "preset", "preset": "so101"})
+    command("upload", "few", rows, "--cameras", rig)
+    page_of_few = page("few")
+    assert f"{len(one_sided)} views of " in page_of_few
+    for line in missing.split("\n"):
+        assert line in page_of_few
+    assert "What the arm has" not in page_of_few
 
 
 def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]) -> None:
@@ -87,12 +99,25 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     assert f"off by {zeros['shoulder_lift']['offset_deg']:+.1f} deg (95 %: " in lift
     assert "its sag at rest included" in lift
     assert "joint 1" not in " ".join(document["lines"])
+    shown = page("so101")
+    off = f"the tool is off by {document['before_mm']:.1f} mm, corrected by {document['after_mm']:.1f} mm"
+    for line in (off, *document["lines"], *document["warnings"]):
+        assert line.replace("`", "").lower() in shown.lower()
     command("activate", document["version_id"], "--robot", "so101", "--force")
     assert_grasps(kilter)
     # Measured once more, as one does after the zeros are in the servos.
     rows, rig = written(tmp_path, "again", seen[1::2])
     again = command.json("kit", "so101", rows, "--cameras", rig, "--calibration", calibration(tmp_path), "--anyway")
     assert again["version_id"] != document["version_id"]
+
+
+def page(robot: str) -> str:
+    """What a person reads of the kit's view."""
+    place = locate()
+    answer = httpx.get(f"{place.url}/robots/{robot}/kit", headers={"Authorization": f"Bearer {place.token}"})
+    answer.raise_for_status()
+    main = answer.text.partition("<main")[2]
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", "", main)).split())
 
 
 def assert_grasps(kilter: Kilter) -> None:

@@ -21,6 +21,7 @@ __all__ = [
     "files_ballbar_join",
     "files_calibration",
     "files_episodes",
+    "files_exported",
     "files_feeds",
     "files_found",
     "files_height",
@@ -44,6 +45,8 @@ __all__ = [
     "files_tilt_join",
     "frames_by_time",
     "joint_log",
+    "kit_coverage",
+    "kit_words",
     "matching",
     "one_target",
     "read",
@@ -72,6 +75,8 @@ if TYPE_CHECKING:
     from kilter_files.rig import drawn_circle, readings
     from kilter_files.rig import height as files_height
     from kilter_files.rig import tilt_join as files_tilt_join
+    from kilter_files.rig.kit import coverage as kit_coverage
+    from kilter_files.rig.kit import words as kit_words
     from kilter_files.rig.live import feeds as files_feeds
     from kilter_files.rig.live import newest as files_newest
     from kilter_files.rig.live import server as files_server
@@ -84,6 +89,7 @@ if TYPE_CHECKING:
     from kilter_files.rig.see import sources as files_sources
     from kilter_files.rig.see import target as files_target
     from kilter_files.rig.sheet import report as files_report
+    from kilter_files.robots import exported as files_exported
     from kilter_files.robots import link_meshes as files_link_meshes
     from kilter_files.robots import read
     from kilter_files.tables import cut_recording
@@ -110,6 +116,8 @@ else:
     files_ballbar_join = Later("kilter_files.rig.ballbar_join")
     drawn_circle = Later("kilter_files.rig.drawn_circle")
     files_height = Later("kilter_files.rig.height")
+    kit_coverage = Later("kilter_files.rig.kit.coverage")
+    kit_words = Later("kilter_files.rig.kit.words")
     files_feeds = Later("kilter_files.rig.live.feeds")
     files_newest = Later("kilter_files.rig.live.newest")
     files_server = Later("kilter_files.rig.live.server")
@@ -124,6 +132,7 @@ else:
     files_target = Later("kilter_files.rig.see.target")
     files_report = Later("kilter_files.rig.sheet.report")
     files_tilt_join = Later("kilter_files.rig.tilt_join")
+    files_exported = Later("kilter_files.robots.exported")
     files_link_meshes = Later("kilter_files.robots.link_meshes")
     read = Later("kilter_files.robots.read")
     cut_recording = Later("kilter_files.tables.cut_recording")

@@ -12,14 +12,13 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import exported
 from kilter_client.cli.arguments import Json, VersionId
-from kilter_client.cli.camera.kit_words import TICK_DEG
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
-from kilter_client.files import files_calibration, files_homing
+from kilter_client.files import files_calibration, files_exported, files_homing, kit_words
 
 if TYPE_CHECKING:
     from kilter_files.formats.lerobot.homing import Homed
@@ -76,7 +75,7 @@ def homing(
     found = files_calibration.read_calibration(calibration)
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
-        told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
+        told = files_exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     zeros = told.get("zero_offsets", [])
     offsets = _to_write(zeros, uncertain)
     text, changes = files_homing.with_zero_offsets(found, offsets, norm_mode, servos)
@@ -108,7 +107,7 @@ def _rows(changes: Sequence[Homed], zeros: Sequence[Mapping[str, Any]]) -> list[
         half = one["half_width_deg"]
         rows.append(
             {**vars(change), "offset_deg": one["offset_deg"], "half_width_deg": half,
-             "half_width_ticks": None if half is None else half / TICK_DEG, "state": one["state"]}
+             "half_width_ticks": None if half is None else half / kit_words.TICK_DEG, "state": one["state"]}
         )  # fmt: skip
     return rows
 

@@ -17,6 +17,7 @@ from kilter_client.cli.reports.activation_report import show_activations, show_a
 from kilter_client.cli.reports.results import show_version
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.errors import UsageError
+from kilter_client.files import files_exported
 from kilter_client.results.digits import decimals, estimate
 from kilter_client.results.rows import saved
 
@@ -124,7 +125,7 @@ def export(
         return
     write(output, content)
     document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
-    emit(document | exported.lists_of_export(content), as_json, _show_written)
+    emit(document | files_exported.lists_of_export(content), as_json, _show_written)
 
 
 def _show_written(document: dict[str, Any]) -> None:

@@ -11,10 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import exported
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.camera.kit_capture import captured
-from kilter_client.cli.camera.kit_words import errors_of, lines_of
 from kilter_client.cli.camera.rig_file import rig_conditions
 from kilter_client.cli.files.calibrated_rows import refuse_other_servos, servo_conditions
 from kilter_client.cli.files.sending import send
@@ -22,6 +19,7 @@ from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import job_bar
 from kilter_client.errors import NotFoundError, UsageError
+from kilter_client.files import files_exported, kit_coverage, kit_words
 from kilter_files import prepare
 
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
@@ -63,14 +61,14 @@ def kit(
     with Kilter() as kilter:
         arm = _arm(kilter, robot, as_json)
         if not views:
-            emit({"robot": robot, "steps": _steps(robot)}, as_json, _show_steps)
+            emit({"robot": robot, "steps": kit_words.steps(robot)}, as_json, _show_steps)
             return
         if cameras is None or calibration is None:
             raise UsageError(
                 "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
             )
         refuse_other_servos(calibration, [joint["name"] for joint in arm["joints"]])
-        seen = captured(views, arm["joints"])
+        seen = kit_coverage.captured(views, arm["joints"])
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing)}  # fmt: skip
         if not seen.missing or anyway:
@@ -111,23 +109,17 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
     with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
-    told = exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
+    told = files_exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     zeros = told.get("zero_offsets", [])
-    lines = lines_of(result, arm["joints"], zeros, REACH_M)
+    lines = kit_words.lines_of(result, arm["joints"], zeros, REACH_M)
     warnings = [str(one["message"]) for one in result.get("warnings") or []]
-    return {"version_id": version, "lines": lines, "zero_offsets": zeros, **errors_of(result), "warnings": warnings}
-
-
-def _steps(robot: str) -> list[str]:
-    return [
-        "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf  # print and measure it, fix it to the gripper or table",
-        "drive the arm to 40 poses or more with your own program, from both sides, with an empty gripper and with 200 g: take "
-        "a picture at rest, and write readings, sides (dir1 ...) and payload_kg of each picture into joints.csv",
-        "kilter see pictures --board board.json --joints joints.csv --intrinsics brown -o views.csv",
-        f"kilter kit {robot} views.csv --cameras views.json --calibration my_arm.json",
-        f"kilter activate latest --robot {robot}",
-        f"lerobot-teleoperate --robot.type=kilter_so101 --robot.kilter_robot={robot} ...",
-    ]
+    return {
+        "version_id": version,
+        "lines": lines,
+        "zero_offsets": zeros,
+        **kit_words.errors_of(result),
+        "warnings": warnings,
+    }
 
 
 def _show_steps(document: Mapping[str, Any]) -> None:
@@ -136,17 +128,14 @@ def _show_steps(document: Mapping[str, Any]) -> None:
 
 
 def _show(document: Mapping[str, Any]) -> None:
-    payloads = ", ".join(f"{1000 * kg:g} g" for kg in document["payloads_kg"])
-    say(f"{document['views']} views of {document['poses']} poses with {payloads or 'unknown payloads'}")
+    say(kit_words.seen(document["views"], document["poses"], document["payloads_kg"]))
     for line in document["missing"]:
         say(f"still missing: {line}")
     if "version_id" not in document:
         return
     if document["before_mm"] is not None and document["after_mm"] is not None:
-        say(
-            f"the tool is off by {document['before_mm']:.1f} mm, corrected by {document['after_mm']:.1f} mm (views held out)"
-        )
-    for line in document["lines"] or ["no joint has backlash, sag or a zero that shows in these views"]:
+        say(kit_words.off_by(document["before_mm"], document["after_mm"]))
+    for line in document["lines"] or [kit_words.NOTHING]:
         say(f"  {line}")
     for line in document["warnings"]:
         say(f"warning: {line}")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kilter_client.cli.camera.kit_words import lines_of
+from kilter_files.rig.kit.words import lines_of
 
 JOINTS = [{"name": "pan"}, {"name": "lift"}]
 

@@ -30,6 +30,33 @@ def lines_of(
     return [*told, *_no_backlash(parameters, joints), *_not_told(zeros, numbers)]
 
 
+def steps(robot: str) -> list[str]:
+    """What to print, drive, photograph and ask for, one command or sentence each."""
+    return [
+        "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf  # print and measure it, fix it to the gripper or table",
+        "drive the arm to 40 poses or more with your own program, from both sides, with an empty gripper and with 200 g: take "
+        "a picture at rest, and write readings, sides (dir1 ...) and payload_kg of each picture into joints.csv",
+        "kilter see pictures --board board.json --joints joints.csv --intrinsics brown -o views.csv",
+        f"kilter kit {robot} views.csv --cameras views.json --calibration my_arm.json",
+        f"kilter activate latest --robot {robot}",
+        f"lerobot-teleoperate --robot.type=kilter_so101 --robot.kilter_robot={robot} ...",
+    ]
+
+
+def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
+    """How much was photographed."""
+    held = ", ".join(f"{1000 * kg:g} g" for kg in payloads_kg)
+    return f"{views} views of {poses} poses with {held or 'unknown payloads'}"
+
+
+def off_by(before_mm: float, after_mm: float) -> str:
+    """How far off the tool is, on views held out."""
+    return f"the tool is off by {before_mm:.1f} mm, corrected by {after_mm:.1f} mm (views held out)"
+
+
+NOTHING = "no joint has backlash, sag or a zero that shows in these views"
+
+
 def errors_of(result: Mapping[str, Any]) -> dict[str, float | None]:
     """Mean error of the tool on views that were held out, mm: as it came, and with all that was found."""
     held = (result.get("metrics") or {}).get("validation") or {}

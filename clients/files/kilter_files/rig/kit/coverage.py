@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import csv
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from csv import DictReader
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_client.errors import FileError
+from kilter_files.ground.errors import FileError
 
 FEWEST_VIEWS, FEWEST_POSES = 40, 20
 LEAST_SHARE = 0.25  # of the views, from either side of a joint, and with either payload
 LEAST_PAYLOAD_KG = 0.1  # between the lightest and the heaviest
 LEAST_TRAVEL = 0.3  # of a joint's limits
 LEAST_DEG = 0.5  # readings that differ by less are one pose
+
+
+Row = Mapping[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -28,16 +32,20 @@ class Capture:
 
 
 def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]]) -> Capture:
-    """Look at views of an arm; ``joints`` as the server tells them.
+    """Look at views of an arm in files of ``kilter see``; ``joints`` as the server tells them.
 
     Raises:
         FileError: a file without the joints of the arm, or without corners.
 
     """
-    rows = [row for file in files for row in _rows(file, len(joints))]
-    q = [[float(row[f"q{j + 1}_deg"]) for j in range(len(joints))] for row in rows]
+    return coverage([row for file in files for row in _rows(file, len(joints))], joints)
+
+
+def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]]) -> Capture:
+    """Look at views of an arm: joints in degrees (``q1_deg`` ...), sides (``dir1`` ...), ``payload_kg``, None where empty."""
+    q = [[row[f"q{j + 1}_deg"] or 0.0 for j in range(len(joints))] for row in rows]
     poses = {tuple(round(value / LEAST_DEG) for value in row) for row in q}
-    payloads = [_number(row.get("payload_kg")) for row in rows]
+    payloads = [row.get("payload_kg") for row in rows]
     known = tuple(sorted({value for value in payloads if value is not None}))
     missing = [
         *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints), *_travel(q, joints),
@@ -45,23 +53,40 @@ def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]]) -> Capt
     return Capture(len(rows), len(poses), known, tuple(missing))
 
 
-def _rows(file: Path, joints: int) -> Iterator[dict[str, str]]:
+def wanted(joints: int) -> list[str]:
+    """Columns that say something of coverage."""
+    numbers = range(1, joints + 1)
+    return [*(f"q{j}_deg" for j in numbers), *(f"dir{j}" for j in numbers), "payload_kg"]
+
+
+def _rows(file: Path, joints: int) -> Iterator[Row]:
     with file.open(encoding="utf-8", newline="") as lines:
-        reader = DictReader(lines)
+        reader = csv.DictReader(lines)
         names = set(reader.fieldnames or ())
-        wanted = [*(f"q{j + 1}_deg" for j in range(joints)), "u1_px", "v1_px"]
-        lacking = [name for name in wanted if name not in names]
+        needed = [*(f"q{j + 1}_deg" for j in range(joints)), "u1_px", "v1_px"]
+        lacking = [name for name in needed if name not in names]
         if lacking:
             raise FileError(
                 f"{file}: has no column {lacking[0]}. Give the views that `kilter see` writes as CSV, with the joints of "
                 f"this arm ({joints}).",
                 file=str(file),
             )
-        yield from reader
+        for row in reader:
+            yield {name: _number(file, reader.line_num, name, row.get(name)) for name in wanted(joints)}
 
 
-def _number(text: str | None) -> float | None:
-    return None if text in (None, "") else float(str(text))
+def _number(file: Path, line: int, name: str, text: str | None) -> float | None:
+    if text in (None, ""):
+        if name.startswith("q"):
+            raise FileError(f"{file}, line {line}: {name} is empty. Leave the view out, or fill it.", file=str(file))
+        return None
+    try:
+        number = float(str(text))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise FileError(f"{file}, line {line}: {name} is {text!r}, not a number.", file=str(file))
+    return number
 
 
 def _counts(views: int, poses: int) -> Iterator[str]:
@@ -82,9 +107,9 @@ def _loads(payloads: Sequence[float | None], known: Sequence[float]) -> Iterator
             yield f"views with {'the heavier' if light > 0.5 else 'the lighter'} payload: a quarter of them at least"
 
 
-def _sides(rows: Sequence[Mapping[str, str]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _sides(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for j, joint in enumerate(joints):
-        sides = [_number(row.get(f"dir{j + 1}")) for row in rows]
+        sides = [row.get(f"dir{j + 1}") for row in rows]
         if None in sides:
             yield f"the column dir{j + 1}: from which side joint {j + 1} came, -1 or 1"
             continue

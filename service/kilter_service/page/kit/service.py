@@ -1,0 +1,112 @@
+"""What the kit says of an arm: views so far, those still missing, and what the newest identification found in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_files.ground.errors import FileError
+from kilter_files.rig.kit import coverage, words
+from kilter_files.robots.exported import lists_of_export
+from kilter_service.campaigns import looking
+from kilter_service.campaigns import service as campaigns
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.versions import Version
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.paging import Page
+from kilter_service.robots import service as robots
+from kilter_service.versions import service as versions
+
+NEWEST = Page(limit=20)
+CORNER = "u1_px"  # a column that only views have
+REACH_M = 0.3  # where a load is held of which the words speak
+BACKLASH = "backlash_load_"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a version says of the arm: sentences, the largest first, warnings, and the error of the tool."""
+
+    version: Version
+    lines: Sequence[str]
+    warnings: Sequence[str]
+    off_by: str | None
+
+
+@dataclass(frozen=True)
+class Kit:
+    """An arm, its campaigns of views, what they cover, and what was found; None where there is nothing yet."""
+
+    robot: RobotReport
+    campaigns: Sequence[Campaign]
+    capture: coverage.Capture | None
+    found: Found | None
+
+    @property
+    def steps(self) -> Sequence[str]:
+        """What to do, one command or sentence each."""
+        return words.steps(self.robot.name)
+
+    @property
+    def seen(self) -> str:
+        """How much was photographed."""
+        some = self.capture
+        return "" if some is None else words.seen(some.views, some.poses, some.payloads_kg)
+
+
+def shown_kit(database: Database, name: str) -> Kit:
+    """Return what the kit shows of a robot."""
+    robot = robots.get(database, name)
+    joints = [joint.model_dump() for joint in robot.joints]
+    used, rows = [], []
+    for campaign in campaigns.list_campaigns(database, name, NEWEST).campaigns:
+        views = [*_views(database, campaign, len(joints))]
+        if views:
+            used.append(campaign)
+            rows += views
+    capture = coverage.coverage(rows, joints) if rows else None
+    return Kit(robot, used, capture, _found(database, name, {one.id for one in used}, joints))
+
+
+def _views(database: Database, campaign: Campaign, joints: int) -> Iterator[coverage.Row]:
+    """The rows of a campaign of views; nothing of another one."""
+    if all(column.name != CORNER for column in looking.columns(database, campaign.id)):
+        return
+    table = looking.stored(database, campaign.id).table
+    columns: dict[str, Sequence[float | None]] = {}
+    for name in coverage.wanted(joints):
+        in_rad = name.replace("_deg", "_rad")
+        if name in table.column_names:
+            columns[name] = table[name].to_pylist()
+        elif in_rad in table.column_names:
+            columns[name] = [None if value is None else math.degrees(value) for value in table[in_rad].to_pylist()]
+    for k in range(table.num_rows):
+        yield {name: values[k] for name, values in columns.items()}
+
+
+def _found(database: Database, robot: str, views: set[str], joints: Sequence[Mapping[str, Any]]) -> Found | None:
+    """What the newest version says that was made from such views with backlash among its effects."""
+    for summary in versions.list_versions(database, robot, NEWEST).versions:
+        version = versions.get(database, summary.id)
+        from_views = views & {one.id for one in version.campaigns}
+        if from_views and any(one.name.startswith(BACKLASH) for one in version.parameters):
+            return _said(database, version, joints)
+    return None
+
+
+def _said(database: Database, version: Version, joints: Sequence[Mapping[str, Any]]) -> Found:
+    result = version.model_dump()
+    try:
+        table = versions.exported(database, version.id, "mdh-csv").text
+    except (ServiceError, FileError):
+        table = ""  # a chain that no table describes has no zeros to tell
+    told = lists_of_export(table.encode() if isinstance(table, str) else table)
+    lines = words.lines_of(result, joints, told.get("zero_offsets", []), REACH_M) or [words.NOTHING]
+    errors = words.errors_of(result)
+    before, after = errors["before_mm"], errors["after_mm"]
+    off_by = None if before is None or after is None else words.off_by(before, after)
+    return Found(version, lines, [one.message for one in version.warnings], off_by)
