@@ -37,6 +37,22 @@ MOVED = (
 )
 
 
+DATED_BEFORE = {
+    "dated_before_last_check": "before the last check of this version ({other:%Y-%m-%d %H:%M}). It stands at its date in the "
+    "history, and the later check says how the arm stands",
+    "dated_before_fit": "before rows that the version was fitted to ({other:%Y-%m-%d %H:%M}): it says how the arm was then",
+}
+
+
+def dated_before(code: str, campaign: str, at: datetime, other: datetime) -> str:
+    """Say that rows are dated before what they should come after, and what to do where the date is wrong."""
+    return (
+        f"Campaign {campaign} is dated {at:%Y-%m-%d %H:%M}, {DATED_BEFORE[code].format(other=other)}. If the date is wrong, "
+        f"as of a clock that was set back, retire it (`kilter campaigns retire {campaign}`) and check again with the right "
+        "--measured-at."
+    )
+
+
 def cause_words(cause: Cause) -> str:
     """Return a cause as people say it."""
     return KINDS[cause.kind].format(cause.joint)
