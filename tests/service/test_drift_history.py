@@ -88,6 +88,11 @@ def test_what_creeps_is_seen_by_all_checks_together(
     # Nothing was measured since: what was sent before shows the arm as it was, and says nothing of the tolerance.
     refused = client.get("/v1/robots/creeping/acceptance", params={"tolerance_mm": 1.0})
     assert (refused.status_code, refused.json()["code"]) == (409, "nothing_held_out")
+    watched.sent(arm, 8, 500, DAY + timedelta(days=44))  # sent late, and measured before it moved
+    since = watched.sent(arm.after("zero_3", 4e-3), 8, 501, DAY + timedelta(days=45, hours=1))
+    judged = client.get("/v1/robots/creeping/acceptance", params={"tolerance_mm": 1.0}).raise_for_status().json()
+    assert [one["id"] for one in judged["campaigns"]] == [since]
+    assert judged["campaigns"][0]["largest_mm"] < 0.5
     watched.checked(arm.after("zero_3", 4e-3), 301, 46)
     assert watched.history()["state"] == "ok"
     watched.checked(arm, 302, 47)  # back on its old marks: wrong for the new version

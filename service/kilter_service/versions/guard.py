@@ -44,7 +44,7 @@ ONLY_PLAIN = (
     "Version {active}, active now, was fitted to every pose that this one was not: compared with registration only."
 )
 
-BEFORE = "Campaign {campaign} was not compared: it was sent before what the version was re-zeroed by."
+BEFORE = "Campaign {campaign} was not compared: it was measured before what the version was re-zeroed by."
 
 _ONE_AT_A_TIME = threading.Lock()  # a comparison holds the rows of a robot
 
@@ -140,10 +140,9 @@ def _cases(
 
 
 def since_rezeroed(session: Session, robot_id: int, report: Mapping[str, Any]) -> Callable[[Unseen], Unseen]:
-    """Leave out what was sent before the campaign that a version was re-zeroed by: it shows the arm as it was."""
+    """Leave out what was measured before the campaign that a version was re-zeroed by: it shows the arm as it was."""
     campaign = (report.get(REZEROED) or {}).get("campaign")
-    ids = campaigns.ids_of_robot(session, robot_id) if campaign is not None else []
-    before = set(ids[: ids.index(campaign)]) if campaign in ids else set()
+    before = set() if campaign is None else set(campaigns.ids_before(session, robot_id, campaign))
 
     def later(unseen: Unseen) -> Unseen:
         rows = {name: found for name, found in unseen.rows.items() if name not in before}
