@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -169,7 +170,14 @@ def test_the_number_of_today_is_that_of_the_newest_check(
     assert found["changed"]
     assert found["newest"]["errors"]["identified"]["mean_mm"] > 0.5
     assert "more than chance explains: the arm, or what it was measured with, has changed" in found["sentences"][1]
-    card = client.get("/").raise_for_status().text
+    said = watched.history()["last"]["sentence"]
+    assert said.startswith("moved: zero of joint 2 by 0.2")
+    assert found["newest"]["alarm"] == said
+    assert (
+        f"The check says {said} Where the instrument was set up anew, say so: `kilter check today" in found["compared"]
+    )
+    card = html.unescape(client.get("/").raise_for_status().text)
+    assert said in card
     assert "On the rows of a check, which no fit used" in card
     assert "more than chance explains" in card
     assert "Today: Mean error" in client.get(f"/versions/{version}").raise_for_status().text
