@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 from kilter_client.errors import ApiError, JobFailedError, UsageError
 from kilter_client.given import Data
 from kilter_client.progress import Watching
-from kilter_client.steps import Steps
+from kilter_client.results.record import Record
+from kilter_client.steps import Document, Steps
 from kilter_client.verbs import campaigns, jobs, keeping
 from kilter_client.verbs.things import Thing, reference
 
@@ -79,21 +80,27 @@ def drift(
             instrument=instrument, progress=progress,
         )  # fmt: skip
         asked = jobs.asked("drift", robot, sent.campaign_id, options, None, name)
-        try:
-            return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
-        except JobFailedError as error:
-            if error.code != FOREIGN:
-                raise
-            try:
-                yield from keeping.retire(sent.campaign_id, kind="campaign")
-            except ApiError:
-                raise foreign(error, sent.campaign_id, retired=False) from None
-            raise foreign(error, sent.campaign_id, retired=True) from None
-    else:
-        _refuse_known({"device": device, "column_map": column_map, "payload_kg": payload_kg,
-                       "temperature_c": temperature_c, "measured_at": measured_at, "instrument": instrument})  # fmt: skip
+        return cast("DriftResult", (yield from _run_with_rows_of_its_own(asked, sent.campaign_id, progress, timeout_s)))
+    _refuse_known({"device": device, "column_map": column_map, "payload_kg": payload_kg,
+                   "temperature_c": temperature_c, "measured_at": measured_at, "instrument": instrument})  # fmt: skip
     asked = jobs.asked("drift", robot, reference("campaign", campaign), options, None, name)
     return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
+
+
+def _run_with_rows_of_its_own(
+    asked: Document, campaign: str, progress: Watching, timeout_s: float | None
+) -> Steps[Record]:
+    """Run a check of rows that were sent for it; those of another arm are retired."""
+    try:
+        return (yield from jobs.run(asked, progress, timeout_s))
+    except JobFailedError as error:
+        if error.code != FOREIGN:
+            raise
+        try:
+            yield from keeping.retire(campaign, kind="campaign")
+        except ApiError:
+            raise foreign(error, campaign, retired=False) from None
+        raise foreign(error, campaign, retired=True) from None
 
 
 def foreign(error: JobFailedError, campaign: str, *, retired: bool) -> JobFailedError:
