@@ -13,7 +13,7 @@ import pytest
 import kilter as library
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.errors import KilterError, UsageError
+from kilter_client.errors import JobFailedError, KilterError, UsageError
 from tests.clients.test_cli import Command
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 
@@ -124,7 +124,17 @@ def test_what_cannot_be_checked_is_refused_with_place_and_remedy(
     )
     other = some_arm(np.random.default_rng(99))
     foreign = written(tmp_path / "other.csv", other, 6, 9)
-    assert "of another robot" in refused(calibrated, foreign, code="rows_of_another_arm")
+    said = refused(calibrated, foreign, code="rows_of_another_arm")
+    assert "of another robot" in said
+    (gone,) = [one for one in k.campaigns(calibrated, retired=True) if one.name == "other.csv"]
+    assert f"campaign {gone.id}, was retired" in said
+    assert "other.csv" not in [one.name for one in k.campaigns(calibrated)]
+    with pytest.raises(JobFailedError, match="was retired, so that nothing is compared with it"):
+        k.drift(calibrated, written(tmp_path / "theirs.csv", other, 6, 10), progress=False)
+    assert "theirs.csv" not in [one.name for one in k.campaigns(calibrated)]
+    k.restore(gone.id)
+    refused(calibrated, "--campaign", gone.id, code="rows_of_another_arm")  # named: it is somebody else's to retire
+    assert "other.csv" in [one.name for one in k.campaigns(calibrated)]
     k.add_robot({**other.document(), "name": f"{calibrated}-other"})
     sent = k.upload(f"{calibrated}-other", foreign, name="theirs", progress=False)
     assert "is not of robot" in refused(calibrated, "--campaign", sent.campaign_id, code="campaigns_invalid")

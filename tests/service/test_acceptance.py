@@ -172,3 +172,16 @@ def test_the_first_page_of_the_report_has_the_numbers_of_the_interface(
     plain_report = client.get(report).raise_for_status().text
     assert 'id="acceptance"' not in plain_report
     assert client.get(report, params={"tolerance_mm": "-1"}).status_code == 422
+
+
+def test_a_campaign_of_too_few_poses_is_left_out_with_a_warning_or_refused_by_its_name(
+    client: httpx.Client, katana: Katana, arm: dict[str, str], until: Until
+) -> None:
+    few = campaign(client, katana, "few", 2, 3, instrument="tracker")
+    made = done(client, until, kind="identify", campaigns=[arm["first"]], options={"level": 2})["result"]["version_id"]
+    found = decide(client, 5.0, version=made, instrument="tracker")
+    assert [one["id"] for one in found["campaigns"]] == [arm["second"]]
+    assert [(one["code"], one["campaigns"]) for one in found["warnings"]][:1] == [("campaign_not_judged", [few])]
+    refused = client.get("/v1/robots/katana/acceptance", params={"tolerance_mm": 5.0, "version": made, "campaign": few})
+    assert (refused.status_code, refused.json()["code"]) == (400, "too_few_poses")
+    assert f"Campaign {few} has too few distinct poses to be judged" in refused.json()["detail"]

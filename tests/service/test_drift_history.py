@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -85,6 +86,14 @@ def test_what_creeps_is_seen_by_all_checks_together(
     assert len(found["history"]) == 41
     assert [one["version_id"] for one in found["history"]] == 41 * [version]
     assert gauges(client) == {}
+    # Nothing was measured since: what was sent before shows the arm as it was, and says nothing of the tolerance.
+    refused = client.get("/v1/robots/creeping/acceptance", params={"tolerance_mm": 1.0})
+    assert (refused.status_code, refused.json()["code"]) == (409, "nothing_held_out")
+    watched.sent(arm, 8, 500, DAY + timedelta(days=44))  # sent late, and measured before it moved
+    since = watched.sent(arm.after("zero_3", 4e-3), 8, 501, DAY + timedelta(days=45, hours=1))
+    judged = client.get("/v1/robots/creeping/acceptance", params={"tolerance_mm": 1.0}).raise_for_status().json()
+    assert [one["id"] for one in judged["campaigns"]] == [since]
+    assert judged["campaigns"][0]["largest_mm"] < 0.5
     watched.checked(arm.after("zero_3", 4e-3), 301, 46)
     assert watched.history()["state"] == "ok"
     watched.checked(arm, 302, 47)  # back on its old marks: wrong for the new version
@@ -110,14 +119,26 @@ def test_a_date_that_was_set_back_changes_the_order_and_nothing_else(
     watched.calibrated()
     campaign = watched.sent(arm, 6, 1001, DAY + timedelta(days=5))
     watched.done("drift", [campaign])
-    watched.checked(arm, 1002, 3)
-    watched.done("drift", [campaign])  # the same rows again are one check
+    early = watched.checked(arm, 1002, 3)
+    (remark,) = [one for one in early["warnings"] if one["code"].startswith("dated")]
+    assert remark["code"] == "dated_before_last_check"
+    assert "is dated 2026-09-04 07:00, before the last check of this version (2026-09-06 07:00)" in remark["message"]
+    assert not [one for one in watched.done("drift", [campaign])["warnings"] if one["code"].startswith("dated")]
     anew = watched.sent(arm.after("base", 0.2), 6, 1003, DAY + timedelta(days=6))
     watched.done("drift", [anew], new_setup=["base"])
     found = watched.history()
     assert watched.history()["charts"] == found["charts"]
     assert [one["at"][:10] for one in found["history"]] == ["2026-09-04", "2026-09-06"]
     assert found["last"]["campaign_id"] == campaign
+
+    # The same rows under another date are one check, the one that was made last; retired, it is as if it had not been made.
+    copy = watched.sent(arm, 6, 1001, DAY - timedelta(days=9))
+    assert copy != campaign
+    warned = [one["code"] for one in watched.done("drift", [copy])["warnings"] if one["code"].startswith("dated")]
+    assert warned == ["dated_before_last_check", "dated_before_fit"]
+    assert [one["at"][:10] for one in watched.history()["history"]] == ["2026-08-23", "2026-09-04"]
+    client.post(f"/v1/campaigns/{copy}/retire").raise_for_status()
+    assert [one["at"][:10] for one in watched.history()["history"]] == ["2026-09-04", "2026-09-06"]
 
 
 def test_the_number_of_today_is_that_of_the_newest_check(
@@ -149,7 +170,14 @@ def test_the_number_of_today_is_that_of_the_newest_check(
     assert found["changed"]
     assert found["newest"]["errors"]["identified"]["mean_mm"] > 0.5
     assert "more than chance explains: the arm, or what it was measured with, has changed" in found["sentences"][1]
-    card = client.get("/").raise_for_status().text
+    said = watched.history()["last"]["sentence"]
+    assert said.startswith("moved: zero of joint 2 by 0.2")
+    assert found["newest"]["alarm"] == said
+    assert (
+        f"The check says {said} Where the instrument was set up anew, say so: `kilter check today" in found["compared"]
+    )
+    card = html.unescape(client.get("/").raise_for_status().text)
+    assert said in card
     assert "On the rows of a check, which no fit used" in card
     assert "more than chance explains" in card
     assert "Today: Mean error" in client.get(f"/versions/{version}").raise_for_status().text

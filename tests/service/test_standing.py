@@ -6,12 +6,16 @@ import html
 import re
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import update
 
 from kilter_service.contract.today import Today
+from kilter_service.db import Database
+from kilter_service.db.tables import HeartbeatRow
 from kilter_service.page.shared.accuracy import Accuracy
 from kilter_service.page.shared.correcting import Corrector
 from kilter_service.page.shared.state import state_of
@@ -112,3 +116,40 @@ def test_a_controller_that_corrects_does_not_hide_a_bridge_that_corrects_on_top_
     told, page = heard("correcting", 0.1)  # what the sentence says to do ends it
     assert told["corrected_twice"] is False
     assert not page.startswith("Corrected twice"), page
+
+
+def test_a_bridge_that_is_no_longer_heard_is_told_though_the_controller_corrects(
+    client: httpx.Client, katana: Katana, database: Database
+) -> None:
+    name = katana.name
+    client.post("/v1/robots", json={**katana.document, "controller_compensation": "factory"}).raise_for_status()
+
+    def heard(run: str, state: str, offset_deg: float, ago_s: float) -> tuple[dict[str, Any], str]:
+        news = {
+            "kind": "rsi", "state": state, "version_id": "ver_1", "cycle_ms": 4.0, "cycles": 9, "late": 0, "lost": 0,
+            "refused": 0, "offset_deg": offset_deg, "largest_offset_deg": 0.2,
+        }  # fmt: skip
+        client.put(f"/v1/robots/{name}/bridges/{run}", json=news).raise_for_status()
+        with database.transaction() as session:
+            session.execute(
+                update(HeartbeatRow)
+                .where(HeartbeatRow.name.endswith(run))
+                .values(at=datetime.now(UTC) - timedelta(seconds=ago_s))
+            )
+        found = client.get(f"/v1/robots/{name}/bridges").raise_for_status().json()["bridges"][0]
+        return found, words(client.get(f"/robots/{name}/state", headers={"hx-request": "true"}).text)
+
+    run = "0123456789abcdef"
+    for state in ("correcting", "killed"):
+        told, page = heard(run, state, 0.1, 300.0)
+        assert (told["gone"], told["corrected_twice"]) == (True, False)
+        assert "5 min ago" in told["sentence"]
+        assert "if the bridge still offsets the joints, the arm is corrected twice" in told["sentence"]
+        assert page.startswith("Perhaps twice"), page
+        assert told["sentence"] in page
+    told, page = heard(run, "waiting", 0.0, 300.0)  # it offset nothing
+    assert page.startswith("By its controller"), page
+    heard(run, "correcting", 0.1, 300.0)
+    told, page = heard("fedcba9876543210", "ended", 0.0, 1.0)  # what the docs say to do ends it
+    assert told["state"] == "ended"
+    assert page.startswith("By its controller"), page

@@ -119,9 +119,9 @@ class Region:
                 return np.concatenate(found)[:count]
             batch = BATCH
         raise RobotError(
-            f"Of {tried} random poses only {sum(map(len, found))} are {self._bounds()}, {count} are needed: give more "
-            "room or fewer poses.",
-            field="box_mm" if self.box is not None else "joints",
+            f"Of {tried} random poses only {sum(map(len, found))} are {self._bounds()}, {count} are needed to choose from: "
+            f"{self._more_room()}.",
+            field="box_mm" if self.box is not None else "keep_out_mm" if self.keep_out is not None else "joints",
         )
 
     @cached_property
@@ -141,6 +141,13 @@ class Region:
         parts += ["with the tool in the box"] if self.box is not None else []
         parts += ["out of the zones to keep out of"] if self.keep_out is not None else []
         return ", ".join(parts)
+
+    def _more_room(self) -> str:
+        ways = ["take a larger box"] if self.box is not None else []
+        ways += ["keep out of less"] if self.keep_out is not None else []
+        ways += ["lower the floor"] if self.floor is not None else []
+        ways += ["go to the limits (--anywhere)"] if self.hulls else []
+        return " or ".join(ways) or "give more room"
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from kilter_core.arm.loads.wrenches import axial_loads, loads_of
 from kilter_core.identify.estimate import Frame
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
-from kilter_core.types import Floats
+from kilter_core.types import Bools, Floats
 from kilter_core.watch.innovation import Innovation
 
 Kind = Literal["zero", "sag", "base", "tool", "scale"]
@@ -66,8 +66,23 @@ class Column:
 
     def deviations(self) -> Floats:
         """Standard deviation (K,) of each number of the change; infinite of a number that moves no measured point."""
-        told = np.einsum("kr,rk->k", self._inverse, self.white) > TOLD
-        return np.where(told, np.linalg.norm(self._inverse, axis=1), np.inf)
+        return np.where(self._told, np.linalg.norm(self._inverse, axis=1), np.inf)
+
+    def size_deviations(self, change: Floats) -> Floats:
+        """Standard deviation (2,) of how long a frame's shift and rotation are, of the numbers that are shown; else (0,)."""
+        if not self.cause.frame:
+            return np.zeros(0)
+        out = []
+        for part in (slice(0, 3), slice(3, 6)):
+            shown = np.where(self._told[part], change[part], 0.0)
+            size = float(np.linalg.norm(shown))
+            out.append(float(np.linalg.norm(shown @ self._inverse[part])) / size if size else np.inf)
+        return np.array(out)
+
+    @cached_property
+    def _told(self) -> Bools:
+        """Which numbers (K,) the rows tell apart from the others."""
+        return np.asarray(np.einsum("kr,rk->k", self._inverse, self.white) > TOLD)
 
     @cached_property
     def _inverse(self) -> Floats:

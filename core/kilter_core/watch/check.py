@@ -43,7 +43,8 @@ class Judged:
     """A cause before the rows: ``gain`` in chi-square by its ``rank`` numbers, its ``bic``, and whether the rows
     refute it beside the best one.
 
-    ``change (K,)`` has standard deviations ``sigma (K,)``, infinite where nothing measured shows that number.
+    ``change (K,)`` has standard deviations ``sigma (K,)``, infinite where nothing measured shows that number. Of a frame
+    ``size_sigma (2,)`` are those of the lengths of its shift (m) and rotation (rad), else it is empty.
     """
 
     cause: Cause
@@ -52,12 +53,18 @@ class Judged:
     bic: float
     change: Floats
     sigma: Floats
+    size_sigma: Floats
     refuted: bool
 
     @property
     def u95(self) -> Floats:
         """Half width (K,) of the 95 % interval of each number."""
         return QUANTILE * self.sigma
+
+    @property
+    def size_u95(self) -> Floats:
+        """The same of ``size_sigma``."""
+        return QUANTILE * self.size_sigma
 
 
 @dataclass(frozen=True)
@@ -229,13 +236,12 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
         return ()
     r, bic = linear.r, _bic(linear)
     best = linear.columns[int(np.argmin(bic))]
-    found = [
-        Judged(
-            one.cause, _gain(r, one.span), one.span.shape[1], value, one.change(r), one.deviations(),
-            _refuted(linear, one, best, REFUTED / len(linear.columns)),
-        )
-        for one, value in zip(linear.columns, bic, strict=True)
-    ]  # fmt: skip
+    found = []
+    for one, value in zip(linear.columns, bic, strict=True):
+        change, refuted = one.change(r), _refuted(linear, one, best, REFUTED / len(linear.columns))
+        sizes = one.size_deviations(change)
+        gain = _gain(r, one.span)
+        found.append(Judged(one.cause, gain, one.span.shape[1], value, change, one.deviations(), sizes, refuted))
     return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
 
 

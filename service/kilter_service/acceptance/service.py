@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+from kilter_core.errors import TooFewPosesError
 from kilter_service.acceptance import words
 from kilter_service.acceptance.rows import judged, shown, span
 from kilter_service.campaigns import store as campaigns
@@ -20,11 +21,14 @@ from kilter_service.robots import store as robots
 from kilter_service.today import sentences
 from kilter_service.today import service as today
 from kilter_service.versions import store as versions
+from kilter_service.versions.guard import since_rezeroed
 from kilter_service.versions.unfitted_rows import Archive
 from kilter_service.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
-    from kilter_service.acceptance.rows import Judged
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+    from kilter_service.acceptance.rows import Ints, Judged
     from kilter_service.contract.instruments import Instrument
     from kilter_service.versions.unfitted_rows import Unseen
 
@@ -59,7 +63,7 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
             raise ServiceError(
                 f"Version {version_id} is of robot {version.robot!r}, not of {robot!r}.", code="version_not_found"
             )
-        parts = [*_parts(session, stored.id, version_id, wish)]
+        parts, left_out = _parts(session, stored.id, version_id, wish)
     if not parts:
         raise _nothing(robot, version_id, wish)
     parts.sort(key=lambda one: -one.campaign.provable_mm)
@@ -73,7 +77,7 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
         sentence=words.sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
         provable_mm=provable, span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
         campaigns=[one.campaign for one in parts], lacking=lacking,
-        warnings=[said for one in parts for said in words.warnings_of(one.campaign)],
+        warnings=[*left_out, *(said for one in parts for said in words.warnings_of(one.campaign))],
     )  # fmt: skip
 
 
@@ -109,11 +113,17 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
     return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
 
 
-def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iterable[Part]:
+def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> tuple[list[Part], list[Remark]]:
+    """The campaigns that are judged, and what is said of those that nobody named and that cannot be.
+
+    Raises:
+        ServiceError: no such campaign, or a version that does not say how well it is known.
+        CoreError: a campaign that was named cannot be judged.
+
+    """
     calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
-    known = predictive.Predictive.from_document(
-        versions.covariance(session, version_id), versions.get(session, version_id).report
-    )
+    report = versions.get(session, version_id).report
+    known = predictive.Predictive.from_document(versions.covariance(session, version_id), report)
     if known is None:
         raise ServiceError(
             f"Version {version_id} does not say how well it is known: identify again.", code="nothing_held_out"
@@ -122,15 +132,37 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> Iter
         campaigns.get(session, one)
     stated = None if wish.instrument is None else instruments.get(session, wish.instrument)
     unseen: Unseen = Archive(session, robot_id).unseen([version_id])
+    if not wish.campaigns:
+        unseen = since_rezeroed(session, robot_id, report)(unseen)
+    parts, left_out = [], []
     for key, rows in unseen.rows.items():
         if wish.campaigns and key not in wish.campaigns:
             continue
         used = campaigns.instruments(session, [key]).get(key) or stated
-        tolerance = to_metres(wish.tolerance_mm)
-        here = calibration if key in own else calibration.for_another_campaign(rows)
-        found = judged(here, known, rows, unseen.places[key], used, wish.refit or (), tolerance)
+        try:
+            found = _judged((calibration, known, key in own), rows, unseen.places[key], used, wish)
+        except TooFewPosesError as error:
+            if wish.campaigns:
+                raise TooFewPosesError(words.too_few(key), campaign=key) from error
+            left_out.append(Remark(code="campaign_not_judged", message=words.too_few(key), campaigns=[key]))
+            continue
         if found is not None:
-            yield _part(session, key, found, used, wish.refit or ())
+            parts.append(_part(session, key, found, used, wish.refit or ()))
+    return parts, left_out
+
+
+def _judged(
+    version: tuple[Calibration, predictive.Predictive, bool],
+    rows: Observations,
+    places: Ints,
+    used: Instrument | None,
+    wish: Wish,
+) -> Judged | None:
+    """Judge the rows of a campaign; the version with what it knows, and whether it was made from that campaign."""
+
+    calibration, known, own = version
+    here = calibration if own else calibration.for_another_campaign(rows)
+    return judged(here, known, rows, places, used, wish.refit or (), to_metres(wish.tolerance_mm))
 
 
 def _part(session: Session, key: str, found: Judged, used: Instrument | None, refit: Sequence[str]) -> Part:

@@ -52,3 +52,11 @@ def warnings_of(campaign: JudgedCampaign) -> Iterator[Remark]:
         if source in WHY:
             message = f"Campaign {campaign.name}: {WHY[source]}."
             yield Remark(code=f"{source}_not_assessed", message=message, campaigns=[campaign.id])
+
+
+def too_few(campaign: str) -> str:
+    """Say that a campaign has too few poses to be judged, and what helps."""
+    return (
+        f"Campaign {campaign} has too few distinct poses to be judged: before and after are compared with base and tool "
+        "fitted to it, which takes three, better ten all over the room. Measure more, or name other campaigns (--campaign)."
+    )

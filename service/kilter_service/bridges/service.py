@@ -9,7 +9,7 @@ from kilter_service.contract.bridges import Bridge, BridgeList, BridgeNews
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.db import Database
 from kilter_service.robots import store as robots
-from kilter_service.robots.compensation import CORRECTS, compensation_in
+from kilter_service.robots.compensation import CORRECTS, compensation_in, perhaps_twice
 from kilter_service.robots.compensation import twice as corrected_twice
 from kilter_service.versions import store as versions
 
@@ -84,8 +84,9 @@ def _bridge(robot: str, known: store.Known, active: str | None, controller: Cont
     over = news.state in ("ended", "killed")
     silent = known.silent_s >= SILENT_S
     offset = news.state in OFFSETTING or news.offset_deg > 0.0
-    twice = controller in CORRECTS and offset and not (over or silent)
-    said = _sentence(news, known.silent_s, active)
+    both = controller in CORRECTS and offset and news.state != "ended"
+    twice = both and not (over or silent)
+    more = f" {corrected_twice(robot, controller) if twice else perhaps_twice(robot, controller)}" if both else ""
     return Bridge(
         **news.model_dump(),
         id=known.run,
@@ -96,7 +97,7 @@ def _bridge(robot: str, known: store.Known, active: str | None, controller: Cont
         gone=over or silent,
         other_version=news.version_id != active,
         corrected_twice=twice,
-        sentence=f"{said} {corrected_twice(robot, controller)}" if twice else said,
+        sentence=_sentence(news, known.silent_s, active) + more,
     )
 
 

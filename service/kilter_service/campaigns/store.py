@@ -200,6 +200,19 @@ def ids_of_robot(session: Session, robot_id: int) -> list[str]:
     return list(session.execute(query.order_by(row.created_at, row.id)).scalars())
 
 
+def ids_before(session: Session, robot_id: int, campaign_id: str) -> list[str]:
+    """Return the campaigns of a robot in use that were measured before one; where nobody stated when, sent before it."""
+    row, one = CampaignRow, session.get(CampaignRow, campaign_id)
+    if one is None:
+        return []
+    query = select(row.id, row.measured_at, row.created_at).where(row.robot_id == robot_id, row.retired_at.is_(None))
+    return [
+        key
+        for key, stated, sent in session.execute(query)
+        if (sent < one.created_at if stated is None or one.measured_at is None else stated < one.measured_at)
+    ]
+
+
 def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:
     """Return the uploads of a campaign, oldest first."""
     return uploads_of_all(session, [campaign_id])[campaign_id]

@@ -40,6 +40,9 @@ class ErrorsToday(Strict):
     refit: list[str] = Field(description="Frames that were fitted to these rows, `base` and `tool`; empty: none.")
     rows: str = Field(description="Which rows that are, in words.")
     errors: StageErrors = Field(description="The errors.")
+    alarm: str | None = Field(
+        None, description="What the check said, if it is one that alarmed; null: it agreed, or it is none."
+    )
 
 
 class NamedMissing(Strict):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -14,13 +14,16 @@ from kilter_service.drift.records import Activated, StoredCheck
 from kilter_service.versions.guard import REZEROED
 
 MOST = 1000  # checks of a robot, the newest
-MOST_LOOKED = 30  # looked through for one that agreed
+MOST_LOOKED = 30  # looked through for the last one, and the last that agreed
+
+Digests = frozenset[str]  # of the uploads of a campaign
 
 
 def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int, list[StoredCheck]]:
     """Return the newest checks by robot, by when their rows were measured: a clock that was set back changes no order of jobs.
 
-    Checks of frames that were set up anew are left out: the frames took up what they would have said.
+    Checks of frames that were set up anew are left out: the frames took up what they would have said; and those of campaigns
+    that were retired.
     """
     row = JobRow
     place = func.row_number().over(partition_by=row.robot_id, order_by=(row.created_at.desc(), row.id))
@@ -36,38 +39,41 @@ def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int,
         .order_by(row.created_at, row.id)
     )
     found = [one for one in session.execute(query) if one.result and of_all_causes(one.result)]
-    at = _measured(session, {one.request["campaigns"][0] for one in found})
+    at, digests = measured(session, {one.request["campaigns"][0] for one in found})
     out: dict[int, list[StoredCheck]] = {}
     for one in found:
         campaign = one.request["campaigns"][0]
         if campaign in at:
             out.setdefault(one.robot_id, []).append(StoredCheck(one.id, campaign, at[campaign], one.result))
-    return {robot: _newest_of_each(made) for robot, made in out.items()}
+    return {robot: _newest_of_each(made, digests) for robot, made in out.items()}
 
 
-def agreed_at(session: Session, robot: int, version: str, besides: Collection[str]) -> datetime | None:
-    """Return when a check of a robot, other than of these campaigns, last agreed with a version; None: never."""
+def of_version(session: Session, robot: int, version: str, besides: Collection[str]) -> list[StoredCheck]:
+    """Return the newest checks of a robot against a version, but for those of some campaigns; by when measured."""
     found = checks(session, [robot], MOST_LOOKED).get(robot, [])
-    own = (one for one in found if one.result.get("version_id") == version and one.campaign_id not in besides)
-    return max((one.at for one in own if one.result.get("verdict") == "ok"), default=None)
+    return [one for one in found if one.result.get("version_id") == version and one.campaign_id not in besides]
 
 
-def _newest_of_each(made: list[StoredCheck]) -> list[StoredCheck]:
-    """Of several checks of a campaign against a version the last; by when they were measured."""
-    newest = {(one.campaign_id, one.result.get("version_id")): one for one in made}
+def _newest_of_each(made: list[StoredCheck], digests: Mapping[str, Digests]) -> list[StoredCheck]:
+    """Of several checks of the same rows against a version the last, however often these were sent; by when measured."""
+    newest = {(digests[one.campaign_id], one.result.get("version_id")): one for one in made}
     return sorted(newest.values(), key=lambda one: one.at)
 
 
-def _measured(session: Session, campaigns: Collection[str]) -> dict[str, datetime]:
+def measured(session: Session, campaigns: Collection[str]) -> tuple[dict[str, datetime], dict[str, Digests]]:
+    """When campaigns in use were measured, or the last of their rows came; and what tells the same rows sent twice."""
     row = CampaignRow
-    sent = func.max(UploadRow.created_at)
     query = (
-        select(row.id, row.measured_at, sent)
+        select(row.id, row.measured_at, UploadRow.created_at, UploadRow.sha256)
         .join(UploadRow, UploadRow.campaign_id == row.id)
-        .where(row.id.in_(campaigns))
-        .group_by(row.id, row.measured_at)
+        .where(row.id.in_(campaigns), row.retired_at.is_(None))
     )
-    return {key: stated or came for key, stated, came in session.execute(query)}
+    at: dict[str, datetime] = {}
+    digests: dict[str, Digests] = {}
+    for key, stated, came, sha256 in session.execute(query):
+        at[key] = stated or max(came, at.get(key, came))
+        digests[key] = digests.get(key, frozenset()) | {sha256}
+    return at, digests
 
 
 def activations(session: Session, of: Collection[int]) -> dict[int, list[Activated]]:

@@ -37,6 +37,22 @@ MOVED = (
 )
 
 
+DATED_BEFORE = {
+    "dated_before_last_check": "before the last check of this version ({other:%Y-%m-%d %H:%M}). It stands at its date in the "
+    "history, and the later check says how the arm stands",
+    "dated_before_fit": "before rows that the version was fitted to ({other:%Y-%m-%d %H:%M}): it says how the arm was then",
+}
+
+
+def dated_before(code: str, campaign: str, at: datetime, other: datetime) -> str:
+    """Say that rows are dated before what they should come after, and what to do where the date is wrong."""
+    return (
+        f"Campaign {campaign} is dated {at:%Y-%m-%d %H:%M}, {DATED_BEFORE[code].format(other=other)}. If the date is wrong, "
+        f"as of a clock that was set back, retire it (`kilter campaigns retire {campaign}`) and check again with the right "
+        "--measured-at."
+    )
+
+
 def cause_words(cause: Cause) -> str:
     """Return a cause as people say it."""
     return KINDS[cause.kind].format(cause.joint)
@@ -107,7 +123,7 @@ def rezero_sentence(found: Rezeroed, start: str) -> str:
 
 
 def by_how_much(one: Judged) -> str:
-    """Return a cause with its change: `zero of joint 3 by 0.21 deg (0.19 to 0.23)`, `base by 1.2 mm and 0.05 deg`."""
+    """Return a cause with its change: `zero of joint 3 by 0.21 deg (0.19 to 0.23)`; of a frame its shift and its rotation."""
     words = cause_words(one.cause)
     if not one.cause.frame:
         unit, factor = unit_of(one.cause)
@@ -115,9 +131,12 @@ def by_how_much(one: Judged) -> str:
         return f"{words} by {value:.3g} {unit} ({value - u95:.3g} to {value + u95:.3g})"
     seen = np.isfinite(one.sigma)
     parts = []
-    for places, factor, unit in ((slice(0, 3), MM, "mm"), (slice(3, 6), DEG, "deg")):
+    shift, rotation = one.size_u95
+    for places, u95, factor, unit in ((slice(0, 3), shift, MM, "mm"), (slice(3, 6), rotation, DEG, "deg")):
         if seen[places].any():
-            parts.append(f"{float(np.linalg.norm(one.change[places][seen[places]])) * factor:.3g} {unit}")
+            size = float(np.linalg.norm(one.change[places][seen[places]]))
+            low, high = max(0.0, size - u95) * factor, (size + u95) * factor
+            parts.append(f"{size * factor:.3g} {unit} ({low:.3g} to {high:.3g})")
     return f"{words} by {' and '.join(parts)}" if parts else words
 
 

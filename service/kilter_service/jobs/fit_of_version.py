@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Session
 from kilter_service.drift import store as drift
 from kilter_service.errors import ServiceError
-from kilter_service.jobs.kind import FitOfVersion
+from kilter_service.jobs.kind import Dates, FitOfVersion
 from kilter_service.versions import store as versions
 from kilter_service.versions.unfitted_rows import Archive
 
@@ -23,8 +24,22 @@ def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion
     files = {c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of(session, c))}
     shared = [c for c in named if c in files or fitted[c]]
     seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
-    agreed = drift.agreed_at(session, robot, version, named)
-    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreed, fitted)
+    made = drift.of_version(session, robot, version, named)
+    agreed = max((one.at for one in made if one.result.get("verdict") == "ok"), default=None)
+    dates = Dates(
+        max(drift.measured(session, named)[0].values(), default=None),
+        max((one.at for one in made), default=None),
+        max((at for at in (_stated(session, one) for one, _ in trained) if at is not None), default=None),
+    )
+    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreed, fitted, dates)
+
+
+def _stated(session: Session, campaign: str) -> datetime | None:
+    """When a campaign was measured, as somebody stated; None: nobody did, or it was purged."""
+    try:
+        return campaigns.get(session, campaign).measured_at
+    except ServiceError:
+        return None
 
 
 def _temperatures(session: Session, campaign: str) -> Iterator[float]:

@@ -26,6 +26,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class Dates:
+    """When the rows of a job were measured or sent, the last check of the version, and, as stated, what it was fitted to."""
+
+    rows: datetime | None = None
+    last_check: datetime | None = None
+    fitted: datetime | None = None
+
+
+@dataclass(frozen=True)
 class FitOfVersion:
     """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
     and which campaigns of the job have rows of it. ``agreed_at`` is when a check last agreed with it, None: never.
@@ -36,6 +45,7 @@ class FitOfVersion:
     shared: tuple[str, ...] = ()
     agreed_at: datetime | None = None
     fitted: Mapping[str, int] = field(default_factory=dict)
+    dates: Dates = field(default_factory=Dates)
 
 
 Progress = Callable[[float, str], None]

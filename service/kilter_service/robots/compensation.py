@@ -48,6 +48,14 @@ def twice(robot: str, compensation: str) -> str:
     )
 
 
+def perhaps_twice(robot: str, compensation: str) -> str:
+    """Say the same of what is no longer heard, and may go on."""
+    return (
+        f"The controller of {robot} {WORDS[compensation]}: if the bridge still offsets the joints, the arm is corrected twice. "
+        "Look where it ran, and stop it there."
+    )
+
+
 def remark(robot: str, compensation: str) -> Objection | None:
     """A warning where nobody said whether the controller corrects by itself."""
     if compensation != "unknown":

@@ -76,10 +76,16 @@ def compared(
         return ""
     most = max(largest(newest, own), largest_mm or 0.0)
     mean, day = said_of_error(own.errors.identified.mean_mm, most), f"{own.at:%Y-%m-%d}"
+    alarm = newest.alarm
+    if larger_by_mm is None and alarm is not None:
+        return f"Its own job said {mean} ({day}), not more than chance explains, but the check says {alarm}"
     if larger_by_mm is None:
         return f"Its own job said {mean} ({day}); the difference is not more than chance explains."
     command = f"`kilter evaluate {robot} --campaign {newest.campaigns[0].id} --refit base`"
     anew = f" Where the instrument was set up anew, evaluate with `--refit base` first: {command}."
+    if alarm is not None:
+        command = f"`kilter check {robot} --campaign {newest.campaigns[0].id} --new-setup base`"
+        anew = f" The check says {alarm} Where the instrument was set up anew, say so: {command}."
     more = said_of_error(larger_by_mm, most)
     return (
         f"That is {more} more than the {mean} its own job said ({day}), more than chance explains: "

@@ -126,7 +126,8 @@ def _evaluations(version: Active, campaigns: Campaigns, evaluated: Iterable[Eval
             if errors.fitted:  # the same rows in another file
                 continue
             source = "check" if one.kind == "drift" else "evaluation"
-            yield _errors(version, source, one.job_id, one.at, [campaign], campaigns, errors, one.refit)
+            found = _errors(version, source, one.job_id, one.at, [campaign], campaigns, errors, one.refit)
+            yield found.model_copy(update={"alarm": one.said})
 
 
 def _errors(

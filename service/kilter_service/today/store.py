@@ -13,6 +13,8 @@ from kilter_service.campaigns import rest
 from kilter_service.db import Session
 from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
 
+ALARMS = ("moved", "cannot_tell")  # verdicts of a check
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -50,6 +52,7 @@ class Evaluated:
     metrics: Mapping[str, Any]
     refit: list[str]
     agrees: bool = False  # of a check: what the version does not know of itself, and the noise, explain the errors
+    said: str | None = None  # of a check that alarmed, its verdict in words
 
 
 @dataclass(frozen=True)
@@ -139,14 +142,16 @@ def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluat
             row.result["metrics"],
             row.result["refit"],
             row.result["verdict"],
+            row.result["sentence"],
         )
         .where(row.kind.in_(("evaluate", "drift")), row.state == "succeeded", version.in_(of))
         .order_by(row.created_at, row.id)
     )
     out: dict[str, list[Evaluated]] = {}
-    for kind, key, at, evaluated, metrics, refit, verdict in session.execute(query):
+    for kind, key, at, evaluated, metrics, refit, verdict, sentence in session.execute(query):
         if metrics:
-            one = Evaluated(kind, key, at, evaluated, metrics, refit or [], verdict == "ok")
+            said = sentence if verdict in ALARMS else None
+            one = Evaluated(kind, key, at, evaluated, metrics, refit or [], verdict == "ok", said)
             out.setdefault(evaluated, []).append(one)
     return out
 

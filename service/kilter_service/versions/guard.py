@@ -44,7 +44,7 @@ ONLY_PLAIN = (
     "Version {active}, active now, was fitted to every pose that this one was not: compared with registration only."
 )
 
-BEFORE = "Campaign {campaign} was not compared: it was sent before what the version was re-zeroed by."
+BEFORE = "Campaign {campaign} was not compared: it was measured before what the version was re-zeroed by."
 
 _ONE_AT_A_TIME = threading.Lock()  # a comparison holds the rows of a robot
 
@@ -128,7 +128,7 @@ def _cases(
 ) -> list[Case]:  # fmt: skip
     """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
     archive = Archive(session, robot_id)
-    later = _later(session, robot_id, report)
+    later = since_rezeroed(session, robot_id, report)
     own = frozenset(campaign for training in trainings for campaign, _ in training.campaigns)
     alone = Case(new, active, None, later(archive.unseen_by(trainings)), own)
     if active is None:
@@ -139,16 +139,15 @@ def _cases(
     return [beside, alone]
 
 
-def _later(session: Session, robot_id: int, report: Mapping[str, Any]) -> Callable[[Unseen], Unseen]:
-    """Leave out what was sent before the campaign that a version was re-zeroed by: it shows the arm as it was."""
+def since_rezeroed(session: Session, robot_id: int, report: Mapping[str, Any]) -> Callable[[Unseen], Unseen]:
+    """Leave out what was measured before the campaign that a version was re-zeroed by: it shows the arm as it was."""
     campaign = (report.get(REZEROED) or {}).get("campaign")
-    ids = campaigns.ids_of_robot(session, robot_id) if campaign is not None else []
-    before = set(ids[: ids.index(campaign)]) if campaign in ids else set()
+    before = set() if campaign is None else set(campaigns.ids_before(session, robot_id, campaign))
 
     def later(unseen: Unseen) -> Unseen:
         rows = {name: found for name, found in unseen.rows.items() if name not in before}
         said = {name: BEFORE.format(campaign=name) for name in unseen.rows if name in before}
-        return Unseen(rows, unseen.left_out | said)
+        return Unseen(rows, unseen.left_out | said, unseen.places)
 
     return later
 
@@ -265,7 +264,7 @@ class Case:
         if said is not None:
             message = (
                 f"Campaign {campaign} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct "
-                f"or retire it (`kilter retire {campaign}`)."
+                f"or retire it (`kilter campaigns retire {campaign}`)."
             )
             self.warn("campaign_fits_no_model", message)
         return said is not None

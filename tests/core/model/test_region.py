@@ -85,3 +85,17 @@ def test_a_driving_order_is_as_short_as_the_shortest() -> None:
     order = driving_order(q, np.ones(6))
     assert sorted(order) == list(range(200))
     assert path_length(q[order], np.ones(6)) < 0.7 * path_length(q, np.ones(6))
+
+
+def test_no_room_is_refused_with_what_leaves_none() -> None:
+    whole = np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]])
+    with pytest.raises(
+        RobotError, match="out of the zones to keep out of, 50 are needed to choose from: keep out of less"
+    ) as told:
+        Region.of(START).outside(whole).draw(50, np.random.default_rng(1))
+    assert told.value.context["field"] == "keep_out_mm"
+    small = np.array([[0.2, 0.0, 0.2], [0.2001, 0.0001, 0.2001]])
+    with pytest.raises(RobotError, match=r"take a larger box or go to the limits \(--anywhere\)"):
+        Region.of(START, RNG.uniform(-0.2, 0.2, (40, START.robot.n_joints))).within(small).draw(
+            50, np.random.default_rng(1)
+        )

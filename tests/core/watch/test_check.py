@@ -140,6 +140,24 @@ def test_the_change_is_as_large_as_it_was_and_its_interval_holds() -> None:
     assert 0.90 <= np.mean(np.array(off) <= 1.0) <= 0.99
 
 
+@pytest.mark.parametrize("frame", ["base", "tool"])
+def test_how_far_a_frame_moved_has_an_interval_that_holds(frame: str) -> None:
+    rng = np.random.default_rng(51)
+    off, rotated = [], []
+    for _ in range(100):
+        arm, calibration = perfect(rng)
+        size = float(rng.uniform(1e-3, 5e-3))
+        found = check(calibration, arm.after(frame, size).measured(some_poses(6, rng), rng, NOISE), EXACT)
+        one = next(one for one in found.judged if one.cause.name == frame)
+        off.append(abs(np.linalg.norm(one.change[:3]) - size) / one.size_u95[0])  # a shift along a unit vector
+        if frame == "base":
+            turn = size * np.linalg.norm([1.2, 0.9, -0.4])
+            rotated.append(abs(np.linalg.norm(one.change[3:]) - turn) / one.size_u95[1])
+    assert 0.90 <= np.mean(np.array(off) <= 1.0) <= 0.99
+    assert np.mean(np.array(rotated or [0.0]) <= 1.0) >= 0.90
+    assert len(next(one for one in found.judged if one.cause.name == "zero_2").size_u95) == 0
+
+
 @pytest.mark.parametrize(("change", "size"), [("zero_1", 0.06), ("base", 0.05), ("tool", 0.05), ("zero_2", 0.06)])
 def test_a_large_change_bends_no_verdict(change: str, size: float) -> None:
     rng = np.random.default_rng(6)

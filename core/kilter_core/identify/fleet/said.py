@@ -14,6 +14,8 @@ from kilter_core.identify.least_squares import Fit
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Bools, Floats
 
+ORDINARY = 0.5  # chance of an arm of the type to be as odd, from which on it is odder than fewer than half of them
+
 
 def resting(fit: Fit) -> Bools:
     """Which parameters (F,) of a fit rest on its type."""
@@ -71,7 +73,10 @@ def _sentence(fleet: FleetPrior, fit: Fit, names: list[str]) -> str:
     if use.odd:
         said += f"; {', '.join(use.odd)} {'is' if len(use.odd) == 1 else 'are'} not as in those, so there these rows alone say"
     if use.widened_by is not None and use.widened_by >= NOTICED:
-        said += f"; this arm is odder than most, so the type's standard deviations count {use.widened_by:.2g} times"
+        odder = (
+            "this arm is odder than most, so " if use.p_value < ORDINARY else ""
+        )  # heavy tails widen an ordinary one too
+        said += f"; {odder}the type's standard deviations count {use.widened_by:.2g} times"
     if names:
         verb = "rests" if len(names) == 1 else "rest"
         said += f". {', '.join(names)} {verb} on the prior, not on these rows"

@@ -15,6 +15,8 @@ from kilter_service.jobs.plain import plain
 from kilter_service.wire import to_metres_if_known, to_mm
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
@@ -109,9 +111,18 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,
         "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
-        "fitted_c": job.fit.temperatures_c, "warnings": [], "refit": list(found.new_setup),
+        "fitted_c": job.fit.temperatures_c, "warnings": list(_of_dates(job)), "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},
     }  # fmt: skip
+
+
+def _of_dates(job: JobInput) -> Iterator[dict[str, Any]]:
+    """Say that rows are dated before what they should come after: a clock that was set back puts a check in another place."""
+    dates, (campaign,) = job.fit.dates, job.campaigns
+    at = dates.rows
+    for code, other in (("dated_before_last_check", dates.last_check), ("dated_before_fit", dates.fitted)):
+        if at is not None and other is not None and at < other:
+            yield {"code": code, "message": wire.dated_before(code, campaign, at, other), "campaigns": [campaign]}
 
 
 def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:

@@ -48,12 +48,15 @@ class Corrector:
         twice = next((one for one in running if one.corrected_twice), None)
         if twice is not None:  # what the controller does by itself must not hide it
             return Correcting("corrected twice", "bad", twice.sentence, TWICE)
+        newest = next(iter(self.bridges.get(robot, ())), None)
+        lost = newest if newest is not None and newest.gone and newest.state != "ended" else None
+        if compensation in CORRECTS and lost is not None and _offset_joints(lost):  # it may go on where it runs
+            return Correcting("bridge gone", "warn", lost.sentence, "Perhaps twice")
         if compensation in CORRECTS:
             said = f"The controller {WORDS[compensation]}, so its setpoints are not corrected a second time."
             return Correcting("by the controller", "faint", said, "By its controller")
         if running:  # it corrects by itself, whether or not the corrector runs
             return _of_bridge(running[0], active)
-        lost = next((one for one in self.bridges.get(robot, ()) if one.state != "ended"), None)
         if lost is not None and not any(one["robot"] == robot for one in self.streams):
             return Correcting("bridge gone", "bad", lost.sentence, OFF)
         if self.detail.startswith(health.STARTING):
@@ -88,6 +91,11 @@ def corrector(database: Database, settings: Settings) -> Corrector:
         observability.streams(database),
         known_bridges.of_robots(database),
     )
+
+
+def _offset_joints(bridge: Bridge) -> bool:
+    """Whether the joints were offset when it was last heard."""
+    return bridge.state in known_bridges.OFFSETTING or bridge.offset_deg > 0.0
 
 
 def _just_said(stream: Mapping[str, Any]) -> bool:

@@ -77,6 +77,19 @@ def test_the_result_says_what_rests_on_the_prior(fleet: Fleet) -> None:
     assert not any(name.startswith(("base_", "tool_")) for name in resting[0])
 
 
+def test_an_arm_is_called_odd_only_where_fewer_than_half_of_its_type_are_as_odd(fleet: Fleet) -> None:
+    rng, seen = np.random.default_rng(21), set()
+    for shift in (0.0, 0.0, 0.0, 1.2, 1.2, 1.2):
+        arm = fleet.kind.arm(rng, shift)
+        prior = fitted(arm, arm.measured(poses(14, rng), rng, NOISE), fleet).to_document()["prior"]
+        if prior["state"] == "widened" and prior["widened_by"] >= 1.05:
+            odd = "odder than most" in prior["sentence"]
+            assert odd == (prior["p_value"] < 0.5), prior["sentence"]
+            assert f"count {prior['widened_by']:.2g} times" in prior["sentence"]
+            seen.add(odd)
+    assert seen == {True, False}
+
+
 def test_each_robot_is_predicted_by_the_others(fleet: Fleet) -> None:
     arm = fleet.kind.arm(fleet.rng)
     found = fitted(arm, arm.measured(poses(14, fleet.rng), fleet.rng, NOISE), fleet)

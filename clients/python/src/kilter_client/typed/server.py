@@ -117,6 +117,8 @@ class MeasuredCampaign(Record):
 class ErrorsToday(Record):
     """Errors of the active version on some rows."""
 
+    alarm: str | None
+    """What the check said, if it is one that alarmed; None: it agreed, or it is none."""
     at: str
     """When that was."""
     campaigns: Records[MeasuredCampaign]

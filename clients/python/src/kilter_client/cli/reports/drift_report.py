@@ -84,4 +84,6 @@ def _changes(cause: Mapping[str, Any]) -> str:
     seen = [one for one in cause["numbers"] if one["u95"] is not None]
     if len(cause["numbers"]) == 1:
         return "".join(f"{number(one['change'], 3)} ± {number(one['u95'], 2)} {one['unit']}" for one in seen)
-    return ", ".join(f"{one['name']} {number(one['change'], 3)} {one['unit']}" for one in seen)
+    return ", ".join(
+        f"{one['name']} {number(one['change'], 3)} ± {number(one['u95'], 2)} {one['unit']}" for one in seen
+    )
