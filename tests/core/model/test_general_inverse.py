@@ -88,9 +88,8 @@ def test_the_joints_that_made_a_pose_are_among_all_that_reach_it(name: str) -> N
 def test_of_a_thousand_poses_none_is_missed_unsaid(name: str) -> None:
     uncertain, missed = counted(name, 4, 334)
     assert missed == 0
-    assert (
-        uncertain <= 334 // 50
-    )  # a root is real or not by the bound of its eigenvalue, but very near singular postures
+    # A root is in doubt within 0.001 rad of a singular posture, where one pose in a hundred may be.
+    assert uncertain <= 3
 
 
 def test_a_pose_out_of_reach_has_no_joints_and_that_is_certain() -> None:
@@ -117,7 +116,7 @@ def singular_posture(model: pinocchio.Model, rng: np.random.Generator) -> Floats
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if determinant(middle) * determinant(low) > 0 else (low, middle)
-    return low
+    return np.asarray(low)
 
 
 def test_at_a_singularity_the_joints_are_not_certain() -> None:
