@@ -129,7 +129,7 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     path.write_bytes(krl(np.array([[0.0, 30, 40], [999, 0, 0]])))
     for options, remedy in (([], "within reach."), (["--strict"], "within reach, or leave --strict out.")):
         said = document(capsys, "filter", path, "--robot", arm, "-o", output, *options, code=1)["detail"]
-        assert "line 4: axis target" in said
+        assert "line 4: axis target: JOINT_LIMIT, j1 at 999 deg is beyond its limit of 170 deg" in said
         assert said.endswith(remedy)
     path.write_bytes(b"PTP {A1 1,A2 2}\n")
     assert "has 2 joints" in document(capsys, "filter", path, "--robot", arm, "-o", output, code=1)["detail"]
@@ -138,6 +138,28 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     assert document(capsys, "filter", path, "--robot", arm, code=2)["code"] == "usage"
     (tmp_path / "w.ls").write_bytes(fanuc(TAUGHT))
     assert "--fanuc-j3" in document(capsys, "filter", tmp_path / "w.ls", "--robot", arm, "-o", output, code=2)["detail"]
+
+
+def test_a_target_out_of_reach_after_its_correction_names_joint_angle_and_limit(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = tmp_path / "w.src", tmp_path / "out.src"
+    path.write_bytes(krl(np.array([[0.0, 30, 40], [-170, 30, 40], [10, -171.5, 40], [20, 30, 170.25]])))
+    said = document(capsys, "filter", path, "--robot", arm, "-o", output, code=1)["detail"]
+    assert "line 5: axis target: JOINT_LIMIT, j2 at -171.5 deg is beyond its limit of -170 deg" in said
+    assert "line 6: axis target: JOINT_LIMIT, j3 at 170.25 deg is beyond its limit of 170 deg" in said
+    path.write_bytes(krl(np.array([[0.0, 30, 40], [-170, 30, 40], [10, 30, 40]])))
+    told = document(capsys, "filter", path, "--robot", arm, "-o", output)
+    held = (
+        "j1 at -170 deg is held at its limit of -170 deg"  # j1 reads 0.1 deg too little: the correction is away from it
+    )
+    assert told["not_ok"] == [
+        {"file": "w.src", "line": 4, "name": "axis target", "status": "LIMITED", "at_limits": held}
+    ]
+    assert run(["filter", str(path), "--robot", arm, "-o", str(output)]) == 0
+    assert f"w.src, line 4: axis target is LIMITED: {held}" in capsys.readouterr().out
+    path.write_bytes(krl(np.array([[0.0, 30, 40], [-169, 30, 40], [10, 30, 40]])))  # a degree away from the limit
+    assert document(capsys, "filter", path, "--robot", arm, "-o", output, "--strict")["not_ok"] == []
 
 
 def test_the_library_gives_what_the_command_writes(

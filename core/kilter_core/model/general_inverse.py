@@ -20,7 +20,10 @@ from kilter_core.model.closed_inverse import Axes, Posture, about, angle_about, 
 from kilter_core.transforms import inverse, rotations_about
 from kilter_core.types import Floats
 
-REAL = 1e-3  # imaginary parts of tangents below this may be those of two roots that are nearly one
+# An eigenvalue is off by its condition times the rounding of the pencil, and that of the equations grows as their rank falls;
+# the largest seen was a thirtieth of this product. A root whose imaginary part is larger than ten times it is not real.
+ROUNDED = 10.0 * float(np.finfo(float).eps)
+OWN_ROOT = 1e-2  # rad, within which joint 3 after the steps is the one that its root said
 REACHED = 1e-11  # m and rad
 SAME_RAD = 1e-6
 SINGULAR = 1e-5  # of the Jacobian's singular values in m and rad
@@ -160,7 +163,7 @@ def _solve(axes: Axes, moved: Floats, split: _Split, out: list[Floats]) -> bool:
     if split.rank < RANK:
         return False
     explained = True
-    for x3 in _roots(split.A):
+    for x3 in _roots(split.A, ROUNDED / split.rank):
         third = 2.0 * math.atan(x3) + float(split.shifts[0])
         some = False
         for guess in map(split.angles, _guesses(split, moved, x3)):
@@ -168,7 +171,7 @@ def _solve(axes: Axes, moved: Floats, split: _Split, out: list[Floats]) -> bool:
             angles = _polished(axes, moved, guess) if near is None else near
             if angles is not None:
                 off = math.remainder(float(angles[(split.first + 2) % 6]) - third, 2.0 * math.pi)
-                some = some or abs(off) < 10.0 * REAL
+                some = some or abs(off) < OWN_ROOT
                 if not any(_same(angles, other) for other in out):
                     out.append(angles)
         explained = explained and some
@@ -217,17 +220,24 @@ def _tangents(rotations: Floats, shift: float) -> Floats:
     return np.array([constant + along, 2.0 * across, constant - along])
 
 
-def _roots(A: Floats) -> list[float]:
-    """Tangents of joint 3 that may be real, each once."""
+def _roots(A: Floats, rounded: float) -> list[float]:
+    """Tangents of joint 3 that may be real where the pencil's entries are off by ``rounded``, each once.
+
+    The bound of an eigenvalue x of low v = x high v with left vector u is, to first order, that times
+    (|low| + |x| |high|) |u| |v| / |u* high v|: two roots that are nearly one have a large one.
+    """
     zero, one = np.zeros((12, 12)), np.eye(12)
     size = np.linalg.norm(A, axis=(0, 2), keepdims=True)
     B = A / np.where(size > 0.0, size, 1.0)
     low = np.block([[zero, one], [-B[0], -B[1]]])
     high = np.block([[one, zero], [zero, B[2]]])
-    alpha, beta = eig(low, high, right=False, homogeneous_eigvals=True)
+    (alpha, beta), left, right = eig(low, high, left=True, right=True, homogeneous_eigvals=True)
     some = np.abs(beta) > 1e-13 * np.abs(alpha)
-    x = alpha[some] / beta[some]
-    real = x[np.abs(x.imag) < REAL * (1.0 + np.abs(x) ** 2)].real
+    x, left, right = alpha[some] / beta[some], left[:, some], right[:, some]
+    moved = (np.linalg.norm(low) + np.abs(x) * np.linalg.norm(high)) * np.linalg.norm(left, axis=0)
+    moved *= np.linalg.norm(right, axis=0)
+    held = np.abs(np.einsum("ik,ij,jk->k", left.conj(), high, right))
+    real = x[np.abs(x.imag) * held <= rounded * moved].real
     found: list[float] = []
     for value in sorted(real):
         if not found or abs(math.atan(value) - math.atan(found[-1])) > 1e-9:

@@ -179,8 +179,10 @@ def test_a_planner_that_sends_old_or_other_messages_is_not_followed() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("t_s,q1_deg\n0,1\n1,2\n", "'q2_deg'"),
-        ("t_s,q1_deg,q2_deg\n0,1,x\n1,2,3\n", "'x'"),
+        ("t_s,q1_deg\n0,1\n1,2\n", "line 2: has no column q2_deg: give t_s, q1_deg, q2_deg in every row"),
+        ("t_s,q1_deg,q2_deg\n0,1,2\n1,x,3\n", "line 3: has 'x' in q1_deg"),
+        ("t_s,q1_deg,q2_deg\n0,1,2\n1,2\n", "line 3: has no number in q2_deg"),
+        ("t_s,q1_deg,q2_deg\n0,1,2\n1,,2\n", "line 3: has no number in q1_deg"),
         ("t_s,q1_deg,q2_deg\n0,1,2\n0,2,3\n", "line 3"),
         ("t_s,q1_deg,q2_deg\n0,1,2\n1,nan,3\n", "line 3"),
         ("t_s,q1_deg,q2_deg\n0,1,2\n", "fewer than two"),

@@ -18,7 +18,7 @@ import numpy as np
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionProgram, Track, compile_program
 from tests.core.correct.c_corrector import Corrector, blob_of, built
-from tests.core.correct.test_c_corrector import CARRIED_ON, program_of
+from tests.core.correct.test_c_corrector import CARRIED_ON, HANGING, program_of
 from tests.core.correct.twins import ARMS, twin
 from tests.corrector.test_runtime_effects import ACTING
 
@@ -35,6 +35,8 @@ def programs() -> Iterator[tuple[str, CorrectionProgram]]:
         yield f"ur10 {task}", program_of("ur10", "clearance_tilt", "backlash_load", task=task)
     for k, effect in enumerate(ACTING):
         yield f"ur10 {effect}", program_of("ur10", effect, seed=k)
+    for effects in HANGING:
+        yield f"ur10 {' '.join(effects)} where it hangs", program_of("ur10", *effects, hanging=True, payload_kg=5.0)
 
 
 def wandering(rng: np.random.Generator, joints: int) -> np.ndarray:

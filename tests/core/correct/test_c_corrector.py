@@ -26,6 +26,12 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this 
 # Where a search ends before its last round the answers agree to the last digits. At a singular posture it runs to the last
 # one and does not settle: then rounding, which two compilers do differently, grows, and a stream carries it on a while.
 SAME_RAD, UNSETTLED_RAD, CARRIED_ON = 1e-12, 1e-7, 40
+# Effects that bend the arm, alone and beside some that have a side or read a load.
+HANGING = (
+    ("axial_compliance", "radial_compliance", "clearance_tilt"),
+    ("link_bending", "reading_tilt", "base_compliance"),
+    ("axial_compliance", "backlash", "backlash_load"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +122,7 @@ def test_the_joints_are_those_of_the_kernels_with_every_effect(effect: str, libr
     assert compare(library, program_of("ur10", effect), 80) < SAME_RAD
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [("axial_compliance", "radial_compliance", "clearance_tilt"), ("link_bending", "reading_tilt", "base_compliance")],
-)
+@pytest.mark.parametrize("effects", HANGING)
 def test_the_joints_are_those_of_the_kernels_where_the_arm_hangs(
     effects: tuple[str, ...], library: ctypes.CDLL
 ) -> None:
@@ -128,6 +131,42 @@ def test_the_joints_are_those_of_the_kernels_where_the_arm_hangs(
     assert compare(library, program, 80) < SAME_RAD
     q = path_of(program, 80, 3)
     assert np.abs(program.correct_rows(q).q - at_readings.correct_rows(q).q).max() > 1e-7
+
+
+COUNTED = "static void load_moments(rows P, matrix W, int S, int m, int oj, bool dynamic, int ride)\n{"
+
+
+@pytest.mark.parametrize("effects", HANGING)
+def test_however_a_posture_is_the_passes_over_the_loads_are_bounded(effects: tuple[str, ...], tmp_path: Path) -> None:
+    """A stretched elbow and jumps make every round of the search and of the hanging arm run, and no more."""
+    text = (FOLDER / "kilter_corrector.c").read_text()
+    assert text.count(COUNTED) == 1
+    (tmp_path / "counted.c").write_text(text.replace(COUNTED, f"int kc_counted = 0;\n{COUNTED} kc_counted++;"))
+    made = tmp_path / "counted.so"
+    options = ["-std=c99", "-O1", "-shared", "-fPIC", f"-I{FOLDER}"]
+    subprocess.run([str(COMPILER), *options, "-o", str(made), str(tmp_path / "counted.c"), "-lm"], check=True)
+    counting = ctypes.CDLL(str(made))
+    counting.kc_memory_needed.restype = ctypes.c_size_t
+    counted = ctypes.c_int.in_dll(counting, "kc_counted")
+    program, rng = program_of("ur10", *effects, hanging=True, payload_kg=5.0), np.random.default_rng(1)
+    scalars, ours = program.array[-1], Corrector(counting, blob_of(program))
+    passes = 1 + int(scalars[layout.HANGING]) + int(scalars[layout.HANGING_SIDED])
+    assert passes > 3
+    most = {layout.ITERATIONS: (0, 0), layout.ROUNDS: (0, 0)}
+    for k in range(2000):
+        q = rng.uniform(-3.0, 3.0, 6)
+        if k % 2:
+            q[2] = rng.normal() * 10.0 ** rng.uniform(-5, -1)  # the elbow stretched
+        direction, dt = np.sign(rng.normal(size=6)), float(rng.choice([0.001, 10.0]))
+        for column in most:
+            counted.value = 0
+            alone = column == layout.ROUNDS
+            answer = (ours.correct_alone(q, direction) if alone else ours.correct(q, dt))[2]
+            most[column] = max(most[column], (counted.value, answer.rounds))
+    for column, (count, rounds) in most.items():
+        assert rounds == scalars[column]  # the last round was reached
+        # Beside the rounds: what is left, five looks at a way that is shortened, twice, and what holds to a rate.
+        assert scalars[column] * passes < count <= (scalars[column] + 12) * passes
 
 
 def test_limits_refusals_and_ramps_are_those_of_the_kernels(library: ctypes.CDLL) -> None:

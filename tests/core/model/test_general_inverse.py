@@ -88,7 +88,8 @@ def test_the_joints_that_made_a_pose_are_among_all_that_reach_it(name: str) -> N
 def test_of_a_thousand_poses_none_is_missed_unsaid(name: str) -> None:
     uncertain, missed = counted(name, 4, 334)
     assert missed == 0
-    assert uncertain < 34  # a tenth, of a wrist whose axes meet in pairs
+    # A root is in doubt within 0.001 rad of a singular posture, where one pose in a hundred may be.
+    assert uncertain <= 3
 
 
 def test_a_pose_out_of_reach_has_no_joints_and_that_is_certain() -> None:
@@ -97,17 +98,17 @@ def test_a_pose_out_of_reach_has_no_joints_and_that_is_certain() -> None:
     assert reaching(axes_of(robot_from_document(document(CHAINS["offset wrist"]))), T) == ([], True)
 
 
-def test_at_a_singularity_the_joints_are_not_certain() -> None:
-    """An arm stretched out: two solutions become one."""
-    rows = CHAINS["nothing meets"]
-    axes, model = axes_of(robot_from_document(document(rows))), peer(rows)
-    rng = np.random.default_rng(0)
+def jacobian(model: pinocchio.Model, q: Floats) -> Floats:
+    data, frame = model.createData(), model.getFrameId("flange")
+    found: Floats = pinocchio.computeFrameJacobian(model, data, q, frame, pinocchio.ReferenceFrame.LOCAL)
+    return found
+
+
+def singular_posture(model: pinocchio.Model, rng: np.random.Generator) -> Floats:
+    """A posture where two solutions become one, between two where the determinant has other signs."""
 
     def determinant(q: Floats) -> float:
-        jacobian = pinocchio.computeFrameJacobian(
-            model, model.createData(), q, model.getFrameId("flange"), pinocchio.ReferenceFrame.LOCAL
-        )
-        return float(np.linalg.det(jacobian))
+        return float(np.linalg.det(jacobian(model, q)))
 
     low, high = rng.uniform(-np.pi, np.pi, (2, 6))
     while determinant(low) * determinant(high) > 0:
@@ -115,4 +116,29 @@ def test_at_a_singularity_the_joints_are_not_certain() -> None:
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if determinant(middle) * determinant(low) > 0 else (low, middle)
-    assert not all_angles(axes, flange_by_peer(model, low)).certain
+    return np.asarray(low)
+
+
+def test_at_a_singularity_the_joints_are_not_certain() -> None:
+    rows = CHAINS["nothing meets"]
+    axes, model = axes_of(robot_from_document(document(rows))), peer(rows)
+    q = singular_posture(model, np.random.default_rng(0))
+    assert not all_angles(axes, flange_by_peer(model, q)).certain
+
+
+def test_two_solutions_that_are_nearly_one_are_both_found_or_the_pose_is_not_certain() -> None:
+    """Their roots are nearly double: an imaginary part that is rounding alone must not make them none."""
+    rows, rng = CHAINS["nothing meets"], np.random.default_rng(9)
+    axes, model = axes_of(robot_from_document(document(rows))), peer(rows)
+    certain_far = 0
+    for _ in range(3):
+        q = singular_posture(model, rng)
+        free = np.linalg.svd(jacobian(model, q))[2][-1]
+        for apart_rad in (1e-2, 1e-3, 1e-4, 1e-6):
+            near = q + apart_rad * free
+            found, certain = reaching(axes, flange_by_peer(model, near))
+            certain_far += certain and apart_rad == 1e-2
+            if certain:
+                assert min(apart(one.q, near) for one in found) < 1e-6
+                assert min(apart(one.q, q - apart_rad * free) for one in found) < 30 * apart_rad**2
+    assert certain_far >= 2

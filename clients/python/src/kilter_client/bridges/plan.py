@@ -11,7 +11,7 @@ import math
 import socket
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -84,19 +84,35 @@ def read_table(path: Path, joints: int) -> Table:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             for line, row in enumerate(csv.DictReader(file), 2):
-                numbers = [float(row[name]) for name in names]
+                numbers = [_number(row, name, f"{path}, line {line}", names, line) for name in names]
                 if not all(map(math.isfinite, numbers)) or (times and numbers[0] <= times[-1]):
-                    raise FileError(f"{path}, line {line}: a number is not finite, or t_s does not grow.", line=line)
+                    raise FileError(
+                        f"{path}, line {line}: a number is not finite, or t_s does not grow: mend the row.", line=line
+                    )
                 times.append(numbers[0])
                 rows.append([math.radians(value) for value in numbers[1:]])
     except (OSError, UnicodeError) as error:
         raise FileError(f"{path} cannot be read: {error}") from error
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        said = f"{path}: a column or a number is missing ({error})"
-        raise FileError(f"{said}: give t_s and q1_deg to q{joints}_deg in every row.") from error
+    except csv.Error as error:
+        raise FileError(f"{path}: is no table of CSV ({error}).") from error
     if len(rows) < 2:
-        raise FileError(f"{path} has fewer than two rows.")
+        raise FileError(f"{path} has fewer than two rows: give one where the path begins and one where it ends.")
     return Table(times, rows)
+
+
+def _number(row: Mapping[str, str | None], name: str, place: str, names: Sequence[str], line: int) -> float:
+    """A cell as a number.
+
+    Raises:
+        FileError: the column is not there, the row ends before it, or it is no number.
+
+    """
+    said = row.get(name)
+    try:
+        return float(said or "")
+    except ValueError:
+        what = "has no column" if name not in row else "has no number in" if not said else f"has {said!r} in"
+        raise FileError(f"{place}: {what} {name}: give {', '.join(names)} in every row.", line=line) from None
 
 
 class Heard:
@@ -231,5 +247,6 @@ def planned(path: Path | None, port: int | None, joints: int) -> Plan:
         udp.bind(("127.0.0.1", port))
     except OSError as error:
         udp.close()
-        raise UsageError(f"UDP port {port} cannot be had for setpoints: {error}.") from error
+        remedy = "name one that no other program listens on (--setpoints-port)"
+        raise UsageError(f"UDP port {port} cannot be had for setpoints: {error}: {remedy}.") from error
     return Heard(udp, joints)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import signal
 import socket
@@ -104,6 +105,16 @@ def axes_of(text: str | None, joints: int, most: int) -> list[float]:
     return signs_of(text, joints, "robot")
 
 
+def _for_port(error: Exception) -> str:
+    """What to do where a port cannot be had."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number == errno.EADDRINUSE:
+        return "Another program listens there, perhaps another bridge: end it, or name another --port."
+    if number == errno.EACCES:
+        return "Ports below 1024 are for administrators: name another --port, in the controller too."
+    return "Name an address of this machine in --listen: the one that the controller sends to."
+
+
 def answer_over_udp(start: Start, wire: Wire, bounds: Bounds, listen: str, port: int) -> dict[str, Any]:
     """Answer a controller until a signal ends it; returns what happened.
 
@@ -116,9 +127,7 @@ def answer_over_udp(start: Start, wire: Wire, bounds: Bounds, listen: str, port:
         try:
             udp.bind((listen, port))
         except (OSError, OverflowError) as error:
-            raise UsageError(
-                f"UDP port {port} of {listen} cannot be had: {error}. Does another bridge run there?"
-            ) from error
+            raise UsageError(f"UDP port {port} of {listen} cannot be had: {error}. {_for_port(error)}") from error
         loop = Loop(udp, wire, correction, line, bounds.cycle_s, bounds.gone_after_s)
         with _ended_by_signals(loop):
             _tell(start, udp)

@@ -119,4 +119,5 @@ def _show(document: dict[str, Any]) -> None:
     written = " and ".join(document["written"]) or "Nothing written"
     say(f"{written}: {document['targets']} targets, largest change {change}")
     for held in document["not_ok"]:
-        say(f"  {held['file']}, line {held['line']}: {held['name']} is {held['status']}")
+        about = f": {held['at_limits']}" if held["at_limits"] else ""
+        say(f"  {held['file']}, line {held['line']}: {held['name']} is {held['status']}{about}")

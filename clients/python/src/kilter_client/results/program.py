@@ -35,7 +35,10 @@ class FilteredProgram(Record):
     largest_change_file: str
     """Name of the file that has this line."""
     not_ok: tuple[Mapping[str, Any], ...]
-    """Targets that are corrected and whose status is not OK: ``file``, ``line``, ``name``, ``status``."""
+    """Targets that are corrected and whose status is not OK: ``file``, ``line``, ``name``, ``status``, ``at_limits``.
+
+    ``at_limits`` names the joints that their limits hold, with angle and limit; None where none does.
+    """
     left: tuple[Mapping[str, Any], ...]
     """Lines that are not rewritten though an arm may move by them: ``file``, ``line``, ``what``."""
     notes: tuple[str, ...]

@@ -16,6 +16,7 @@ from kilter_client.files import files_found, files_reading, one_target
 from kilter_client.given import signs_of
 from kilter_client.results.program import FilteredProgram
 from kilter_client.steps import Document, Steps
+from kilter_client.verbs.program_limits import at_limits
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
 from kilter_client.verbs.things import Thing, reference
 from kilter_client.verbs.versions import correct
@@ -80,9 +81,9 @@ def filter(  # noqa: A001 - a verb, as the command is called
         one.leave_poses(understood.left)
     if strict:
         _refuse(_left(programs), programs, "is not rewritten", strict=True)
-    done = yield from _done(programs, understood, joints, name, version)
+    done = yield from _done(programs, understood, joints, document, version)
     wanted = {"OK"} if strict else ANSWERED
-    wrong = [(d.program, d.target.line, f"{d.target.name}: {d.status}") for d in done if d.status not in wanted]
+    wrong = [(d.program, d.target.line, f"{d.target.name}: {d.said}") for d in done if d.status not in wanted]
     _refuse(wrong, programs, "is not corrected", strict=strict)
     done = yield from _kept(programs, done, understood, joints, name, strict=strict)
     texts = yield from _texts(programs, done, joints, name)
@@ -145,13 +146,22 @@ def _refuse_other_robot(program: Program, target: JointTarget, robot: Document) 
 
 @dataclass(frozen=True)
 class Done:
-    """A target as corrected: joints of the robot in deg, as they were taught and as they are to be."""
+    """A target as corrected: joints of the robot in deg, as they were taught and as they are to be.
+
+    ``at_limits``: the robot's joints that are beyond a limit or held at one, in words.
+    """
 
     program: Program
     target: JointTarget | PoseTarget
     taught_deg: Sequence[float]
     joints_deg: Sequence[float]
     status: str
+    at_limits: str
+
+    @property
+    def said(self) -> str:
+        """The status, and what it is about."""
+        return f"{self.status}, {self.at_limits}" if self.at_limits else self.status
 
 
 class AllDone(list[Done]):
@@ -161,7 +171,7 @@ class AllDone(list[Done]):
 
 
 def _done(
-    programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: str, version: Thing | None
+    programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: Document, version: Thing | None
 ) -> Steps[AllDone]:
     """Correct all targets in one call."""
     places = [
@@ -179,14 +189,15 @@ def _done(
         _refuse(_left(programs), programs, "has no target that can be", strict=False)
     names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
     columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
-    content = yield from correct(robot, columns, version=version)
+    content = yield from correct(str(robot["name"]), columns, version=version)
     answer = content.rows.to_dict()
     done = AllDone()
     done.notes = content.notes
     for row, ((program, target), taught) in enumerate(zip(places, rows, strict=True)):
         status = str(answer["status"][row])
         new = [float(answer[name][row]) if status in ANSWERED else math.nan for name in names]
-        done.append(Done(program, target, taught, new, status))
+        held = at_limits(robot, taught, new) if status in ("JOINT_LIMIT", "LIMITED") else ""
+        done.append(Done(program, target, taught, new, status, held))
     return done
 
 
@@ -270,10 +281,13 @@ def _refuse(
 def _report(programs: Sequence[Program], done: AllDone, texts: Mapping[str, str]) -> Document:
     worst = max(done, key=_change)
     held: list[dict[str, Any]] = [
-        {"file": one.program.path.name, "line": one.target.line, "name": one.target.name, "status": one.status}
+        {
+            "file": one.program.path.name, "line": one.target.line, "name": one.target.name, "status": one.status,
+            "at_limits": one.at_limits or None,
+        }
         for one in done
         if one.status != "OK"
-    ]
+    ]  # fmt: skip
     diffs = [_diff(one, texts[one.path.name]) for one in programs]
     return {
         "texts": dict(texts),
