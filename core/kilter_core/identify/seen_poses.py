@@ -17,7 +17,7 @@ from kilter_core.identify.planned_views import PlannedViews
 from kilter_core.identify.run import identify
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
-from kilter_core.measurement.pose_weights import scale_of, weights
+from kilter_core.measurement.pose_weights import DEVIATIONS, scale_of, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -77,17 +77,19 @@ def _tracker_tells(rows: Observations) -> bool:
     return of_tracker >= min(FEWEST_OF_TRACKER, of_views)
 
 
-def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observations, float | None]:
-    """Views as places of the tool by the cameras of a version, and their noise (m) along the axis that views tell worst.
+def as_seen_places(calibration: Calibration, rows: Observations, noise: float | None = None) -> Observations:
+    """Views as poses of the tool by the cameras of a version, weighed so that their errors are numbers of deviations.
 
-    Rows that have no pixels alone are as they are, and nothing is said of their noise.
+    With a ``noise`` (m) that is stated for each coordinate they are places, and nothing else of them counts.
+
+    Rows that have no pixels alone are as they are.
 
     Raises:
         ObservationError: ``camera_unknown``, a camera or board that the version was not made with.
 
     """
     if rows.pixels is None or rows.position is not None or rows.markers is not None:
-        return rows, None
+        return rows
     assert rows.rig is not None
     if calibration.rig is None or not calibration.rig.has(rows.rig):
         named = ", ".join([*(c.name for c in rows.rig.cameras), *(b.name for b in rows.rig.boards)])
@@ -96,10 +98,10 @@ def as_seen_places(calibration: Calibration, rows: Observations) -> tuple[Observ
             "the arm has moved. Check against a version that was identified with them.",
             code="camera_unknown",
         )
-    seen = replace(_seen(calibration, rows)[0], rotation=None)
-    assert seen.sigma is not None
-    worst = float(np.sqrt(np.mean(seen.sigma.max(axis=1) ** 2)))
-    return replace(seen, sigma=None), worst
+    seen, covariance, _ = _seen(calibration, rows)
+    if noise is not None:
+        return replace(seen, sigma=None, rotation=None)
+    return replace(seen, sigma=None, pose_weight=weights(covariance, DEVIATIONS))
 
 
 def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats, tuple[PlacedRig, Observations, float]]:

@@ -14,6 +14,7 @@ from kilter_core.types import Floats
 
 Scale = tuple[float, float]
 """Standard deviations m and rad that weighed numbers of points and of rotations are told in."""
+DEVIATIONS: Scale = (1.0, 1.0)  # plain numbers, whose covariance is one
 
 
 def scale_of(covariance: Floats) -> Scale:
@@ -34,6 +35,12 @@ def weights(covariance: Floats, scale: Scale) -> Floats:
     W[:, :3, 3:] = -W[:, :3, :3] @ lever
     W[:, 3:, 3:] = scale[1] * _root_inverse(turn)
     return W
+
+
+def beside_rotation(weight: Floats) -> float:
+    """Typical deviation m of a coordinate beside the rotation, of poses weighed (N, 6, 6) in numbers of deviations."""
+    root = np.linalg.inv(weight[:, :3, :3])
+    return float(np.sqrt(np.median(np.sum(root**2, axis=(1, 2)) / 3.0)))
 
 
 def _parted(covariance: Floats) -> tuple[Floats, Floats, Floats]:

@@ -133,6 +133,8 @@ def check(
 ) -> Check:
     """Check an arm by rows that its version was not fitted to; ``noise`` m of a coordinate, the version's own when None.
 
+    Views are poses of the tool, each as certain as its corners make it along and about each axis, unless ``noise`` is stated.
+
     Nothing of the arm is refitted. Only what ``new_setup`` says was set up anew, [], ["base"] or ["base", "tool"], may take
     any value: then a cause that looks like it, as the zero of the first joint does, is not seen. ``fitted_c`` are the lowest
     and highest temperature of the rows that the version was fitted to: what the arm expands beyond them has not moved it.
@@ -146,10 +148,10 @@ def check(
     """
     anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
-    rows, seen = as_seen_places(calibration, rows)
-    if seen is not None:
+    given, counts = rows, Measured()
+    rows = as_seen_places(calibration, given, noise)
+    if rows is not given:
         calibration = replace(calibration, marker_points=None)  # views tell the tool point itself
-    noise, counts = seen if noise is None else noise, Measured()
     if held_by_sockets(rows):
         rows, counts = placed(calibration, rows)
         noise = noise_of_seating(known) if noise is None else noise

@@ -10,10 +10,11 @@ from scipy.linalg import solve_triangular
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.pose_weights import beside_rotation
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
-from kilter_core.types import Bools, Floats
+from kilter_core.types import Bools, Floats, Ints
 from kilter_core.watch.conditions import expansion, refuse_another_tool
 from kilter_core.watch.sockets import Measured
 
@@ -27,7 +28,8 @@ class Innovation:
     """The whitened innovation ``r (R,)`` of rows, and what whitens the derivatives of their prediction; ``noise`` m of them.
 
     ``lower (R, R)`` is the Cholesky factor of the covariance of noise and version, ``seen`` tells which of the coordinates
-    (N, m, 3) were measured. ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
+    (N, m, 3) were measured; of views these are six numbers of the tool's position and rotation.
+    ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
     the scale of the covariance: a fit of few rows does not know well what it left. ``counts`` says what of the coordinates
     does: of rows that sockets held, their differences.
     """
@@ -71,21 +73,24 @@ class Innovation:
         prediction, J = calibration.model.jacobian(
             measurement.observations, calibration.values, np.array(at, dtype=np.int64)
         )
-        left = measurement.residual(prediction, J)
-        seen = ~np.isnan(left.points)
-        assert left.d_points is not None
-        slope = left.d_points[seen]
+        left, slopes = _numbers(measurement, prediction, J)
+        seen = ~np.isnan(left)
+        slope = slopes[seen]
         covariance = slope @ known.covariance[np.ix_(places, places)] @ slope.T
-        own = _noise(known, measurement) if noise is None else noise
-        covariance += _own(measurement, seen, known.inadequacy, own)
+        weight = measurement.observations.pose_weight
+        if weight is not None:
+            noise, own = 1.0, beside_rotation(weight)
+            covariance += _lacking(weight, measurement.observations.pose_groups(), known) + np.eye(len(covariance))
+        else:
+            own = _noise(known, measurement) if noise is None else noise
+            covariance += _own(measurement, seen, known.inadequacy, own)
         grown = expansion(calibration, measurement.observations, fitted_c)
         if grown is not None:
-            more = measurement.residual(prediction, grown).d_points
-            assert more is not None
-            covariance += more[seen] @ more[seen].T
+            more = _numbers(measurement, prediction, grown)[1][seen]
+            covariance += more @ more.T
         counts = counts or Measured()
         lower = np.asarray(np.linalg.cholesky(counts.covariance(covariance)), dtype=np.float64)
-        r = solve_triangular(lower, counts.of(left.points[seen]), lower=True)
+        r = solve_triangular(lower, counts.of(left[seen]), lower=True)
         freedom = _freedom(lower, known.freedom, noise)
         return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts)
 
@@ -93,27 +98,55 @@ class Innovation:
         """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""
         measurement, found = replace(self.measurement, observations=rows), calibration.predict(rows)
         prediction = replace(found, position=factor * found.position)
-        left = measurement.residual(prediction).points[self.seen]
+        left = _numbers(measurement, prediction)[0][self.seen]
         r = solve_triangular(self.lower, self.counts.of(left), lower=True)
         return replace(self, measurement=measurement, prediction=prediction, r=r)
 
     @property
     def misfit(self) -> float:
-        """Root mean square (m) of the length by which measured and predicted points differ."""
+        """Root mean square (m) of the length by which measured and predicted points differ; of views beside their rotation."""
+        weight = self.measurement.observations.pose_weight
+        if weight is not None:
+            apart = self.measurement.residual(self.prediction).points[:, 0]
+            beside = np.linalg.solve(weight[:, :3, :3], apart[:, :, None])
+            return float(np.sqrt(np.mean(np.sum(beside**2, axis=(1, 2)))))
         left = self.counts.of(self.measurement.residual(self.prediction).points[self.seen])
         return float(np.sqrt(3.0 * np.mean(left**2)))
 
     def white(self, J: Floats) -> Floats:
         """Whitened columns (R, K) of a derivative ``J (N, 6, K)`` of the tool's position and rotation vector."""
         J = self.counts.at_places(J, self.prediction.position)
-        found = self.measurement.residual(self.prediction, J).d_points
-        assert found is not None
-        return np.asarray(solve_triangular(self.lower, self.counts.columns(found[self.seen]), lower=True))
+        found = _numbers(self.measurement, self.prediction, J)[1][self.seen]
+        return np.asarray(solve_triangular(self.lower, self.counts.columns(found), lower=True))
 
     @property
     def places(self) -> Floats:
         """Where the tool (N, 3) is by the version, in one place for all rows of a socket."""
         return self.counts.places(self.prediction.position)
+
+
+def _numbers(measurement: Measurement, prediction: Prediction, J: Floats | None = None) -> tuple[Floats, Floats]:
+    """What counts of the rows (N, m, 3), and its derivatives (N, m, 3, K), none without ``J``.
+
+    Coordinates m; of rows that weigh themselves position and rotation, in deviations.
+    """
+    left = measurement.residual(prediction, J)
+    blocks = left.blocks[:1] if measurement.observations.pose_weight is None else left.blocks[:2]
+    slopes = [block.J for block in blocks if block.J is not None]
+    values = np.concatenate([block.r for block in blocks], axis=1)
+    return values, np.concatenate(slopes, axis=1) if slopes else np.zeros((*values.shape, 0))
+
+
+def _lacking(weight: Floats, groups: Ints, known: Predictive) -> Floats:
+    """Covariance (6 N, 6 N) of what the model lacks of poses with a ``weight (N, 6, 6)``, which rows of a pose share.
+
+    A version that does not say how far the tool may be rotated has that in its places. One that says 0 was fitted to views that
+    scatter by no more than chance: it lacks nothing, and the likeliest width, which is above 0, would hide a part of a change.
+    """
+    place = 0.0 if known.inadequacy_turn == 0.0 else known.inadequacy
+    each = weight * np.repeat([place, known.inadequacy_turn or 0.0], 3)
+    out = np.einsum("nij,mkj->nimk", each, each) * (groups[:, None] == groups[None, :])[:, None, :, None]
+    return np.asarray(out.reshape(6 * len(groups), -1))
 
 
 def _refuse_few(measurement: Measurement) -> None:

@@ -72,8 +72,7 @@ def rezero(
             "rows that measure the tool (x_mm, y_mm, z_mm), or identify a version anew from the sockets.",
             code=CODE,
         )
-    rows, seen = as_seen_places(calibration, rows)
-    noise = seen if noise is None else noise
+    rows = as_seen_places(calibration, rows, noise)
     before = check(calibration, rows, known, noise=noise, fitted_c=fitted_c)
     chosen = _chosen(before, causes)
     names = [name for cause in chosen for name in _parameters(calibration, cause)]

@@ -9,7 +9,7 @@ from pydantic import Field
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.fleet_priors import PriorUsed
-from kilter_service.contract.units import Deg, Metres, Mm, Stored
+from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
 MOSTLY = 0.5  # more than half of a number is what it mostly is
@@ -179,6 +179,11 @@ class Covariance(Stored):
         None,
         description="Kind of measurement whose noise that is, as `points`, `pixels` or `contacts`; null: not known. That of "
         "pixels and contacts is not taken for rows that an instrument measured.",
+    )
+    inadequacy_rad: Rad | None = Field(
+        None,
+        description="Standard deviation of a coordinate of the tool's rotation that a fit to views left beyond their noise, "
+        "rad; null: not known.",
     )
     freedom: float | None = Field(
         None, description="Degrees of freedom of what the fit left, by which all of it is scaled; null: not known."

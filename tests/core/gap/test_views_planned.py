@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.gap import plan_separation
 from kilter_core.gap.find import _Run, find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import separate
@@ -46,6 +47,27 @@ def test_the_deviation_that_planned_views_promise_comes_true(scene: Scene, monke
     promised = abs(amounts[0]) / np.sqrt(new.after[-1])
     assert promised == pytest.approx(known[1], rel=0.15)
     assert known[1] < 0.85 * known[0]
+
+
+@pytest.mark.parametrize("scene", [eye_to_hand({}, STIFF), eye_in_hand({}, STIFF)], ids=["to_hand", "in_hand"])
+def test_poses_planned_for_an_effect_by_views_keep_what_they_promise(scene: Scene) -> None:
+    """`plan_separation` weighs each pose by the pixels of its own view, so that a fit of them knows what was promised."""
+    hiding = erring(scene, play)
+    robot, rows = robot_from_document(scene.drawn.document()), seen_by(hiding, 5)
+    plan = plan_separation(robot, rows, ("backlash", (1,)), count=15)
+    new = next(p for p in plan.proposals if p.kind == "new")
+    sides = new.rows.direction
+    assert sides is not None
+    assert (~np.isnan(scene.pixels(new.rows.q, scene.eyes[0], scene.sheets[0])[..., 0])).sum(axis=1).min() == 48
+    sided = erring(scene, lambda q: -2e-4 * sides * np.eye(6)[1])
+    more = replace(sided.observed(new.rows.q, np.random.default_rng(9), 0.1), direction=sides, pose_id=None)
+    known = []
+    for some in (rows, Observations.concatenate([replace(rows, pose_id=None), more])):
+        fitted = identify(robot, some, None, IdentifyOptions(effects=({"id": "backlash", "joints": [2]},)))
+        known.append(dict(zip(fitted.fit.names, fitted.fit.sigma, strict=True))["backlash_2"])
+    assert known[1] < 0.85 * known[0]
+    # Of an amount that counts as given: how much surer it becomes is what the information grows by.
+    assert known[0] / known[1] == pytest.approx(np.sqrt(new.after[-1] / new.before), rel=0.2)
 
 
 def test_a_search_by_views_proposes_poses_that_its_camera_sees() -> None:

@@ -19,6 +19,7 @@ from kilter_core.gap.report.told_apart import ToldApart, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library
 from kilter_core.gap.search.linearized import LinearizedProblem, fitted
 from kilter_core.gap.search.prepare import Prepared, prepare_data
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
@@ -60,7 +61,7 @@ def plan_separation(
     An effect that ``start`` holds is taken as large as it is there, another as the data say or, if they say nothing, at
     three times what they could just see. Without ``second`` the first is distinguished from geometry: its amount becomes surer.
     Without ``observations`` a first campaign of random poses is imagined. New poses stay in ``region``: where the
-    observations were when None.
+    observations were when None. Where views alone told of the tool, each is weighed by the pixels that a view of it would have.
 
     Raises:
         OptionError: an effect these observations cannot have or that cannot act there, with the reason.
@@ -73,6 +74,7 @@ def plan_separation(
     if observations is None:
         options = replace(options, noise_mm=options.noise_mm or IMAGINED_NOISE_MM)
     rows = imagined(begin, options) if observations is None else observations
+    (rows,), by_views = seen_poses(begin, rows)
     prepared = prepare_data(bare, rows, options, unheard)
     chosen = [_found(prepared.library, named) for named in wanted]
     for candidate in chosen:
@@ -80,7 +82,7 @@ def plan_separation(
     target, rivals = chosen[0], chosen[1:]
     proposals = separate(
         prepared.problem, prepared.visits.observations, target, rivals, (), _amounts(prepared, target, begin, observations),
-        count, options.seed, region,
+        count, options.seed, region, by_views,
     )  # fmt: skip
     if not proposals:
         raise OptionError("Poses can be planned for measurements of the tool only: name campaigns with positions.")

@@ -11,12 +11,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from kilter_core.identify.cameras import rig_of, unknown_rig
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
-from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.uncertainty.predictive import CHANCE, Predictive
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
 from kilter_core.parameters import Parameter
@@ -48,7 +49,11 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
 
 
 def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
-    """What is known of the tool as cameras see it: where the first camera and board stand counts as base and tool do."""
+    """What is known of the tool as cameras see it: where the first camera and board stand counts as base and tool do.
+
+    That the tool is rotated beyond what the model explains counts where views scatter by more than chance: the likeliest width
+    of something that is not there is above 0, and tilts of views are so noisy that it would hide a part of every change.
+    """
     rig, views = rig_of(fit.calibration()), fit.problem.measurement.pixels
     assert rig is not None
     assert views is not None
@@ -57,7 +62,8 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     M = np.concatenate([np.eye(len(fit.names))[arm], *(block for _, block in frames)])
     names = [*np.array(fit.names)[arm].tolist(), *(f"{frame}_{k}" for frame, _ in frames for k in FRAME_NAMES)]
     noise = found.sigma_px * views.metres_per_px
-    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise, found.freedom, views.name)
+    turn = found.turn if found.beyond > chdtri(found.freedom, CHANCE) / found.freedom else 0.0
+    return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise, found.freedom, views.name, turn)
 
 
 def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:

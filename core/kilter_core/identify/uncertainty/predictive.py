@@ -38,6 +38,7 @@ class Predictive:
     a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Where nothing shows them apart all that
     is left counts as inadequacy, and ``noise`` is 0. All of them were scaled by what the fit left, which has that ``freedom``;
     infinite where nobody says it. ``noise_of`` is the kind of measurement that was fitted, empty where nobody says it.
+    ``inadequacy_turn`` rad is what a fit to views left of a coordinate of the tool's rotation; None where nobody says it.
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class Predictive:
     noise: float
     freedom: float = float("inf")
     noise_of: str = ""
+    inadequacy_turn: float | None = None
 
     @staticmethod
     def from_document(known: Mapping[str, Any], report: Mapping[str, Any] | None = None) -> Predictive | None:
@@ -58,7 +60,8 @@ class Predictive:
         else:
             found = _of_report(report or {})
         kind = known.get("noise_of") or ("pixels" if (report or {}).get("pixels") else "")
-        return Predictive(tuple(known["names"]), matrix, *found, float(known.get("freedom") or "inf"), kind)
+        freedom, turn = float(known.get("freedom") or "inf"), known.get("inadequacy_rad")
+        return Predictive(tuple(known["names"]), matrix, *found, freedom, kind, None if turn is None else float(turn))
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, SI."""
@@ -66,6 +69,7 @@ class Predictive:
             "names": list(self.names), "matrix": self.covariance.tolist(), "units": "SI",
             "inadequacy_m": self.inadequacy, "noise_m": self.noise,
             "freedom": self.freedom if np.isfinite(self.freedom) else None, "noise_of": self.noise_of or None,
+            "inadequacy_rad": self.inadequacy_turn,
         }  # fmt: skip
 
     def judging(self, measurement: Measurement) -> Predictive | None:

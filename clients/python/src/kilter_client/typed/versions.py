@@ -48,6 +48,8 @@ class Covariance(Record):
     """Degrees of freedom of what the fit left, by which all of it is scaled; None: not known."""
     inadequacy_m: float | None
     """Standard deviation of a coordinate that the fit left beyond the noise, m."""
+    inadequacy_rad: float | None
+    """Standard deviation of a coordinate of the tool's rotation that a fit to views left beyond their noise, rad; None: not known."""
     matrix: tuple[tuple[float, ...], ...]
     """Covariance of the parameters, SI (m, rad, N m, ...)."""
     names: tuple[str, ...]
