@@ -193,7 +193,8 @@ class LeastSquares(ABC, Generic[W]):
         return self._bent(here, self.weighed(self.moved(values, BEND * step)), step)
 
     def _bent(self, here: W, there: Floats, step: Floats) -> Floats:
-        scaled = here.J * self.prior_sigma
+        one = bool(np.all(self.prior_sigma == 1.0))  # as a search has them: then no copy of the columns is made
+        scaled = here.J if one else here.J * self.prior_sigma
         return np.asarray(scaled.T @ (here.r - there - scaled @ (BEND * step)) * (2.0 / BEND**2))
 
     def _away(self, values: Floats) -> Floats:

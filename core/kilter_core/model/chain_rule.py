@@ -51,9 +51,11 @@ class ToolColumns:
         """Motion (N, 6) by the load of each joint (its number) and of the base (None), for slopes by the loads."""
         n = self.JQ.shape[2]
         if local.dq is not None:
-            yield from ((self.JQ[:, :, j] * local.dq[:, [j]], j) for j in range(n) if np.any(local.dq[:, j]))
+            moved = np.any(local.dq != 0.0, axis=0)
+            yield from ((self.JQ[:, :, j] * local.dq[:, [j]], j) for j in range(n) if moved[j])
         if local.xi is not None:
-            yield from ((self.twist(j, local.xi[:, j]), j) for j in range(n) if np.any(local.xi[:, j]))
+            moved = np.any(local.xi != 0.0, axis=(0, 2))
+            yield from ((self.twist(j, local.xi[:, j]), j) for j in range(n) if moved[j])
         if local.base is not None:
             yield self.twist(BASE, local.base), None
 

@@ -22,6 +22,7 @@ FLAT = 1e-6  # share of the largest spread below which a direction of a hull has
 STILL_M = 1e-4
 MOST_POINTS = 20_000
 BATCH, BATCHES = 20_000, 30  # random poses tried to fill a region
+MOST_DISTANCES = 1_000_000  # of points from faces at a time, 8 MB: hulls of a thousand poses have over a thousand faces
 LEFT = "collisions are not checked"
 
 
@@ -178,9 +179,12 @@ class Hull:
         """Which points (N, 3) are in the hull or no farther than ``BESIDE_M`` from its faces."""
         apart = points - self.centre
         along = apart @ self.axes
-        off = np.linalg.norm(apart - along @ self.axes.T, axis=1) <= BESIDE_M
-        faces = along @ self.half[:, :-1].T + self.half[:, -1]
-        return np.asarray(off & (faces <= BESIDE_M).all(axis=1))
+        inside = np.linalg.norm(apart - along @ self.axes.T, axis=1) <= BESIDE_M
+        size = max(1, MOST_DISTANCES // max(1, len(self.half)))
+        for k in range(0, len(points), size):
+            faces = along[k : k + size] @ self.half[:, :-1].T + self.half[:, -1]
+            inside[k : k + size] &= (faces <= BESIDE_M).all(axis=1)
+        return np.asarray(inside)
 
 
 def entering(points: Floats, box: Floats) -> Bools:

@@ -126,15 +126,20 @@ class RobotModel:
         arm with backlash and clearance in their middle, and stand still while it settles with them.
         """
         smooth, sided = (self._held_values(sides) for sides in (False, True))
-        centre = self._batch_at(o)
+        # A payload's sensitivity takes as long as the loads themselves: only rounds in which an effect reads it have it.
+        payload = any("payload_kg" in e.needs and np.any((smooth + sided)[at]) for e, at in self._reader)
+        deflection, centre = None, self._batch_at(o, payload=payload)
         for _ in range(HANGING_ROUNDS):
-            centre = self._batch_at(o, self._deflected(centre, smooth))
-        if not np.any(sided):
-            return centre
-        sides, whole = self._deflected(centre, sided), centre
-        for _ in range(SIDED_ROUNDS):
-            whole = self._batch_at(o, self._deflected(whole, smooth) + sides)
-        return replace(whole, centre_wrench=centre.wrench, centre_axial=centre.axial)
+            deflection = self._deflected(centre, smooth)
+            centre = self._batch_at(o, deflection, payload)
+        whole = centre
+        if np.any(sided):
+            sides = self._deflected(centre, sided)
+            for _ in range(SIDED_ROUNDS):
+                deflection = self._deflected(whole, smooth) + sides
+                whole = self._batch_at(o, deflection, payload)
+            whole = replace(whole, centre_wrench=centre.wrench, centre_axial=centre.axial)
+        return whole if payload else replace(whole, payload_axial=self._payload_axial(o, deflection))
 
     def _held_values(self, sided: bool) -> Floats:
         """Values (P,) of the load chain's effects, of those with sides or of the others; the rest zero."""
@@ -150,16 +155,19 @@ class RobotModel:
         total, _ = self._local(batch, values)
         return Deflection(total.dq, total.xi[:, : self.robot.n_joints])
 
-    def _batch_at(self, o: Observations, deflection: Deflection | None = None) -> Batch:
+    def _batch_at(self, o: Observations, deflection: Deflection | None = None, payload: bool = True) -> Batch:
         robot = self.load_robot
         loads = self._loads(o, deflection)
         return Batch(
             q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
             link_vectors=robot.chain.link_vectors, **o.under(),
-            payload_axial=payload_sensitivity(robot, o, deflection) if "payload_kg" in self.needs else None,
+            payload_axial=self._payload_axial(o, deflection) if payload else None,
             slopes=LoadSlopes(robot, o, deflection) if any(e.changes_loads for e in self.effects) else None,
         )  # fmt: skip
+
+    def _payload_axial(self, o: Observations, deflection: Deflection | None) -> Floats | None:
+        return payload_sensitivity(self.load_robot, o, deflection) if "payload_kg" in self.needs else None
 
     @cached_property
     def load_robot(self) -> Robot:

@@ -11,6 +11,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.loads.slopes import payload_sensitivity
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
@@ -115,6 +116,39 @@ def test_loads_on_links_and_of_wrong_masses_are_taken_there_too() -> None:
         given[weighed.names.index(f"link_{part}_4")] = amount
     told = weighed.loads_at(given).predict(Observations(q), given).position
     np.testing.assert_allclose(told, true, atol=2e-7, rtol=0)  # products of two errors are left out
+
+
+@pytest.mark.parametrize("sided", [False, True])
+def test_what_a_payload_adds_is_asked_once_where_the_arm_hangs(sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes as long as the loads of a round do, and an error of the payload that is zero reads none of it."""
+    arm, at_readings, soft = soft_arm(6, 12)
+    more = [make_effect("payload_error", compliances=(1e-5,) * 6)]
+    more += [make_effect("backlash_load")] * sided
+    model = RobotModel(at_readings.model.robot, (*at_readings.model.effects, *more))
+    values = np.zeros(len(model.names))
+    values[: len(at_readings.values)] = at_readings.values
+    rng = np.random.default_rng(12)
+    rows = Observations(rng.uniform(-2.0, 2.0, (6, 6)), payload_kg=np.full(6, 1.2), payload_com=np.full((6, 3), 0.05))
+    if sided:
+        values[len(values) - 6 :] = 1e-12  # the arm settles once more, in the same place
+    asked = []
+
+    def counted(*given: Any) -> Any:
+        asked.append(given)
+        return payload_sensitivity(*given)
+
+    monkeypatch.setattr("kilter_core.model.robot_model.payload_sensitivity", counted)
+    found = model.loads_at(values).batch(rows).payload_axial
+    assert found is not None
+    for k, q in enumerate(rows.q):
+        place = np.full(3, 0.05)
+        hung = hanging(arm, q, soft, (1.2, place))
+        added = [hung.reactions(q, payload=(kg, place))[0] for kg in (1.2, 2.2)]
+        np.testing.assert_allclose(found[k, :, 0], added[0] - added[1], atol=3e-5, rtol=0)
+    assert len(asked) == 1
+    values[model.names.index("payload_mass")] = 0.1  # now every round reads it
+    assert model.loads_at(values).batch(rows).payload_axial is not None
+    assert len(asked) > 3
 
 
 def test_a_version_keeps_where_it_hangs_and_one_of_before_its_readings() -> None:

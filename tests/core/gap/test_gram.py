@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kilter_core.gap.search.gram import VISIBLE, Gram, triangular
+from kilter_core.gap.search.recent import Recent
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 from tests.core.gap.test_reach import world
@@ -79,3 +82,25 @@ def test_candidates_take_what_least_squares_says(taken: tuple[int, ...]) -> None
         assert d[k] == ranks[0] - ranks[1]
         signed = selector.scorer.one_sided[k] and S[0, k] == 0.0  # against its known sign it takes nothing
         assert signed or S[0, k] == pytest.approx(left(list(taken)) - left(both), abs=1e-8)
+
+
+def test_scans_push_no_inverse_out() -> None:
+    """A scan takes many times the bytes of an inverse, which every comparison of two sets asks for again."""
+    made, selector = world(5)
+    gram = replace(made, cache=Recent(most=10_000))
+    kept = gram.inverse([2, 5, 9])[0]
+    for k in range(24):
+        selector.scorer.scores(gram.given([k]))
+    assert gram.inverse([2, 5, 9])[0] is kept
+    assert gram.with_data(2.0 * gram.c, 4.0 * gram.yy).inverse([2, 5, 9])[0] is kept
+    assert gram.given([3]).inverse([2, 5, 9])[0] is not kept
+
+
+@pytest.mark.parametrize("taken", [(), (4,), (1, 7, 16)])
+def test_parts_that_are_kept_are_those_of_the_whole(taken: tuple[int, ...]) -> None:
+    gram = world(6)[0].given(taken)
+    columns = np.array([[0, 3], [5, 11], [8, 2], [20, 21]])
+    expected = gram.A[columns[:, :, None], columns[:, None, :]]
+    for _ in range(2):
+        assert np.allclose(gram.blocks(columns, "pairs"), expected, rtol=0.0, atol=1e-12)
+    assert np.array_equal(gram.blocks(columns, "pairs"), gram.blocks(columns))

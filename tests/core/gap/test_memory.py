@@ -13,7 +13,7 @@ import pytest
 
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search import derivatives
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linearized import LinearizedProblem, refit
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.recent import Recent
 from kilter_core.gap.search.soft import Soft
@@ -77,6 +77,19 @@ def test_a_fit_at_rest_has_the_same_derivatives_when_asked_again(
     assert np.array_equal(problem.G, G)
     assert np.array_equal(problem.W_raw, W)
     assert problem.derivatives.kept is not None
+
+
+def test_what_was_found_rests_while_the_geometry_is_fitted_under_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(derivatives, "MOST_BYTES", 0)
+    options = GapOptions(effects=("axial_compliance", "backlash"))
+    prepared = prepare_data(Calibration.nominal(katana()), campaign(katana(), seed=2), options)
+    found = refit(replace(prepared.problem.settings), prepared.problem.values, [0])
+    assert found.derivatives.kept is not None
+    after = prepared.judged_by(found)
+    assert after.problem.settings is found.settings
+    assert found.derivatives.kept is None
+    assert after.judged_by(found) is after
+    assert after.problem.derivatives.kept is not None
 
 
 def test_a_few_poses_never_rest(problem: LinearizedProblem) -> None:

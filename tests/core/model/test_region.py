@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -53,6 +54,24 @@ def test_no_point_of_the_arm_goes_below_the_floor() -> None:
 def test_room_that_does_not_exist_is_said() -> None:
     with pytest.raises(RobotError, match="above 5000 mm"):
         Region.of(START).above(5.0).draw(3, RNG)
+
+
+def test_a_hull_of_many_faces_is_asked_in_little_memory() -> None:
+    """The elbow of an arm stays on a sphere: all places of it are corners of their hull."""
+    rng = np.random.default_rng(8)
+    corners = rng.normal(size=(1200, 3))
+    corners /= np.linalg.norm(corners, axis=1, keepdims=True)
+    hull = Hull.of(corners)
+    points = rng.uniform(-1.2, 1.2, (20_000, 3))
+    tracemalloc.start()
+    inside = hull.holds(points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(hull.half) > 2000  # all at once they took 650 MB
+    assert peak < 40e6
+    radius = np.linalg.norm(points, axis=1)
+    assert inside[radius < 0.98].all()
+    assert not inside[radius > 1.0 + 1.1 * BESIDE_M].any()
 
 
 @pytest.mark.parametrize("rank", [0, 1, 2, 3])

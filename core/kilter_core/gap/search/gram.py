@@ -24,9 +24,10 @@ class Gram:
     """Inner products: ``whole (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters.
 
     Conditioned on the columns ``taken``, A is ``whole`` less ``K (Q, t)`` times the rows taken: made where it is asked
-    for, since a selection conditions on thousands of sets. What depends on A alone is kept in ``cache``, shared by all
-    data on the same candidates: resamples cost little. ``held`` gives the same with the loads held at their values, and
-    ``there`` are the columns whose effects act at the fit.
+    for, since a selection conditions on thousands of sets. What depends on A alone is kept in ``cache``, and inverses in
+    ``inverses``, since scans are many times larger and would push them out; both are shared by all data on the same
+    candidates: resamples cost little. ``held`` gives the same with the loads held at their values, and ``there`` are the
+    columns whose effects act at the fit.
     """
 
     whole: Floats
@@ -34,6 +35,7 @@ class Gram:
     yy: float
     nu: float
     cache: Recent = field(default_factory=Recent, repr=False, compare=False)
+    inverses: Recent = field(default_factory=Recent, repr=False, compare=False)
     taken: tuple[int, ...] = ()
     K: Floats | None = None
     held: Callable[[], Gram] | None = field(default=None, repr=False, compare=False)
@@ -56,11 +58,15 @@ class Gram:
         A = self.whole - self.K @ self._rows
         return np.asarray(0.5 * (A + A.T))
 
-    def blocks(self, columns: Ints) -> Floats:
-        """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
-        out = self.whole[columns[:, :, None], columns[:, None, :]]
+    def blocks(self, columns: Ints, kind: Hashable = None) -> Floats:
+        """Parts (N, d, d) of A that belong to sets of columns (N, d); those of ``whole`` are kept as a ``kind``."""
+
+        def own() -> Floats:
+            return np.asarray(self.whole[columns[:, :, None], columns[:, None, :]])
+
+        out = own() if kind is None else self.cache.get(((), kind, ()), own)
         if self.K is not None:
-            out = out - self.K[columns] @ self._rows[:, columns].transpose(1, 0, 2)
+            out = out - self.K[columns] @ self._along[columns].transpose(0, 2, 1)
         return np.asarray(out)
 
     def block(self, columns: Ints) -> Floats:
@@ -75,6 +81,11 @@ class Gram:
         """Rows (t, Q) of what is taken."""
         return np.asarray(self.whole[list(self.taken)])
 
+    @cached_property
+    def _along(self) -> Floats:
+        """The same by column (Q, t): those of a few columns are copied in one piece each."""
+        return np.ascontiguousarray(self._rows.T)
+
     def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
@@ -85,7 +96,9 @@ class Gram:
 
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
         """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
-        return self.kept("inverse", columns, lambda: _inverted(self.block(np.array(columns, dtype=np.int64))))
+        return self.inverses.get(
+            (self.taken, *columns), lambda: _inverted(self.block(np.array(columns, dtype=np.int64)))
+        )
 
     def solve(self, columns: Sequence[int]) -> Floats:
         """Least-squares coefficients of unit columns."""
@@ -106,7 +119,7 @@ class Gram:
         index = list(columns)
         if self.taken:
             return Gram(self.A, self.c, self.yy, self.nu).given(index)
-        K = self.whole[:, index] @ self.inverse(index)[0]  # not kept: it is large, and soon made
+        K = self.whole[index].T @ self.inverse(index)[0]  # not kept: it is large, and soon made
         return replace(
             self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
             taken=tuple(index), K=K, exchanges={},

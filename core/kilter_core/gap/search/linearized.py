@@ -303,7 +303,10 @@ class SearchProblem(LeastSquares[Whitened]):
     def at(self, values: Floats) -> Whitened:
         """Linearise there."""
         r, G, W = self.settings.linearised(values, None, self.free)
-        return Whitened(r, np.hstack([G, W]) * self._sigma, self.loss_at(values, r))
+        J, split = np.empty((len(r), G.shape[1] + W.shape[1])), G.shape[1]
+        np.multiply(G, self._sigma[:split], out=J[:, :split])
+        np.multiply(W, self._sigma[split:], out=J[:, split:])
+        return Whitened(r, J, self.loss_at(values, r))
 
     def weighed(self, values: Floats) -> Floats:
         """Whitened residuals (R,)."""

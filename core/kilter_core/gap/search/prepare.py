@@ -77,6 +77,7 @@ class Prepared:
         """The same with noise and outliers as the search judged them at its end, the geometry fitted to what is left."""
         if found.settings is self.problem.settings:
             return self
+        found.resting()  # of ten thousand poses the derivatives of both fits are 200 MB
         problem = under(found.settings, self.problem)
         joint = problem.settings.source.unit == "rad"
         said = (

@@ -126,7 +126,8 @@ class Scorer:
         if wanted is not None and wanted.sum() <= FEW * len(wanted) and not gram.keeps(kind, ()):
             few = Block(block.place[wanted], block.columns[wanted], block.one_sided[wanted])
             return *_rooted(gram.blocks(few.columns)), few
-        return *gram.kept(kind, (), lambda: _rooted(gram.blocks(block.columns))), block
+        own = ("blocks", self.number, n)
+        return *gram.kept(kind, (), lambda: _rooted(gram.blocks(block.columns, own))), block
 
     def new_columns(self, beside: Sequence[int]) -> Ints:
         """How many columns each candidate (K,) adds to some."""
@@ -139,9 +140,8 @@ class Scorer:
 
     def tail_of(self, gram: Gram, place: int) -> float:
         """Tail probability of one candidate, as :meth:`scores` has it."""
-        kind = next(n for n, block in enumerate(self.blocks) if place in block.place)
         among = np.zeros(len(self.candidates), dtype=bool)
-        among[self.blocks[kind].place] = True
+        among[place] = True
         return float(self.scores(gram, among).p[place])
 
     def scores(self, gram: Gram, among: Bools | None = None) -> Scores:
@@ -258,10 +258,11 @@ def _rooted(A: Floats) -> tuple[Floats, Ints]:
             found = triangular(A[k])
             if found is not None:
                 root[k], sure[k] = found.T, True
-    w, V = (A[:, :, 0], np.ones_like(A)) if d == 1 else np.linalg.eigh(A[~sure])
+    left = ~sure if sure.any() else slice(None)
+    w, V = (A[:, :, 0], np.ones_like(A)) if d == 1 else np.linalg.eigh(A[left])
     keep = w > VISIBLE
     by = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
-    root[~sure], degrees[~sure] = V * by[:, None, :], keep.sum(axis=1)
+    root[left], degrees[left] = V * by[:, None, :], keep.sum(axis=1)
     return root, degrees
 
 
