@@ -119,6 +119,7 @@ class Picture {
 
   draw() {
     this.renderer.render(this.scene, this.camera);
+    this.linked?.mark();
   }
 
   sliders() {
