@@ -13,6 +13,7 @@ import { fill, length, mm, quantile } from "./arm/words.js";
 const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
 const SHARE = 0.12; // of the workspace that a large error is drawn as
 const MOST_LISTED = 200;
+const MANY = 2000; // points
 
 class Picture {
   constructor(place) {
@@ -210,8 +211,9 @@ class Picture {
     const { at, held_out: held, set_aside: aside, row, total } = this.data.places;
     const left = this.left();
     const normal = held.map((one, k) => !one && !aside[k]);
-    this.show("fitted", points(at, normal, ROWS.fitted, 6));
-    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 8));
+    const less = at.length > MANY ? 0.4 : 1; // of very many the arm is still seen
+    this.show("fitted", points(at, normal, ROWS.fitted, 6 * less));
+    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 8 * less));
     this.show("aside", points(at, aside, ROWS.aside, 12));
     this.linked?.redraw();
     const sizes = left.map(length);

@@ -126,7 +126,7 @@ export class Linked {
     }
     const [low, high] = ends(values);
     const shares = values.map((value) => (Number.isFinite(value) ? (value - low) / (high - low || 1) : 0));
-    picture.show("coloured", cloud(at, shares, 1, 8));
+    picture.show("coloured", cloud(at, shares, 1, at.length > 2000 ? 3 : 8));
     key(words, low.toPrecision(4), high.toPrecision(4));
     return shares.map((share) => `rgb(${colourOf(share).join(",")})`);
   }

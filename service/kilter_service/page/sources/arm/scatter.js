@@ -2,6 +2,7 @@
 import { Marks } from "./marks.js";
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [64, 14, 10, 44];
+const MANY = 2000; // points, of which each is smaller
 const STEPS = [1, 2, 2.5, 5, 10];
 
 function ticks(low, high, most) {
@@ -92,11 +93,12 @@ export class Scatter {
   points(xs, ys, colours) {
     this.places = new Float32Array(2 * xs.length);
     const pen = this.pen;
+    const side = xs.length > MANY ? 2 : 5;
     xs.forEach((x, k) => {
       this.places[2 * k] = Number.isFinite(ys[k]) ? x : NaN;
       this.places[2 * k + 1] = ys[k];
       pen.fillStyle = colours[k];
-      pen.fillRect(x - 2.5, ys[k] - 2.5, 5, 5);
+      pen.fillRect(x - side / 2, ys[k] - side / 2, side, side);
     });
   }
 }
