@@ -187,9 +187,13 @@ def listed(session: Session, robot_id: int, page: Page = ALL, with_retired: bool
     robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
     found = session.execute(_of_robot(select(*columns), robot_id, page, with_retired))
     return [
-        ListedVersion(key, robot, last is not None and last.version_id == key, *rest, effects or [], metrics or {})
-        for key, *rest, effects, metrics in found
-    ]
+        ListedVersion(
+            id=key, robot=robot, active=last is not None and last.version_id == key, parent_id=parent, job_id=job,
+            created_at=created, code_version=code, name=name, notes=notes, retired_at=retired_at,
+            effects=effects or [], metrics=metrics or {},
+        )
+        for key, parent, job, created, code, name, notes, retired_at, effects, metrics in found
+    ]  # fmt: skip
 
 
 def _of_robot(query: Select[Any], robot_id: int, page: Page, with_retired: bool) -> Select[Any]:
