@@ -20,7 +20,7 @@ from kilter_service.page.campaign.chosen import ranges, read
 from kilter_service.versions.joint_space import least_motion
 from tests.service.conftest import Katana
 
-from .conftest import opened
+from .conftest import CHROMIUM, log_in, opened
 from .made import Made, made
 from .test_robot import arm_of, words
 
@@ -300,6 +300,22 @@ def test_choosing_rings_rows_without_drawing_the_picture_anew(there: Made, chrom
         assert page.evaluate("document.querySelector('[data-arm]').linked.marks.canvas.toDataURL()") != before
         page.evaluate("window.kilter.rows.clear()")
         assert page.locator("canvas.marks:not([hidden])").count() == 0
+
+
+def test_without_webgl_the_numbers_and_the_plot_are_there(there: Made, chromium: Browser) -> None:
+    without = chromium.browser_type.launch(
+        executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--disable-3d-apis"]
+    )
+    page = without.new_context(base_url=str(there.client.base_url)).new_page()
+    log_in(page, there.client.headers["authorization"].removeprefix("Bearer "))
+    page.goto(f"/robots/{there.robot}?campaign={there.campaign}")
+    page.locator('[data-arm][data-ready="yes"]').wait_for()
+    assert page.get_by_text("This browser has no WebGL, so the arm is not drawn").count() == 1
+    assert page.locator('[data-table="places"] tbody tr').count() == 60
+    page.locator('[data-scatter][data-drawn="error row"]').wait_for()
+    page.evaluate("(name) => window.kilter.rows.toggle(name, [7], true)", there.campaign)
+    assert page.locator("canvas.marks:not([hidden])").count() == 1  # in the plot; there is no picture
+    without.close()
 
 
 def test_a_hundred_thousand_rows_are_chosen_at_once(there: Made, chromium: Browser) -> None:

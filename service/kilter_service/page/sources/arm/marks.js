@@ -27,8 +27,8 @@ export class Marks {
 
   /** `places` are x and y of all points after one another, `chosen` the numbers of those that are ringed. */
   draw(places, chosen) {
-    this.canvas.hidden = !chosen.length;
-    if (!chosen.length) return;
+    this.canvas.hidden = !chosen.length || this.below.hidden;
+    if (this.canvas.hidden) return;
     const { clientWidth, clientHeight, offsetLeft, offsetTop, clientLeft, clientTop } = this.below;
     const ratio = Math.min(window.devicePixelRatio, 2);
     const [width, height] = [Math.max(1, Math.round(clientWidth * ratio)), Math.max(1, Math.round(clientHeight * ratio))];
