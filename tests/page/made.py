@@ -49,13 +49,13 @@ def made(folder: Path, migrated: Path, rows: int = 60) -> Iterator[Made]:
             client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
             campaign = Katana().campaign(client, rows, seed=3)
             twin = thesis_katana()
-            poor = _stored(database, 1, Calibration.nominal(twin.truth.robot), None, 0.9, [])
-            good = _stored(database, 2, twin.truth, poor, 0.02, [0.031, 0.0007])
+            poor = stored(database, 1, Calibration.nominal(twin.truth.robot), None, 0.9, [])
+            good = stored(database, 2, twin.truth, poor, 0.02, [0.031, 0.0007])
             yield Made(client, database, Katana.name, campaign, poor, good)
         database.close()
 
 
-def _stored(
+def stored(
     database: Database, number: int, calibration: Calibration, parent: str | None, mean: float, known: list[float]
 ) -> str:
     errors = {"mean_mm": mean, "rms_mm": 1.1 * mean, "p95_mm": 2 * mean, "max_mm": 3 * mean}

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
-from sqlalchemy import insert, select
+from sqlalchemy import delete, insert, select
 
 from kilter_service.auth.policy import PAGE_RULES, RULES
 from kilter_service.contract.campaigns import Campaign
@@ -104,6 +105,51 @@ def test_all_jobs_are_found_in_pages(there: Made) -> None:
     assert "Next page" in said
     assert shown(there, "/jobs", search="night 4321")[0] == ["night 4321", "night 0225"]  # its id has these digits
     assert shown(there, "/jobs", search="no such job")[1] == "None of 5 002 jobs."
+
+
+def test_the_database_sorts_jobs_as_their_list_says(there: Made) -> None:
+    """Compared with all jobs of the HTTP interface, sorted here; equal ones stay in the order of that list."""
+    every, after = [], None
+    while True:
+        asked = {"limit": "200"} if after is None else {"limit": "200", "after": after}
+        told = there.client.get("/v1/jobs", params=asked).raise_for_status().json()
+        every += told["jobs"]
+        if (after := told["next"]) is None:
+            break
+    states = ("queued", "running", "succeeded", "failed", "cancelled")
+    keys: dict[str, Callable[[Any], Any]] = {
+        "name": lambda one: (one["name"] or one["id"]).lower(),
+        "robot": lambda one: one["robot"],
+        "kind": lambda one: {"identify": 0, "gap": 1}[
+            one["kind"]
+        ],  # "Identify parameters", "Search for what is missing"
+        "state": lambda one: states.index(one["state"]),
+        "asked": lambda one: one["created_at"],
+    }
+    for name, key in keys.items():
+        for sign in ("", "-"):
+            expected = sorted(every, key=key, reverse=bool(sign))[50:100]
+            assert shown(there, "/jobs", sort=sign + name, page="2")[0] == [
+                one["name"] or one["id"] for one in expected
+            ]
+
+
+def test_a_search_of_jobs_takes_letters_as_they_are(there: Made) -> None:
+    begun = datetime(2025, 1, 1, tzinfo=UTC)
+    with there.database.transaction() as session:
+        robot = session.execute(select(RobotRow.id).where(RobotRow.name == Katana.name)).scalar_one()
+        named = [job(robot, JOBS + k, begun) | {"name": name} for k, name in enumerate(("Größe 100% _x", "plain"))]
+        session.execute(insert(JobRow), named)
+    try:
+        for search in ("größe", "GRöß", "100%", "_x", "größe identify kat"):
+            names, _ = shown(there, "/jobs", search=search)
+            assert names == ["Größe 100% _x"], search
+        assert shown(there, "/jobs", search="pl_in")[0] == shown(there, "/jobs", search="pl%")[0] == []
+        assert len(shown(there, "/jobs", search="SEARCH MISSING failed")[0]) == 0  # a state is a filter
+        assert len(shown(there, "/jobs", search="SEARCH missing NIGHT")[0]) == 50
+    finally:
+        with there.database.transaction() as session:
+            session.execute(delete(JobRow).where(JobRow.id.in_([one["id"] for one in named])))
 
 
 def test_links_keep_what_was_asked(there: Made) -> None:

@@ -20,7 +20,7 @@ from kilter_service.page.campaign.chosen import ranges, read
 from kilter_service.versions.joint_space import least_motion
 from tests.service.conftest import Katana
 
-from .conftest import opened
+from .conftest import CHROMIUM, log_in, opened
 from .made import Made, made
 from .test_robot import arm_of, words
 
@@ -266,6 +266,58 @@ def test_a_box_in_the_picture_chooses_what_is_seen_in_it(there: Made, chromium: 
         page.locator('[data-scatter][data-drawn="joint:j1 row"]').wait_for()
 
 
+WEBGL_DRAWN = """() => { window.drawings = 0; const kind = WebGL2RenderingContext.prototype;
+    for (const name of ["drawArrays", "drawElements"]) { const before = kind[name];
+        kind[name] = function (...given) { window.drawings += 1; return before.apply(this, given); }; } }"""
+
+
+def test_choosing_rings_rows_without_drawing_the_picture_anew(there: Made, chromium: Browser) -> None:
+    """The rings stand on a sheet of their own, where the rows are seen; turning the picture takes them along."""
+    with opened(chromium, there.client) as page:
+        arm_of(page, there.robot, f"?campaign={there.campaign}")
+        page.wait_for_timeout(300)
+        page.evaluate(WEBGL_DRAWN)
+        page.evaluate("(name) => window.kilter.rows.toggle(name, [7], true)", there.campaign)
+        page.locator(".row-tray").get_by_text("1 row chosen").wait_for()
+        assert page.evaluate("window.drawings") == 0
+        for place in ("document.querySelector('[data-arm]').linked.projected()",
+                      "document.querySelector('[data-arm]').linked.scatter.places"):  # fmt: skip
+            x, y = page.evaluate(f"[...{place}]")[12:14]  # of the seventh row
+            sheet = "linked.marks" if "projected" in place else "linked.scatter.marks"
+            lit = page.evaluate(
+                f"""() => {{ const sheet = document.querySelector('[data-arm]').{sheet}.canvas;
+                const pixels = sheet.getContext("2d").getImageData(0, 0, sheet.width, sheet.height).data; const found = [];
+                for (let k = 3; k < pixels.length; k += 4) if (pixels[k])
+                    found.push([((k - 3) / 4) % sheet.width, Math.floor((k - 3) / 4 / sheet.width)]);
+                return found; }}"""
+            )
+            middle = np.array(lit).mean(axis=0)
+            assert np.allclose(middle, [x, y], atol=1.5)
+        before = page.evaluate("document.querySelector('[data-arm]').linked.marks.canvas.toDataURL()")
+        page.locator("[data-arm] canvas[tabindex]").press("ArrowLeft")
+        page.wait_for_timeout(300)
+        assert page.evaluate("window.drawings") > 0
+        assert page.evaluate("document.querySelector('[data-arm]').linked.marks.canvas.toDataURL()") != before
+        page.evaluate("window.kilter.rows.clear()")
+        assert page.locator("canvas.marks:not([hidden])").count() == 0
+
+
+def test_without_webgl_the_numbers_and_the_plot_are_there(there: Made, chromium: Browser) -> None:
+    without = chromium.browser_type.launch(
+        executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--disable-3d-apis"]
+    )
+    page = without.new_context(base_url=str(there.client.base_url)).new_page()
+    log_in(page, there.client.headers["authorization"].removeprefix("Bearer "))
+    page.goto(f"/robots/{there.robot}?campaign={there.campaign}")
+    page.locator('[data-arm][data-ready="yes"]').wait_for()
+    assert page.get_by_text("This browser has no WebGL, so the arm is not drawn").count() == 1
+    assert page.locator('[data-table="places"] tbody tr').count() == 60
+    page.locator('[data-scatter][data-drawn="error row"]').wait_for()
+    page.evaluate("(name) => window.kilter.rows.toggle(name, [7], true)", there.campaign)
+    assert page.locator("canvas.marks:not([hidden])").count() == 1  # in the plot; there is no picture
+    without.close()
+
+
 def test_a_hundred_thousand_rows_are_chosen_at_once(there: Made, chromium: Browser) -> None:
     """The figure is what the machine takes; it is bounded far above what is wanted (100 ms), which the docs state."""
     with opened(chromium, there.client) as page:
@@ -276,4 +328,8 @@ def test_a_hundred_thousand_rows_are_chosen_at_once(there: Made, chromium: Brows
             there.campaign,
         )
         page.locator(".row-tray").get_by_text("100000 rows chosen").wait_for()
+        kept = page.evaluate("sessionStorage.getItem('kilter-rows')")
+        assert kept == f'[["{there.campaign}","1-100000"]]'
+        page.evaluate("(name) => window.kilter.rows.toggle(name, [2, 3, 99999], false)", there.campaign)
+        assert "1,4-99998,100000" in page.evaluate("sessionStorage.getItem('kilter-rows')")
         print(f"100 000 rows chosen in {took:.0f} ms")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 import re
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -113,7 +114,12 @@ def test_after_a_crash_every_surface_says_the_error_of_the_newest_rows(
     with Kilter(str(client.base_url), client.headers["authorization"].removeprefix("Bearer ")) as kilter:
         assert kilter.today("katana").newest.errors.identified.mean_mm == mean
         show_today(kilter.robots.today("katana"))
-    said = f"Mean error {mean:.3g} mm on rows that no fit used, no row left out: campaign after the crash, sent on "
+    errors = found["newest"]["errors"]
+    half = 1.96 * math.sqrt((errors["identified"]["rms_mm"] ** 2 - mean**2) / (errors["n"] - 1))
+    ends = f"95 % interval {mean - half:.2f} mm to {mean + half:.2f} mm"
+    said = f"Mean error {mean:.3g} mm ({ends}) on rows that no fit used, no row left out: campaign after the crash, sent on "
+    for page in ("/", "/robots/katana"):  # the same as the command says
+        assert ends in words(client, page), page
     assert said in capsys.readouterr().out
 
     # Rows that nobody may use any more say nothing.

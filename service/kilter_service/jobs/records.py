@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, NamedTuple
@@ -100,6 +101,23 @@ class ListedJob:
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+
+
+@dataclass(frozen=True)
+class WantedJobs:
+    """What is asked of the list of jobs: of one robot or of all, of a kind, in a state; each of ``words`` is in name, robot,
+    author or id, or the kind is one of those beside it. ``order`` is a column, ``kinds`` and ``states`` in which order
+    these two sort.
+    """
+
+    robot: str | None = None
+    kind: str | None = None
+    state: str | None = None
+    words: Sequence[tuple[str, Collection[str]]] = ()
+    order: str = "asked"
+    falling: bool = True
+    kinds: Sequence[str] = ()
+    states: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, NewJob
+from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, JobSummary, NewJob
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
-from kilter_service.jobs.records import Asked, Place
+from kilter_service.jobs.records import Asked, Place, WantedJobs
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
 from kilter_service.paging import Page, in_time
@@ -150,6 +150,19 @@ def list_jobs(database: Database, robot: str | None, page: Page) -> JobList:
         found = store.newest_jobs(session, robot, page)
     shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
     return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
+
+
+def find_jobs(
+    database: Database, wanted: WantedJobs, page: int, at_once: int
+) -> tuple[list[JobSummary], int, int, int]:
+    """Return a page of the jobs that are wanted, its number (of the last page where there are fewer), how many are as
+    wanted, and how many there are at all.
+    """
+    with database.reading() as session:
+        count, total = store.count_jobs(session, wanted)
+        at = min(page, max(-(-count // at_once), 1))
+        found = store.wanted_jobs(session, wanted, (at - 1) * at_once, at_once)
+    return [wire.summary(job) for job in found], at, count, total
 
 
 def evaluations_of(database: Database, version_id: str) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import ColumnElement, func, or_, select
+from sqlalchemy import ColumnElement, Select, case, func, or_, select
 
 from kilter_service.caller import allowed_robots, as_document
 from kilter_service.campaigns import store as campaigns
@@ -24,7 +24,16 @@ from kilter_service.jobs.fit_of_version import fit_of
 from kilter_service.jobs.fleet_versions import fleet_versions
 from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
-from kilter_service.jobs.records import Asked, JobRecord, JobRequest, ListedJob, Place, ProgressRecord, UsedRecord
+from kilter_service.jobs.records import (
+    Asked,
+    JobRecord,
+    JobRequest,
+    ListedJob,
+    Place,
+    ProgressRecord,
+    UsedRecord,
+    WantedJobs,
+)
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
 from kilter_service.paging import Page
@@ -101,11 +110,7 @@ def places(session: Session) -> dict[str, Place]:
 def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
-    columns = (
-        row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error,
-        func.coalesce(row.asked_by["actor"].as_string(), ""), row.created_at, row.started_at, row.finished_at,
-    )  # fmt: skip
-    query = select(*columns).order_by(row.created_at.desc(), row.id)
+    query = select(*_listed()).order_by(row.created_at.desc(), row.id)
     if allowed_robots() is not None:
         query = robots.visible(query.join(RobotRow, RobotRow.id == row.robot_id))
     if robot is not None:
@@ -113,9 +118,61 @@ def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJ
     if page.moment is not None:
         moment, key = page.moment  # said so that the range of an index is read, not all of it
         query = query.where(row.created_at <= moment, or_(row.created_at < moment, row.id > key))
-    found = session.execute(query.limit(page.fetched)).all()
+    return _jobs(session, query.limit(page.fetched))
+
+
+def _listed() -> tuple[Any, ...]:
+    row = JobRow
+    return (
+        row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error,
+        func.coalesce(row.asked_by["actor"].as_string(), ""), row.created_at, row.started_at, row.finished_at,
+    )  # fmt: skip
+
+
+def _jobs(session: Session, query: Select[Any]) -> list[ListedJob]:
+    found = session.execute(query).all()
     names = robots.names(session, {one.robot_id for one in found})
     return [ListedJob(job, kind, names[robot_id], *rest) for job, kind, robot_id, *rest in found]
+
+
+def count_jobs(session: Session, wanted: WantedJobs) -> tuple[int, int]:
+    """Return how many jobs are as wanted, and how many there are of the robot, or of all."""
+    of_robot = WantedJobs(wanted.robot)
+    counts = [session.execute(_wanted(session, select(func.count()), one)).scalar_one() for one in (wanted, of_robot)]
+    return counts[0], counts[1]
+
+
+def wanted_jobs(session: Session, wanted: WantedJobs, offset: int, limit: int) -> list[ListedJob]:
+    """Return ``limit`` of the jobs that are wanted, in the order that is; equal ones newest first."""
+    row = JobRow
+    by = {
+        "name": func.lower(func.coalesce(func.nullif(row.name, ""), row.id)),
+        "robot": func.lower(RobotRow.name),
+        "kind": case({kind: k for k, kind in enumerate(wanted.kinds)}, value=row.kind, else_=len(wanted.kinds)),
+        "state": case({state: k for k, state in enumerate(wanted.states)}, value=row.state, else_=len(wanted.states)),
+        "asked": row.created_at,
+    }[wanted.order]
+    query = _wanted(session, select(*_listed()), wanted)
+    query = query.order_by(by.desc() if wanted.falling else by, row.created_at.desc(), row.id)
+    return _jobs(session, query.offset(offset).limit(limit))
+
+
+def _wanted(session: Session, query: Select[Any], wanted: WantedJobs) -> Select[Any]:
+    row = JobRow
+    query = robots.visible(query.select_from(JobRow).join(RobotRow, RobotRow.id == row.robot_id))
+    if wanted.robot is not None:
+        query = query.where(row.robot_id == robots.get(session, wanted.robot).id)
+    if wanted.kind is not None:
+        query = query.where(row.kind == wanted.kind)
+    if wanted.state is not None:
+        query = query.where(row.state == wanted.state)
+    places = (row.name, RobotRow.name, func.coalesce(row.asked_by["actor"].as_string(), ""), row.id)
+    for word, kinds in wanted.words:
+        # SQLite folds ASCII only: of other letters those are found that are written as here, small, or large.
+        spelt = {word, word.lower(), word.upper(), word.capitalize()}
+        within = [place.icontains(one, autoescape=True) for place in places for one in sorted(spelt)]
+        query = query.where(or_(row.kind.in_(kinds), *within))
+    return query
 
 
 def evaluations_of(session: Session, version_id: str) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
-from kilter_service.contract.error_words import said_of_error, widest
+from kilter_service.contract.error_words import interval, said_of_error, widest
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.texts import plural
 
@@ -42,8 +42,10 @@ def _sentences(today: Today) -> Iterator[str]:
 def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
     assert newest.errors.identified is not None
     mean, aside = newest.errors.identified.mean_mm, left_out(newest.errors.left_out)
-    said = said_of_error(mean, largest(newest, today.own))
-    yield f"Mean error {said} {newest.rows}{aside}: {where(newest)}."
+    most = largest(newest, today.own)
+    ends = interval(newest.errors.identified, newest.errors.n)
+    known = f" (95 % interval {said_of_error(ends[0], most)} to {said_of_error(ends[1], most)})" if ends else ""
+    yield f"Mean error {said_of_error(mean, most)}{known} {newest.rows}{aside}: {where(newest)}."
     if today.compared:
         yield today.compared
     if newest.source == "fitted":

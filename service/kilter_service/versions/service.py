@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 def list_versions(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
     """List the versions of a robot; ``with_retired`` those that are out of use too."""
     with database.reading() as session:
-        found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)
+        found = store.listed(session, robots.get(session, robot).id, page, with_retired)
     shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
-    return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
+    return VersionList(versions=[wire.listed(version) for version in shown], next=cursor)
 
 
 def active_of_robots(database: Database) -> dict[str, VersionSummary]:

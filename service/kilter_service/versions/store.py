@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import and_, func, or_, select
+from sqlalchemy import Select, and_, func, or_, select
 
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.versions import CorrectionLimits
@@ -21,7 +21,7 @@ from kilter_service.references import retired
 from kilter_service.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import sha256_of
-from kilter_service.versions.records import ActivationRecord, VersionRecord
+from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -172,15 +172,39 @@ def citing_version(session: Session, robot_id: int, version_id: str) -> list[str
 
 def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[VersionRecord]:
     """Return the versions of a robot, newest first, one more than the page shows; those out of use only when asked for."""
+    robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
+    query = _of_robot(select(VersionRow), robot_id, page, with_retired)
+    return [_record(found, robot, last) for found in session.execute(query).scalars()]
+
+
+def listed(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[ListedVersion]:
+    """Return the same as a list tells it. Covariances and reports, a hundred kB of each version, stay unread."""
     row = VersionRow
-    query = select(row).where(row.robot_id == robot_id).order_by(row.created_at.desc(), row.id)
+    columns = (
+        row.id, row.parent_id, row.job_id, row.created_at, row.code_version, row.name, row.notes, row.retired_at,
+        row.calibration["effects"], row.report["metrics"],
+    )  # fmt: skip
+    robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
+    found = session.execute(_of_robot(select(*columns), robot_id, page, with_retired))
+    return [
+        ListedVersion(
+            id=key, robot=robot, active=last is not None and last.version_id == key, parent_id=parent, job_id=job,
+            created_at=created, code_version=code, name=name, notes=notes, retired_at=retired_at,
+            effects=effects or [], metrics=metrics or {},
+        )
+        for key, parent, job, created, code, name, notes, retired_at, effects, metrics in found
+    ]  # fmt: skip
+
+
+def _of_robot(query: Select[Any], robot_id: int, page: Page, with_retired: bool) -> Select[Any]:
+    row = VersionRow
+    query = query.where(row.robot_id == robot_id).order_by(row.created_at.desc(), row.id)
     if not with_retired:
         query = query.where(row.retired_at.is_(None))
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
-    robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
-    return [_record(found, robot, last) for found in session.execute(query.limit(page.fetched)).scalars()]
+    return query.limit(page.fetched)
 
 
 def active_of_robots(session: Session) -> list[VersionRecord]:

@@ -24,7 +24,7 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.contract.written import as_written
 from kilter_service.versions.objections import objections_of
-from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
+from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
 from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 
 if TYPE_CHECKING:
@@ -71,6 +71,13 @@ def _with_change(row: dict[str, Any]) -> dict[str, Any]:
 def summary(record: VersionRecord) -> VersionSummary:
     """Say what lists tell of a version."""
     return VersionSummary(**_summary_fields(record))
+
+
+def listed(record: ListedVersion) -> VersionSummary:
+    """Say the same of a version in a list, whose documents were not read."""
+    own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
+    effects = [effect["id"] for effect in record.effects]
+    return VersionSummary(**own, effects=effects, metrics=as_written(Metrics, record.metrics))
 
 
 def _summary_fields(record: VersionRecord) -> dict[str, Any]:

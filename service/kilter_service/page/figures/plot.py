@@ -12,7 +12,8 @@ from kilter_service.page.figures.scale import Axis
 
 # Okabe and Ito's colours, which people with any colour vision tell apart; dashes and marks tell them apart without colour.
 GREY, BLUE, GREEN, ORANGE, RED, PURPLE = "#808080", "#0072b2", "#009e73", "#e69f00", "#d55e00", "#cc79a7"
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
+SKY = "#56b4e9"
+COLOURS = (BLUE, SKY, GREEN, PURPLE, RED, GREY)
 DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
 LINE, THIN = 1.8, 1.0  # width of a stroke, pixels

@@ -14,6 +14,7 @@ from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
 from kilter_service.drift import service as drift
+from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import Watched, watched
@@ -76,7 +77,9 @@ def shown_robot(
     made = versions.list_versions(database, name, NEWEST).versions
     newest = jobs.list_jobs(database, name, Page(limit=1)).jobs
     measured = [one for one in campaigns.list_campaigns(database, name, Page()).campaigns if one.rows]
-    looked_at = next((one for one in made if one.id == (version or robot.active_version)), made[0] if made else None)
+    beside = _version(database, name, made, other)
+    looked_at = _version(database, name, made, version) or active or (made[0] if made else None)
+    older = {one.id: one for one in (active, looked_at, beside) if one is not None}
     return Shown(
         robot=robot,
         today=now,
@@ -87,14 +90,29 @@ def shown_robot(
         correcting=corrector(database, settings).of(name, robot.active_version, robot.controller_compensation),
         latest=newest[0] if newest else None,
         campaigns=measured,
-        versions=made,
+        versions=[*made, *(one for key, one in older.items() if key not in {each.id for each in made})],
         looked_at=looked_at,
-        other=next((one for one in made if one.id == other), None),
+        other=beside,
         campaign=_campaign(database, measured, looked_at, campaign, now),
         watched=watched(drift.of_robot(database, name)),
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
         chosen=bool(version or campaign or other),
     )
+
+
+def _version(
+    database: Database, robot: str, newest: Sequence[VersionSummary], wanted: str | None
+) -> VersionSummary | None:
+    """A version that the address names, of this robot, however many came after it; None: there is none such."""
+    if not wanted:
+        return None
+    if found := next((one for one in newest if one.id == wanted), None):
+        return found
+    try:
+        older = versions.get(database, wanted)
+    except ServiceError:
+        return None
+    return older if older.robot == robot else None
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kilter_service.contract.jobs.job import JobSummary
 from kilter_service.db import Database
 from kilter_service.jobs import service as jobs
-from kilter_service.jobs.records import Place
-from kilter_service.page.shared.lists import Asked, Part, part
+from kilter_service.jobs.records import Place, WantedJobs
+from kilter_service.page.shared.lists import AT_ONCE, Asked, Part
 from kilter_service.paging import Page
 
 KINDS: Mapping[str, str] = {
@@ -45,23 +45,24 @@ class Listed:
 STATES = ("queued", "running", "succeeded", "failed", "cancelled")
 
 
+ORDERS = ("name", "robot", "kind", "state", "asked")
+
+
 def asked(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
-    """Return the jobs that the address asks for, of one robot or of all that may be seen."""
-    found = part(
-        jobs.list_jobs(database, robot, Page()).jobs,
-        wanted,
-        lambda job: f"{job.name} {job.robot} {KINDS.get(job.kind, job.kind)} {job.asked_by} {job.id}",
-        {
-            "name": lambda job: job.name or job.id,
-            "robot": lambda job: job.robot,
-            "kind": lambda job: KINDS.get(job.kind, job.kind),
-            "state": lambda job: STATES.index(job.state),
-            "asked": lambda job: job.created_at,
-        },
-        {"kind": lambda job: job.kind, "state": lambda job: job.state},
-        "-asked",
-    )
-    return Listed(found.shown, jobs.places(database), None), found
+    """Return the jobs that the address asks for, of one robot or of all that may be seen; the database counts and sorts."""
+    by = wanted.sort if wanted.sort.removeprefix("-") in ORDERS else "-asked"
+    words = [(one, _kinds_with(one)) for one in wanted.search.split()]
+    sought = WantedJobs(
+        robot, wanted.filters.get("kind"), wanted.filters.get("state"), words, by.removeprefix("-"), by.startswith("-"),
+        sorted(KINDS, key=lambda kind: KINDS[kind].casefold()), STATES,
+    )  # fmt: skip
+    shown, page, found, total = jobs.find_jobs(database, sought, wanted.page, AT_ONCE)
+    return Listed(shown, jobs.places(database), None), Part(shown, found, total, replace(wanted, page=page), "-asked")
+
+
+def _kinds_with(word: str) -> list[str]:
+    """Kinds of jobs in whose words a word is."""
+    return [kind for kind, words in KINDS.items() if word.casefold() in words.casefold()]
 
 
 def page_of_jobs(database: Database, robot: str | None, page: Page) -> Listed:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from kilter_service.contract.effect_curves import CurveSide, CurveVisits, EffectCurve
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.jobs.curve_words import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
-from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, THIN, Plot
+from kilter_service.page.figures.plot import BLUE, GREY, RED, SKY, THIN, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.shared.called import called, named
 from kilter_service.page.words import number
 
 WIDTH, HEIGHT = 440.0, 340.0  # what is written can be read where the window is narrow, too
-COLOUR_OF = {1.0: BLUE, -1.0: ORANGE}
+COLOUR_OF = {1.0: BLUE, -1.0: SKY}
 PLACE_OF = {1.0: 0, -1.0: 1, 0.0: 2}  # marks and dashes
 RIVAL = 3  # its dashes
 MARKED = 0.94  # of the way along x, where the distance of two sides is marked

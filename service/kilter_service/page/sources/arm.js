@@ -13,6 +13,7 @@ import { fill, length, mm, quantile } from "./arm/words.js";
 const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
 const SHARE = 0.12; // of the workspace that a large error is drawn as
 const MOST_LISTED = 200;
+const MANY = 2000; // points
 
 class Picture {
   constructor(place) {
@@ -30,7 +31,7 @@ class Picture {
   }
 
   say(text) {
-    this.find("said").textContent = text;
+    this.find("said").textContent = this.renderer === null ? `This browser has no WebGL, so the arm is not drawn: plot and tables have its numbers. ${text}` : text;
   }
 
   async start() {
@@ -38,8 +39,7 @@ class Picture {
     this.meshes = await this.loadMeshes();
     this.readings = this.chain.joints.map(({ low, high }) => Math.min(Math.max(0, low), high));
     this.size = this.reachOf();
-    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.renderer = this.drawing();
     this.camera = new PerspectiveCamera(40, 1, this.size / 100, this.size * 30);
     this.camera.up.set(0, 0, 1);
     const { group, cell } = furniture(this.size);
@@ -59,6 +59,18 @@ class Picture {
     this.begin();
     if (["q", "row", "cloud", "stage", "scale", "camera"].some((name) => this.address.get(name))) this.find("controls").open = true;
     this.place.dataset.ready = "yes";
+  }
+
+  /** What draws; null without WebGL: all but the picture goes on. */
+  drawing() {
+    try {
+      const renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+      renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+      return renderer;
+    } catch {
+      this.canvas.hidden = true;
+      return null;
+    }
   }
 
   async get(name, asked = {}) {
@@ -109,6 +121,7 @@ class Picture {
   }
 
   fit() {
+    if (!this.renderer) return;
     const width = this.canvas.parentElement.clientWidth;
     const height = Math.round(Math.min(0.85 * width, Math.max(0.4 * window.innerHeight, 300)));
     this.renderer.setSize(width, height);
@@ -118,7 +131,8 @@ class Picture {
   }
 
   draw() {
-    this.renderer.render(this.scene, this.camera);
+    this.renderer?.render(this.scene, this.camera);
+    this.linked?.mark();
   }
 
   sliders() {
@@ -209,8 +223,9 @@ class Picture {
     const { at, held_out: held, set_aside: aside, row, total } = this.data.places;
     const left = this.left();
     const normal = held.map((one, k) => !one && !aside[k]);
-    this.show("fitted", points(at, normal, ROWS.fitted, 6));
-    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 8));
+    const less = at.length > MANY ? 0.4 : 1; // of very many the arm is still seen
+    this.show("fitted", points(at, normal, ROWS.fitted, 6 * less));
+    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 8 * less));
     this.show("aside", points(at, aside, ROWS.aside, 12));
     this.linked?.redraw();
     const sizes = left.map(length);

@@ -1,44 +1,30 @@
 // Rows of campaigns, chosen in any view and lit in all of them. A row is told by data-row="CAMPAIGN/ROW" wherever it stands:
 // a line of a table, a point of a figure; what draws on a canvas asks window.kilter.rows. Pointing at a row says what is known
 // of it, a click chooses it. Ids and numbers of chosen rows are kept until the browser is closed; measurements are not.
+import { Chosen } from "./chosen.js";
+
 const KEPT = "kilter-rows";
 const MOST_KEPT = 20_000; // characters of the browser's storage
 const MOST_ASKED = 6000; // characters that the server takes
 const WAIT_MS = 80; // pointing at one row after the other asks for none of them
-const chosen = new Map(); // campaign: Set of rows
+const chosen = new Map(); // campaign: Chosen
 const watching = new Set();
 const known = new Map();
+const NONE = new Chosen();
 let tip = null;
 let asked = 0;
 let tray = null;
-
-export function written(rows) {
-  const runs = [];
-  for (const row of [...rows].sort((a, b) => a - b)) {
-    const last = runs.at(-1);
-    if (last && row === last[1] + 1) last[1] = row;
-    else runs.push([row, row]);
-  }
-  return runs.map(([from, to]) => (to > from ? `${from}-${to}` : from)).join(",");
-}
-
-function read(text) {
-  return text.split(",").flatMap((part) => {
-    const [from, to = from] = part.split("-").map(Number);
-    return Array.from({ length: to - from + 1 }, (_, k) => from + k);
-  });
-}
 
 const named = (element) => [element.dataset.row.slice(0, element.dataset.row.lastIndexOf("/")), Number(element.dataset.row.split("/").pop())];
 const judge = () => document.querySelector("[data-judge]")?.dataset.judge || "";
 
 export const rows = {
   has: (campaign, row) => chosen.get(campaign)?.has(row) ?? false,
-  of: (campaign) => chosen.get(campaign) ?? new Set(),
+  of: (campaign) => chosen.get(campaign) ?? NONE,
   /** Choose rows, or no longer: all of them as the first is not. */
   toggle(campaign, some, on = !rows.has(campaign, some[0])) {
-    const mine = new Set(rows.of(campaign));
-    for (const row of some) on ? mine.add(row) : mine.delete(row);
+    const mine = chosen.get(campaign) ?? new Chosen();
+    for (const row of some) mine.put(row, on);
     mine.size ? chosen.set(campaign, mine) : chosen.delete(campaign);
     changed();
   },
@@ -56,7 +42,7 @@ export const rows = {
 };
 
 function changed() {
-  const text = JSON.stringify([...chosen].map(([campaign, some]) => [campaign, written(some)]));
+  const text = JSON.stringify([...chosen].map(([campaign, some]) => [campaign, some.written()]));
   sessionStorage.setItem(KEPT, text.length > MOST_KEPT ? "[]" : text);
   light();
   show();
@@ -66,7 +52,7 @@ function changed() {
 function light(within = document) {
   for (const element of within.querySelectorAll("[data-row]")) {
     const on = rows.has(...named(element));
-    element.toggleAttribute("data-chosen", on);
+    if (element.hasAttribute("data-chosen") !== on) element.toggleAttribute("data-chosen", on);
     if (element.tagName !== "TR") continue;
     element.querySelector(".pick")?.setAttribute("aria-pressed", String(on));
   }
@@ -140,7 +126,7 @@ async function list(dialog) {
   dialog.showModal();
   for (const [campaign, some] of chosen) {
     const part = place.appendChild(document.createElement("div"));
-    const text = written(some);
+    const text = some.written();
     if (text.length > MOST_ASKED) part.textContent = `${some.size} scattered rows are more than a list takes: choose fewer, or take the file of all residuals.`;
     else await window.kilter.ajax(`${window.kilter.root}/campaigns/${campaign}/rows?${new URLSearchParams({ rows: text, version: judge() })}`, part);
   }
@@ -173,7 +159,7 @@ document.addEventListener("htmx:load", (event) => equip(event.detail.elt.parentE
 
 /** Begin with what was chosen in another view. */
 export function begin() {
-  for (const [campaign, text] of JSON.parse(sessionStorage.getItem(KEPT) || "[]")) chosen.set(campaign, new Set(read(text)));
+  for (const [campaign, text] of JSON.parse(sessionStorage.getItem(KEPT) || "[]")) chosen.set(campaign, Chosen.read(text));
   equip(document);
   if (chosen.size) show();
 }

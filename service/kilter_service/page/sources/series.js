@@ -21,7 +21,8 @@ function start(form) {
   async function load(first, last) {
     const mine = ++asked;
     const began = performance.now();
-    const keep = [...picked.of(campaign), ...marked.aside, ...marked.doubtful].filter((row) => row >= first && row <= last).slice(0, MOST_MARKED);
+    const others = [...marked.aside, ...marked.doubtful].filter((row) => row >= first && row <= last);
+    const keep = [...picked.of(campaign).within(first, last, MOST_MARKED), ...others].slice(0, MOST_MARKED);
     const query = new URLSearchParams({ column: select.value, first, last, width: Math.max(200, Math.round(place.clientWidth)), keep });
     const answer = await window.kilter.send(`${form.dataset.series}?${query}`);
     if (mine !== asked) return;
@@ -41,8 +42,6 @@ function start(form) {
 
   function draw(found) {
     const ink = () => getComputedStyle(document.body).color; // asked at each drawing: light and dark change meanwhile
-    const at = new Map(found.x.map((row, k) => [row, found.y[k]]));
-    const marks = (rows) => found.x.map((row) => (rows.has(row) ? at.get(row) : null));
     const axis = { stroke: ink, grid: { stroke: "#80808040" }, ticks: { stroke: "#80808080" } };
     const label = select.selectedOptions[0].dataset.label;
     const options = {
@@ -58,7 +57,12 @@ function start(form) {
     };
     plot?.destroy();
     place.replaceChildren();
-    plot = new window.kilter.uPlot(options, [found.x, found.y, marks(marked.doubtful), marks(marked.aside), marks(picked.of(campaign))], place);
+    plot = new window.kilter.uPlot(options, lines(found), place);
+  }
+
+  function lines(found) {
+    const marks = (rows) => found.x.map((row, k) => (rows.has(row) ? found.y[k] : null));
+    return [found.x, found.y, marks(marked.doubtful), marks(marked.aside), marks(picked.of(campaign))];
   }
 
   const redraw = () => requestAnimationFrame(() => plot?.redraw());
@@ -108,8 +112,11 @@ function start(form) {
   load(...all);
   picked.watch(() => {
     if (!drawn) return;
-    if ([...picked.of(campaign)].every((row) => row < shown[0] || row > shown[1] || drawn.x.includes(row))) draw(drawn);
-    else load(...shown); // a row that is chosen now was not among those drawn
+    plot.setData(lines(drawn), false);
+    plot.redraw();
+    const some = picked.of(campaign).within(...shown, MOST_MARKED + 1);
+    const there = new Set(drawn.x);
+    if (some.length <= MOST_MARKED && some.some((row) => !there.has(row))) load(...shown); // one that is chosen was not among those drawn
   });
 }
 

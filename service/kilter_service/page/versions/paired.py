@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
-from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
+from kilter_service.page.figures.plot import BLUE, SKY, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.words import beside, largest, mm
 from kilter_service.versions import service
@@ -70,7 +70,7 @@ def _map(
         description=f"{title}: at which measured places {names[1]} is better than {names[0]}, and where it is worse.",
     )  # fmt: skip
     for better, label, number, colour in (
-        (True, f"{names[1]} better", 1, ORANGE),
+        (True, f"{names[1]} better", 1, SKY),
         (False, f"{names[0]} better", 0, BLUE),
     ):
         part = np.flatnonzero((gain > 0) == better)

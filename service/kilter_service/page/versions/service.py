@@ -67,6 +67,7 @@ class Shown:
     others: Sequence[VersionSummary]
     suspicious: Sequence[SuspiciousRows]
     today: Today | None
+    parent: str  # name of the version it was started from
 
 
 def history(database: Database, robot: str, asked: Asked, log: Asked) -> History:
@@ -114,7 +115,10 @@ def version(database: Database, version_id: str) -> Shown:
     rest = [one for one in others if one.id != version_id]
     now = today.of_robot(database, found.robot) if found.active else None
     odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
-    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), known, unseen, rest, odd, now)
+    parent = "" if found.parent_id is None else service.get(database, found.parent_id).name
+    return Shown(
+        found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), known, unseen, rest, odd, now, parent
+    )
 
 
 def errors_by_version(found: Sequence[Listed]) -> Plot | None:

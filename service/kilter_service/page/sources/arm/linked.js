@@ -1,8 +1,9 @@
 // The rows of the picture: coloured by any column, drawn over any other, pointed at, and chosen together with all other views.
-import { Vector3 } from "three";
+import { Matrix4 } from "three";
 import { key } from "./key.js";
+import { Marks } from "./marks.js";
 import { pickable } from "./picking.js";
-import { cloud, colourOf, css, points, ROWS } from "./parts.js";
+import { cloud, colourOf, css, ROWS } from "./parts.js";
 import { ends, Scatter } from "./scatter.js";
 import { length } from "./words.js";
 
@@ -10,7 +11,9 @@ const OWN = { use: "use: fitted, held out, set aside", row: "row", error: "error
 
 export class Linked {
   constructor(picture, campaign, version) {
-    Object.assign(this, { picture, campaign, version, columns: {} });
+    Object.assign(this, { picture, campaign, version, columns: {}, chosen: [] });
+    this.at = Float32Array.from(picture.data.places.at.flat());
+    this.marks = new Marks(picture.canvas);
     this.scatter = new Scatter(picture.find("scatter"));
     this.selects = Object.fromEntries(["colour", "across", "up"].map((name) => [name, picture.find(name)]));
     this.boxing = picture.find("boxing");
@@ -49,7 +52,7 @@ export class Linked {
     };
     pickable(this.picture.canvas, { ...shared, places: () => this.projected(), boxing: (event) => event.shiftKey || this.boxed(), hold: (on) => this.picture.looking.hold(on) });
     pickable(this.scatter.canvas, { ...shared, places: () => this.scatter.places, boxing: () => true });
-    window.kilter.rows.watch(() => this.redraw());
+    window.kilter.rows.watch(() => this.choose());
     const redraw = () => requestAnimationFrame(() => this.plot());
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
     document.querySelector("[data-theme-switch]")?.addEventListener("click", redraw);
@@ -62,15 +65,16 @@ export class Linked {
 
   /** Where the points are on the canvas, x and y after one another. */
   projected() {
-    const { canvas, camera, data } = this.picture;
-    const out = new Float32Array(2 * data.places.at.length);
-    const at = new Vector3();
-    data.places.at.forEach((place, k) => {
-      at.set(...place).project(camera);
-      const seen = Math.abs(at.z) <= 1;
-      out[2 * k] = seen ? (0.5 + at.x / 2) * canvas.clientWidth : NaN;
-      out[2 * k + 1] = (0.5 - at.y / 2) * canvas.clientHeight;
-    });
+    const { canvas: { clientWidth: width, clientHeight: height }, camera } = this.picture;
+    camera.updateMatrixWorld();
+    const m = new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).elements;
+    const out = new Float32Array((2 * this.at.length) / 3);
+    for (let k = 0; k < out.length / 2; k += 1) {
+      const [x, y, z] = [this.at[3 * k], this.at[3 * k + 1], this.at[3 * k + 2]];
+      const [far, deep] = [m[3] * x + m[7] * y + m[11] * z + m[15], m[2] * x + m[6] * y + m[10] * z + m[14]];
+      out[2 * k] = Math.abs(deep) <= far ? (0.5 + (m[0] * x + m[4] * y + m[8] * z + m[12]) / far / 2) * width : NaN;
+      out[2 * k + 1] = (0.5 - (m[1] * x + m[5] * y + m[9] * z + m[13]) / far / 2) * height;
+    }
     return out;
   }
 
@@ -89,13 +93,24 @@ export class Linked {
     const [x, y, z] = await Promise.all([this.selects.across, this.selects.up, this.selects.colour].map((select) => (select.value === "use" ? null : this.values(select.value))));
     Object.assign(this, { x, y });
     this.colours = this.coloured(z);
-    const { at, row } = picture.data.places;
-    const mine = row.map((one) => window.kilter.rows.has(this.campaign, one));
-    this.chosen = row.map((_, k) => k).filter((k) => mine[k]);
-    picture.show("chosen", this.chosen.length ? points(at, mine, ROWS.chosen, 15, true) : null);
     picture.draw();
     this.plot();
-    picture.place.dataset.chosen = this.chosen.length;
+  }
+
+  /** Ring the rows that are chosen, and draw nothing else. */
+  choose() {
+    const { row } = this.picture.data.places;
+    const mine = window.kilter.rows.of(this.campaign);
+    this.chosen = [];
+    for (let k = 0; k < row.length; k += 1) if (mine.has(row[k])) this.chosen.push(k);
+    this.mark();
+    this.scatter.mark(this.chosen);
+    this.picture.place.dataset.chosen = this.chosen.length;
+  }
+
+  /** Ring them in the picture as it is looked at. */
+  mark() {
+    this.marks.draw(this.chosen.length ? this.projected() : [], this.chosen);
   }
 
   /** Give each row its colour, in the picture and in the plot. */
@@ -111,7 +126,7 @@ export class Linked {
     }
     const [low, high] = ends(values);
     const shares = values.map((value) => (Number.isFinite(value) ? (value - low) / (high - low || 1) : 0));
-    picture.show("coloured", cloud(at, shares, 1, 8));
+    picture.show("coloured", cloud(at, shares, 1, at.length > 2000 ? 3 : 8));
     key(words, low.toPrecision(4), high.toPrecision(4));
     return shares.map((share) => `rgb(${colourOf(share).join(",")})`);
   }
@@ -120,7 +135,8 @@ export class Linked {
     if (!this.x) return;
     const label = (select) => select.selectedOptions[0].textContent;
     const { across, up } = this.selects;
-    this.scatter.draw({ values: this.x, label: label(across) }, { values: this.y, label: label(up), zero: !up.value.startsWith("joint:") }, this.colours, this.chosen);
+    this.scatter.draw({ values: this.x, label: label(across) }, { values: this.y, label: label(up), zero: !up.value.startsWith("joint:") }, this.colours);
+    this.scatter.mark(this.chosen);
     this.scatter.canvas.dataset.drawn = `${up.value} ${across.value}`;
   }
 }

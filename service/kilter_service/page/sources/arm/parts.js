@@ -76,12 +76,10 @@ function geometry(places, colours) {
   return made;
 }
 
-/** Points of one colour; those that are always seen are drawn above everything that is in front of them. */
-export function points(places, chosen, colour, size, always = false) {
+/** Points of one colour. */
+export function points(places, chosen, colour, size) {
   const some = places.filter((_, k) => chosen[k]);
-  const made = new Points(geometry(some.flat()), new PointsMaterial({ color: colour, size, sizeAttenuation: false, depthTest: !always }));
-  made.renderOrder = always ? 1 : 0;
-  return made;
+  return new Points(geometry(some.flat()), new PointsMaterial({ color: colour, size, sizeAttenuation: false }));
 }
 
 /** Arrows from where the tool was expected to `times` the error further; heads only where they are few. */

@@ -1,7 +1,8 @@
 // A plot of rows on a canvas: one column over another, each point in a colour of its own, chosen ones ringed.
-import { css, ROWS } from "./parts.js";
+import { Marks } from "./marks.js";
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [64, 14, 10, 44];
+const MANY = 2000; // points, of which each is smaller
 const STEPS = [1, 2, 2.5, 5, 10];
 
 function ticks(low, high, most) {
@@ -24,10 +25,11 @@ export class Scatter {
   constructor(canvas) {
     this.canvas = canvas;
     this.places = new Float32Array(0);
+    this.marks = new Marks(canvas);
   }
 
-  /** `x` and `y` are {values, label}; `colours` a colour of each point, `chosen` which are ringed. */
-  draw(x, y, colours, chosen) {
+  /** `x` and `y` are {values, label}; `colours` a colour of each point. */
+  draw(x, y, colours) {
     const width = this.canvas.parentElement.clientWidth;
     const height = Math.round(Math.min(Math.max(0.36 * window.innerHeight, 240), 0.75 * width));
     const ratio = Math.min(window.devicePixelRatio, 2);
@@ -39,7 +41,12 @@ export class Scatter {
     this.ink = getComputedStyle(document.body).color;
     const [across, up] = [this.axis(x, LEFT, width - RIGHT, width / 90), this.axis(y, height - BOTTOM, TOP, 5)];
     this.frame(across, up, x.label, y.label, width, height);
-    this.points(x.values.map(across.at), y.values.map(up.at), colours, chosen);
+    this.points(x.values.map(across.at), y.values.map(up.at), colours);
+  }
+
+  /** Ring the points with these numbers. */
+  mark(chosen) {
+    this.marks.draw(this.places, chosen);
   }
 
   axis({ values, zero }, from, to, most) {
@@ -83,22 +90,15 @@ export class Scatter {
     pen.restore();
   }
 
-  points(xs, ys, colours, chosen) {
+  points(xs, ys, colours) {
     this.places = new Float32Array(2 * xs.length);
     const pen = this.pen;
+    const side = xs.length > MANY ? 2 : 5;
     xs.forEach((x, k) => {
       this.places[2 * k] = Number.isFinite(ys[k]) ? x : NaN;
       this.places[2 * k + 1] = ys[k];
       pen.fillStyle = colours[k];
-      pen.fillRect(x - 2.5, ys[k] - 2.5, 5, 5);
+      pen.fillRect(x - side / 2, ys[k] - side / 2, side, side);
     });
-    pen.lineWidth = 2.5;
-    pen.strokeStyle = css(ROWS.chosen);
-    chosen.forEach((k) => {
-      pen.beginPath();
-      pen.arc(xs[k], ys[k], 7, 0, 2 * Math.PI);
-      pen.stroke();
-    });
-    pen.lineWidth = 1;
   }
 }
