@@ -159,7 +159,6 @@ def _judged(
     wish: Wish,
 ) -> Judged | None:
     """Judge the rows of a campaign; the version with what it knows, and whether it was made from that campaign."""
-
     calibration, known, own = version
     here = calibration if own else calibration.for_another_campaign(rows)
     return judged(here, known, rows, places, used, wish.refit or (), to_metres(wish.tolerance_mm))
