@@ -94,7 +94,8 @@ def read_table(path: Path, joints: int) -> Table:
     except (OSError, UnicodeError) as error:
         raise FileError(f"{path} cannot be read: {error}") from error
     except csv.Error as error:
-        raise FileError(f"{path}: is no table of CSV ({error}).") from error
+        remedy = "write t_s and the joints with commas between them"
+        raise FileError(f"{path}: is not a table of CSV ({error}): {remedy}.") from error
     if len(rows) < 2:
         raise FileError(f"{path} has fewer than two rows: give one where the path begins and one where it ends.")
     return Table(times, rows)
@@ -104,7 +105,7 @@ def _number(row: Mapping[str, str | None], name: str, place: str, names: Sequenc
     """A cell as a number.
 
     Raises:
-        FileError: the column is not there, the row ends before it, or it is no number.
+        FileError: the column is not there, the row ends before it, or it is not a number.
 
     """
     said = row.get(name)
