@@ -264,6 +264,8 @@ def test_evaluation_and_plan_show_theirs(server: httpx.Client, done: dict[str, d
     shown = server.get(f"/jobs/{done['evaluate']['id']}").text
     assert mm(done["evaluate"]["result"]["metrics"][campaign]["registration_only"]["mean_mm"]) in shown
     assert ">After<" not in shown  # nothing was identified here
+    name = server.get(f"/v1/campaigns/{campaign}").json()["name"]
+    assert f'Campaign <a href="/campaigns/{campaign}">{name}</a>' in shown  # by name, not by id
     plan = done["plan"]
     assert f"{plan['result']['count']} poses" in server.get(f"/jobs/{plan['id']}").text
     assert (

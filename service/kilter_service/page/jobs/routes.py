@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from kilter_service.auth.access import Admin
 from kilter_service.jobs import service as jobs
 from kilter_service.page.jobs import form, planned, service
+from kilter_service.page.jobs.version_names import name_of
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.listed_jobs import KINDS
 from kilter_service.page.shell import is_part, redirect, render, root_of
@@ -49,7 +50,8 @@ def campaigns(
 def check(robot: str, request: Request, database: DatabaseOfApp, texts: Typed) -> HTMLResponse:
     """Say what the job would do; if it would run, hand out the seal that Run asks for."""
     found, seal = service.checked(database, request.app.state.token, form.job_of(robot, texts))
-    return render(request, "jobs/check.html", check=found, seal=seal, robot=robot)
+    called = name_of(database, found.version)
+    return render(request, "jobs/check.html", check=found, seal=seal, robot=robot, called=called)
 
 
 @router.post("/robots/{robot}/jobs")
