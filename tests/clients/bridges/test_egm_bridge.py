@@ -186,13 +186,17 @@ def test_a_planner_that_sends_old_or_other_messages_is_not_followed() -> None:
         ("t_s,q1_deg,q2_deg\n0,1,2\n0,2,3\n", "line 3"),
         ("t_s,q1_deg,q2_deg\n0,1,2\n1,nan,3\n", "line 3"),
         ("t_s,q1_deg,q2_deg\n0,1,2\n", "fewer than two"),
+        (
+            "t_s,q1_deg,q2_deg\n0,1,2\n1,1,999\n",
+            "line 3: q2_deg is 999, beyond the limits of joint 2",
+        ),
     ],
 )
 def test_a_table_that_is_none_is_refused_with_its_place(text: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "path.csv"
     path.write_text(text)
     with pytest.raises(FileError, match=said):
-        read_table(path, 2)
+        read_table(path, [(None, None), (-90.0, 90.0)])
 
 
 def test_one_source_of_setpoints_must_be_named(arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from kilter_client.bridges.versions import Limits
 from kilter_client.errors import FileError, UsageError
 from kilter_client.frames import HEADER, MAGIC, POINT
 
@@ -71,14 +72,14 @@ class Table:
         return [a + share * (b - a) for a, b in zip(self._rows[row], self._rows[row + 1], strict=True)]
 
 
-def read_table(path: Path, joints: int) -> Table:
-    """Read a table ``t_s,q1_deg,...`` (CSV).
+def read_table(path: Path, limits_deg: Sequence[Limits]) -> Table:
+    """Read a table ``t_s,q1_deg,...`` (CSV) for joints with these limits.
 
     Raises:
-        FileError: a column or a number is missing, or the time does not grow.
+        FileError: a column or a number is missing, the time does not grow, or a joint would leave its limits.
 
     """
-    names = ["t_s", *(f"q{k}_deg" for k in range(1, joints + 1))]
+    names = ["t_s", *(f"q{k}_deg" for k in range(1, len(limits_deg) + 1))]
     times: list[float] = []
     rows: list[list[float]] = []
     try:
@@ -89,6 +90,7 @@ def read_table(path: Path, joints: int) -> Table:
                     raise FileError(
                         f"{path}, line {line}: a number is not finite, or t_s does not grow: mend the row.", line=line
                     )
+                _refuse_beyond(numbers[1:], limits_deg, path, line)
                 times.append(numbers[0])
                 rows.append([math.radians(value) for value in numbers[1:]])
     except (OSError, UnicodeError) as error:
@@ -99,6 +101,17 @@ def read_table(path: Path, joints: int) -> Table:
     if len(rows) < 2:
         raise FileError(f"{path} has fewer than two rows: give one where the path begins and one where it ends.")
     return Table(times, rows)
+
+
+def _refuse_beyond(angles_deg: Sequence[float], limits_deg: Sequence[Limits], path: Path, line: int) -> None:
+    for joint, (angle, (low, high)) in enumerate(zip(angles_deg, limits_deg, strict=True), 1):
+        if (low is not None and angle < low) or (high is not None and angle > high):
+            span = f"{'open' if low is None else f'{low:g}'} to {'open' if high is None else f'{high:g}'} deg"
+            raise FileError(
+                f"{path}, line {line}: q{joint}_deg is {angle:g}, beyond the limits of joint {joint} ({span}): mend the row, "
+                "or the limits of the robot.",
+                line=line,
+            )
 
 
 def _number(row: Mapping[str, str | None], name: str, place: str, names: Sequence[str], line: int) -> float:
@@ -231,17 +244,18 @@ def smooth(share: float) -> float:
     return share**3 * (10.0 + share * (6.0 * share - 15.0))
 
 
-def planned(path: Path | None, port: int | None, joints: int) -> Plan:
-    """Make the plan of a bridge: of a file, or of a UDP port of this machine.
+def planned(path: Path | None, port: int | None, limits_deg: Sequence[Limits]) -> Plan:
+    """Make the plan of a bridge: of a file, or of a UDP port of this machine; ``limits_deg`` of each joint.
 
     Raises:
+        FileError: the file is no path of this robot.
         UsageError: both or none is given, or the port cannot be had.
 
     """
     if (path is None) == (port is None):
         raise UsageError("Say where setpoints come from: --path FILE, or --setpoints-port PORT.")
     if path is not None:
-        return read_table(path, joints)
+        return read_table(path, limits_deg)
     assert port is not None
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -250,4 +264,4 @@ def planned(path: Path | None, port: int | None, joints: int) -> Plan:
         udp.close()
         remedy = "name one that no other program listens on (--setpoints-port)"
         raise UsageError(f"UDP port {port} cannot be had for setpoints: {error}: {remedy}.") from error
-    return Heard(udp, joints)
+    return Heard(udp, len(limits_deg))

@@ -12,6 +12,9 @@ from kilter_client.errors import ConflictError, KilterError, NotFoundError
 FORM = "corrector"
 
 
+Limits = tuple[float | None, float | None]  # of a joint; None where it is not stated
+
+
 @dataclass(frozen=True)
 class Followed:
     """The number of the version that the bridge was told last, hexadecimal; or why it was told to stop."""
@@ -28,6 +31,7 @@ class Found:
     version_id: str
     number: str
     kinds: tuple[str, ...]
+    limits_deg: tuple[Limits, ...]
 
 
 def first(robot: str, version: str | None, force: bool) -> Found:
@@ -53,7 +57,9 @@ def first(robot: str, version: str | None, force: bool) -> Found:
         if version is not None and found["retired_at"] is not None:
             raise ConflictError(f"Version {found['id']} is retired: restore it, or name another.", robot=robot)
         program = kilter.versions.export(found["id"], FORM)
-    return Found(program, found["id"], _number(found), tuple(joint["kind"] for joint in arm["joints"]))
+    kinds = tuple(joint["kind"] for joint in arm["joints"])
+    limits = tuple((*(joint.get("limits_deg") or (None, None)),) for joint in arm["joints"])
+    return Found(program, found["id"], _number(found), kinds, limits)
 
 
 def objection(arm: dict[str, Any], force: bool) -> tuple[str, str] | None:

@@ -127,7 +127,7 @@ def egm(
     running = _needed()
     start = running.prepared(robot, "egm", version, force, as_json, publish)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
-    plan = planned(path, setpoints_port, start.joints)
+    plan = planned(path, setpoints_port, start.found.limits_deg)
     setpoints = Setpoints(plan, math.radians(speed_deg_s), bounds.cycle_s)
     wire = EgmWire(running.axes_of(signs, start.joints, EGM_AXES), setpoints)
     emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
@@ -162,7 +162,7 @@ def fci(
     running = _needed()
     start = running.prepared(robot, "fci", version, force, as_json, publish)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, 1000.0 * FCI_CYCLE_S, 0.0)
-    setpoints = Setpoints(planned(path, None, start.joints), math.radians(speed_deg_s), FCI_CYCLE_S)
+    setpoints = Setpoints(planned(path, None, start.found.limits_deg), math.radians(speed_deg_s), FCI_CYCLE_S)
     emit(running.move_by_fci(start, setpoints, bounds, address, realtime), as_json, _show)
 
 
