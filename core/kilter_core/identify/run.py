@@ -22,6 +22,7 @@ from kilter_core.identify.folds import continues, cross_validated, in_fitted_fra
 from kilter_core.identify.gauges import gauges
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.identifiability import NullDirection, null_directions
+from kilter_core.identify.identifiable_sums import Known
 from kilter_core.identify.influence import influence_of
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
@@ -67,7 +68,6 @@ from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 Validation = Observations | float | Folds | None
 HeldOut = tuple[dict[str, Errors], PoseErrors | None, RowErrors | None, KindErrors]
 NOTHING_HELD: HeldOut = ({}, None, None, {})
-
 INFLUENCE_ROWS = 500
 
 
@@ -133,7 +133,7 @@ class Identification:
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
             "scale": {"point_mm": mm(self.scale[0]), "turn_deg": float(degrees(self.scale[1]))},
             "set_aside": self.set_aside,
-            "null_directions": null_rows(self.null_directions),
+            "null_directions": null_rows(self.null_directions, Known.of_fit(self.calibration, self.fit)),
             "metrics": self.metrics,
             "noise_mm": None if by_views else mm(self.noise_m),
             "noise_source": None if by_views else self.noise_source,

@@ -119,12 +119,32 @@ class Member(Stored):
     weight: float = Field(description="Its part, -1 to 1, by what it alone would do to the measurements.")
 
 
+class Term(Stored):
+    """A parameter's part in a sum."""
+
+    name: str = Field(description="Name of the parameter.")
+    coefficient: float = Field(description="What it is multiplied by, each in its own unit.")
+
+
+class IdentifiableSum(Stored):
+    """A sum of parameters that the data know where they do not tell its members."""
+
+    parameters: list[Term] = Field(description="Its terms.")
+    value: float = Field(description="Value of the sum.")
+    unit: str = Field(description="Unit of the numbers: that of the first parameter.")
+    sigma: float = Field(description="Standard deviation.")
+    lower: float = Field(description="Lower end of the 95 % interval.")
+    upper: float = Field(description="Upper end of the 95 % interval.")
+    sentence: str = Field(description="The same in words.")
+
+
 class NullDirection(Stored):
     """A combination of parameters that the data cannot tell."""
 
     parameters: list[Member] = Field(description="Its members, the largest first.")
     structural: bool | None = Field(None, description="Whether no pose at all could tell it.")
     sentence: str | None = Field(None, description="The same in words.")
+    sums: list[IdentifiableSum] = Field([], description="Sums of its members that the data do know.")
 
 
 class OddMass(Stored):

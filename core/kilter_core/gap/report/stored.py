@@ -16,6 +16,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.identify.fleet.said import resting_on
 from kilter_core.identify.identifiability import identifiable, null_directions
+from kilter_core.identify.identifiable_sums import Known
 from kilter_core.identify.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
@@ -58,7 +59,10 @@ class Stored:
     def null_directions(self) -> list[dict[str, Any]]:
         """What the poses cannot distinguish, as an identification says it."""
         found = self.posterior
-        return [] if found.J is None else null_rows(null_directions(found.J, found.names, found.prior_sigma))
+        if found.J is None:
+            return []
+        known = Known.of(self.calibration, found.names, found.covariance, found.prior_sigma)
+        return null_rows(null_directions(found.J, found.names, found.prior_sigma), known)
 
     def alike(self) -> Iterator[dict[str, Any]]:
         """Warn of poses too alike to know the tool elsewhere, as an identification does."""
