@@ -9,6 +9,7 @@ from pydantic import Field
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.fleet_priors import PriorUsed
+from kilter_service.contract.identifiable_sums import IdentifiableSum
 from kilter_service.contract.units import Deg, Metres, Mm, Stored
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
@@ -117,25 +118,6 @@ class Member(Stored):
 
     name: str = Field(description="Name of the parameter.")
     weight: float = Field(description="Its part, -1 to 1, by what it alone would do to the measurements.")
-
-
-class Term(Stored):
-    """A parameter's part in a sum."""
-
-    name: str = Field(description="Name of the parameter.")
-    coefficient: float = Field(description="What it is multiplied by, each in its own unit.")
-
-
-class IdentifiableSum(Stored):
-    """A sum of parameters that the data know where they do not tell its members."""
-
-    parameters: list[Term] = Field(description="Its terms.")
-    value: float = Field(description="Value of the sum.")
-    unit: str = Field(description="Unit of the numbers: that of the first parameter.")
-    sigma: float = Field(description="Standard deviation.")
-    lower: float = Field(description="Lower end of the 95 % interval.")
-    upper: float = Field(description="Upper end of the 95 % interval.")
-    sentence: str = Field(description="The same in words.")
 
 
 class NullDirection(Stored):
