@@ -7,7 +7,7 @@ Searle 1971, Linear Models, 5.4).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +15,6 @@ import numpy as np
 from scipy.linalg import null_space
 
 from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
-from kilter_core.identify.least_squares import Fit
-from kilter_core.model import Calibration
-from kilter_core.parameters import reported
 from kilter_core.types import Floats
 
 NORMAL = 1.96  # standard deviations of a 95 % interval
@@ -29,27 +26,14 @@ FRAMES = ("base_", "tool_")  # where these are put is a convention, and their an
 class Known:
     """What a fit says of its free parameters ``names``: ``values (F,)``, ``covariance (F, F)`` and ``prior_sigma (F,)``, SI.
 
-    ``units`` are those of SI.
+    ``units`` are those of reports, each with how many of it one SI unit is.
     """
 
     names: Sequence[str]
     values: Floats
-    units: Sequence[str]
+    units: Sequence[tuple[str, float]]
     covariance: Floats
     prior_sigma: Floats
-
-    @staticmethod
-    def of(calibration: Calibration, names: Sequence[str], covariance: Floats, prior_sigma: Floats) -> Known:
-        """Of the parameters ``names`` of a calibration."""
-        every = dict(zip(calibration.names, calibration.values, strict=True))
-        values = np.array([float(every.get(name, np.nan)) for name in names])
-        units = [calibration.model.parameter(name).unit for name in names]
-        return Known(names, values, units, covariance, prior_sigma)
-
-    @staticmethod
-    def of_fit(calibration: Calibration, fit: Fit) -> Known:
-        """Of all that a fit that led to a calibration had free."""
-        return Known.of(calibration, fit.names, fit.covariance, fit.problem.prior_sigma)
 
     def sums(self, directions: Sequence[NullDirection]) -> list[list[dict[str, Any]]]:
         """Sums that the directions leave as they are, if the data know them; each stands at the last it has to do with.
@@ -78,16 +62,23 @@ class Known:
         value, prior = float(g @ self.values[at]), float(np.linalg.norm(g * self.prior_sigma[at]))
         if len(names) < 2 or not np.isfinite(value) or not identifiable(np.array([sigma]), np.array([prior]))[0]:
             return
-        unit, scale = reported(self.units[at[0]])
-        coefficients = [float(x) * scale / reported(self.units[k])[1] for x, k in zip(g, at, strict=True)]
+        unit, scale = self.units[at[0]]
+        coefficients = [float(x) * scale / self.units[k][1] for x, k in zip(g, at, strict=True)]
         value, sigma = value * scale, sigma * scale
         lower, upper = value - NORMAL * sigma, value + NORMAL * sigma
+        said = _as_sure_as(sigma)
         terms = " ".join(_term(name, x) for name, x in zip(names, coefficients, strict=True)).removeprefix("+ ")
         yield {
             "parameters": [{"name": n, "coefficient": x} for n, x in zip(names, coefficients, strict=True)],
             "value": value, "unit": unit, "sigma": sigma, "lower": lower, "upper": upper,
-            "sentence": f"Together they are known: {terms} = {value:.4g} {unit} (95 %: {lower:.4g} to {upper:.4g}).",
+            "sentence": f"Together they are known: {terms} = {said(value)} {unit} (95 %: {said(lower)} to {said(upper)}).",
         }  # fmt: skip
+
+
+def _as_sure_as(sigma: float) -> Callable[[float], str]:
+    """How to write numbers of which a standard deviation is known: with its first two digits."""
+    places = max(0, 1 - int(np.floor(np.log10(max(sigma, 1e-12)))))
+    return lambda value: f"{value:.{places}f}"
 
 
 def _term(name: str, coefficient: float) -> str:

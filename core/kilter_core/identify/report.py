@@ -74,6 +74,19 @@ def _change(name: str, change: float) -> float:
     return math.remainder(change, 2.0 * math.pi) if turns else change
 
 
+def known_of(calibration: Calibration, names: Sequence[str], covariance: Floats, prior_sigma: Floats) -> Known:
+    """What is known of the free parameters ``names`` of a calibration, for the sums of :func:`null_rows`."""
+    every = dict(zip(calibration.names, calibration.values, strict=True))
+    values = np.array([float(every.get(name, np.nan)) for name in names])
+    units = [reported(calibration.model.parameter(name).unit) for name in names]
+    return Known(names, values, units, covariance, prior_sigma)
+
+
+def known_of_fit(calibration: Calibration, fit: Fit) -> Known:
+    """The same of all that was free in the fit of a calibration."""
+    return known_of(calibration, fit.names, fit.covariance, fit.problem.prior_sigma)
+
+
 def null_rows(directions: Sequence[NullDirection], known: Known) -> list[dict[str, Any]]:
     """Directions that the data cannot tell, in words and by their members, with the sums of members that they do know."""
     rows = []

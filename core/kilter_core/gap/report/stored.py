@@ -16,11 +16,10 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.identify.fleet.said import resting_on
 from kilter_core.identify.identifiability import identifiable, null_directions
-from kilter_core.identify.identifiable_sums import Known
 from kilter_core.identify.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
-from kilter_core.identify.report import null_rows, rows_of, unobservable_names
+from kilter_core.identify.report import known_of, null_rows, rows_of, unobservable_names
 from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_rows
@@ -61,7 +60,7 @@ class Stored:
         found = self.posterior
         if found.J is None:
             return []
-        known = Known.of(self.calibration, found.names, found.covariance, found.prior_sigma)
+        known = known_of(self.calibration, found.names, found.covariance, found.prior_sigma)
         return null_rows(null_directions(found.J, found.names, found.prior_sigma), known)
 
     def alike(self) -> Iterator[dict[str, Any]]:
