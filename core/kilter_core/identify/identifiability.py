@@ -22,11 +22,13 @@ class NullDirection:
 
     ``weights`` compare what each parameter alone would do to the measurements, the largest being ±1: a move by these
     amounts together cancels. ``structural`` directions are blind whatever the noise; the others are only weak.
+    ``amounts`` are the members' own moves, each in its SI unit, to one scale.
     """
 
     weights: tuple[tuple[str, float], ...]
     learned: float
     structural: bool
+    amounts: tuple[float, ...] = ()
 
     def sentence(self) -> str:
         """Say the direction in words."""
@@ -52,7 +54,7 @@ def null_directions(J: Floats, names: Sequence[str], prior_sigma: Floats) -> tup
     _, s, Vt = np.linalg.svd(R, full_matrices=True)
     s = np.concatenate([s, np.zeros(len(names) - len(s))])
     structural = s <= STRUCTURAL * max(float(s[0]), 1.0)
-    out = [_direction(v, names, size, 0.0, True) for v in _own_members(Vt[structural]) * prior_sigma]
+    out = [_direction(v, names, size, 0.0, True) for v in own_members(Vt[structural]) * prior_sigma]
     learned = s**2 / (1.0 + s**2)
     weak = np.flatnonzero(~structural & (learned < WEAK))[::-1]
     for alike in _alike(s[weak]):
@@ -81,11 +83,11 @@ def _own_basis(basis: Floats) -> Floats:
     """Same row space as ``basis (K, P)``: of several directions that are seen alike, any mixture comes out of a processor."""
     if len(basis) < 2:
         return basis
-    own = _own_members(basis)
+    own = own_members(basis)
     return np.asarray(own / np.linalg.norm(own, axis=1, keepdims=True))
 
 
-def _own_members(basis: Floats) -> Floats:
+def own_members(basis: Floats) -> Floats:
     """Same row space as orthonormal ``basis (K, P)``, each row with 1 at a parameter where all others have 0.
 
     Members are chosen as pivoted QR does, the longest column first; of columns of one length the first.
@@ -118,4 +120,6 @@ def _direction(v: Floats, names: Sequence[str], size: Floats, learned: float, st
         seen = v / np.max(np.abs(v))
     seen = seen / seen[_first_largest(np.abs(seen))]
     order = [i for i in _by_size(np.abs(seen)) if abs(seen[i]) >= NAMED]
-    return NullDirection(tuple((names[i], float(seen[i])) for i in order), learned, structural)
+    return NullDirection(
+        tuple((names[i], float(seen[i])) for i in order), learned, structural, tuple(float(v[i]) for i in order)
+    )

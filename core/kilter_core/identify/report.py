@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.identify.fleet.said import resting
 from kilter_core.identify.identifiability import NullDirection, identifiable
+from kilter_core.identify.identifiable_sums import Known
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.uncertainty.intervals import Intervals
@@ -73,16 +74,30 @@ def _change(name: str, change: float) -> float:
     return math.remainder(change, 2.0 * math.pi) if turns else change
 
 
-def null_rows(directions: Sequence[NullDirection]) -> list[dict[str, Any]]:
-    """Directions that the data cannot tell, in words and by their members."""
-    return [
-        {
+def known_of(calibration: Calibration, names: Sequence[str], covariance: Floats, prior_sigma: Floats) -> Known:
+    """What is known of the free parameters ``names`` of a calibration, for the sums of :func:`null_rows`."""
+    every = dict(zip(calibration.names, calibration.values, strict=True))
+    values = np.array([float(every.get(name, np.nan)) for name in names])
+    units = [reported(calibration.model.parameter(name).unit) for name in names]
+    return Known(names, values, units, covariance, prior_sigma)
+
+
+def known_of_fit(calibration: Calibration, fit: Fit) -> Known:
+    """The same of all that was free in the fit of a calibration."""
+    return known_of(calibration, fit.names, fit.covariance, fit.problem.prior_sigma)
+
+
+def null_rows(directions: Sequence[NullDirection], known: Known) -> list[dict[str, Any]]:
+    """Directions that the data cannot tell, in words and by their members, with the sums of members that they do know."""
+    rows = []
+    for d, sums in zip(directions, known.sums(directions), strict=True):
+        rows.append({
             "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
             "structural": d.structural,
-            "sentence": d.sentence(),
-        }
-        for d in directions
-    ]
+            "sums": sums,
+            "sentence": " ".join([d.sentence(), *(one["sentence"] for one in sums)]),
+        })  # fmt: skip
+    return rows
 
 
 def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dict[str, Any]]:

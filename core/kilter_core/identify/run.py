@@ -39,7 +39,7 @@ from kilter_core.identify.plausibility.flat_boards import bent_boards
 from kilter_core.identify.plausibility.timing import bad_timing
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
-from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
+from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
@@ -67,7 +67,6 @@ from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 Validation = Observations | float | Folds | None
 HeldOut = tuple[dict[str, Errors], PoseErrors | None, RowErrors | None, KindErrors]
 NOTHING_HELD: HeldOut = ({}, None, None, {})
-
 INFLUENCE_ROWS = 500
 
 
@@ -133,7 +132,7 @@ class Identification:
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
             "scale": {"point_mm": mm(self.scale[0]), "turn_deg": float(degrees(self.scale[1]))},
             "set_aside": self.set_aside,
-            "null_directions": null_rows(self.null_directions),
+            "null_directions": null_rows(self.null_directions, known_of_fit(self.calibration, self.fit)),
             "metrics": self.metrics,
             "noise_mm": None if by_views else mm(self.noise_m),
             "noise_source": None if by_views else self.noise_source,

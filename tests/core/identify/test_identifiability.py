@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.identify import identify
 from kilter_core.identify.identifiability import identifiable, null_directions
+from kilter_core.identify.identifiable_sums import Known
+from kilter_core.observations import Observations
+from tests.core.soft_arm import scene
 
 NAMES = ("a", "b", "c", "d")
 
@@ -56,3 +63,88 @@ def test_fewer_rows_than_parameters_leave_the_rest_blind() -> None:
 
 def test_identifiable_means_three_quarters_of_the_prior_variance_gone() -> None:
     assert identifiable(np.array([0.1, 0.49, 0.51, 1.0]), np.ones(4)).tolist() == [True, True, False, False]
+
+
+def test_what_aliases_do_together_is_known_as_least_squares_says() -> None:
+    """Two parameters in different units that act as one, and a third; numpy solves for the sum alone."""
+    rng = np.random.default_rng(5)
+    J = jacobian(rng)
+    J[:, 1] = -2.5 * J[:, 0]
+    J[:, 2] = 0.0
+    truth, prior = np.array([3e-3, 1e-3, 0.0, -2e-3]), np.full(4, 1e-2)
+    y = J @ truth + rng.normal(size=50)
+    covariance = np.linalg.inv(J.T @ J + np.diag(prior**-2))
+    values = covariance @ (J.T @ y)
+    known = Known(NAMES, values, [("mm", 1e3)] * 4, covariance, prior)
+    directions = null_directions(J, NAMES, prior)
+    (found,) = [one for own in known.sums(directions) for one in own]
+    own, *_ = np.linalg.lstsq(np.c_[J[:, 0], J[:, 3]], y, rcond=None)
+    terms = {one["name"]: one["coefficient"] for one in found["parameters"]}
+    assert set(terms) == {"a", "b"}
+    assert terms["b"] / terms["a"] == pytest.approx(-2.5)
+    assert found["value"] / terms["a"] == pytest.approx(1e3 * own[0], rel=1e-3)
+    inverse = np.linalg.inv(np.c_[J[:, 0], J[:, 3]].T @ np.c_[J[:, 0], J[:, 3]])
+    assert found["sigma"] / abs(terms["a"]) == pytest.approx(1e3 * np.sqrt(inverse[0, 0]), rel=1e-3)
+    assert found["upper"] - found["lower"] == pytest.approx(2 * 1.96 * found["sigma"])
+    assert found["unit"] == "mm"
+    assert found["sentence"].startswith("Together they are known: ")
+
+
+def test_no_sum_is_told_of_frames_or_where_another_direction_hides_it() -> None:
+    J = jacobian(np.random.default_rng(6))
+    J[:, 1] = J[:, 0]
+    prior = np.full(4, 1e-2)
+    names = ("d_6", "tool_z", "c", "d")
+    covariance = np.linalg.inv(J.T @ J + np.diag(prior**-2))
+    known = Known(names, np.ones(4), [("mm", 1e3)] * 4, covariance, prior)
+    assert known.sums(null_directions(J, names, prior)) == [[]]
+    J[:, 0] = J[:, 1] = 0.0
+    wide = replace(known, names=NAMES, covariance=np.diag(prior**2))
+    (direction,) = null_directions(np.c_[J[:, 2], J[:, 2], J[:, 3]], NAMES[:3], prior[:3])
+    assert wide.sums([direction]) == [[]]
+
+
+def test_of_three_that_act_as_one_their_sum_is_known() -> None:
+    """As the distances along three parallel axes do."""
+    J = jacobian(np.random.default_rng(7))
+    J[:, 1] = J[:, 2] = J[:, 0]
+    prior = np.full(4, 1e-2)
+    covariance = np.linalg.inv(J.T @ J + np.diag(prior**-2))
+    known = Known(
+        NAMES, covariance @ J.T @ (J @ np.array([1e-3, 2e-3, 3e-3, 0.0])), [("mm", 1e3)] * 4, covariance, prior
+    )
+    directions = null_directions(J, NAMES, prior)
+    assert len(directions) == 2
+    (found,) = [one for own in known.sums(directions) for one in own]
+    assert [one["coefficient"] for one in found["parameters"]] == pytest.approx([1.0, 1.0, 1.0])
+    assert found["value"] == pytest.approx(6.0, abs=1e-4)
+    assert found["sentence"].startswith("Together they are known: a + b + c = 6.0")
+
+
+def test_of_parallel_axes_the_sum_of_distances_is_known() -> None:
+    """A UR10 by its Denavit-Hartenberg rows in plain numpy: 1 mm in all along joints 2 to 4, which nobody can divide."""
+    half = np.pi / 2
+    rows = [
+        (0.1273, 0, half),
+        (3e-4, -0.612, 0),
+        (5e-4, -0.5723, 0),
+        (0.164141, 0, half),
+        (0.1157, 0, -half),
+        (0.0922, 0, 0),
+    ]
+    rng = np.random.default_rng(1)
+    q, position = rng.uniform(-2.0, 2.0, (60, 6)), []
+    for angles in q:
+        T = np.eye(4)
+        for angle, (d, a, alpha) in zip(angles, rows, strict=True):
+            c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
+            T = T @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+        position.append(T[:3, 3] + T[:3, :3] @ [0.05, 0.03, 0.1] + 2e-5 * rng.standard_normal(3))
+    robot = robot_from_document(scene(poses=2, again=1).drawn.document())
+    found = identify(robot, Observations(q=q, position=np.array(position))).to_document()["null_directions"]
+    (told,) = [one for direction in found for one in direction["sums"]]
+    assert [one["name"] for one in told["parameters"]] == ["d_2", "d_3", "d_4"]
+    assert [one["coefficient"] for one in told["parameters"]] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
+    assert told["value"] == pytest.approx(164.941, abs=4 * told["sigma"])
+    assert told["sigma"] < 0.02
+    assert any(told["sentence"] in direction["sentence"] for direction in found)

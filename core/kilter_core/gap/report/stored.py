@@ -19,7 +19,7 @@ from kilter_core.identify.identifiability import identifiable, null_directions
 from kilter_core.identify.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
-from kilter_core.identify.report import null_rows, rows_of, unobservable_names
+from kilter_core.identify.report import known_of, null_rows, rows_of, unobservable_names
 from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_rows
@@ -58,7 +58,10 @@ class Stored:
     def null_directions(self) -> list[dict[str, Any]]:
         """What the poses cannot distinguish, as an identification says it."""
         found = self.posterior
-        return [] if found.J is None else null_rows(null_directions(found.J, found.names, found.prior_sigma))
+        if found.J is None:
+            return []
+        known = known_of(self.calibration, found.names, found.covariance, found.prior_sigma)
+        return null_rows(null_directions(found.J, found.names, found.prior_sigma), known)
 
     def alike(self) -> Iterator[dict[str, Any]]:
         """Warn of poses too alike to know the tool elsewhere, as an identification does."""

@@ -102,6 +102,36 @@ class Parameter(ShownParameter, Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Term(Record):
+    """A parameter's part in a sum."""
+
+    coefficient: float
+    """What it is multiplied by, each in its own unit."""
+    name: str
+    """Name of the parameter."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifiableSum(Record):
+    """A sum of parameters that the data know where they do not tell its members."""
+
+    lower: float
+    """Lower end of the 95 % interval."""
+    parameters: Records[Term]
+    """Its terms."""
+    sentence: str
+    """The same in words."""
+    sigma: float
+    """Standard deviation."""
+    unit: str
+    """Unit of the numbers: that of the first parameter."""
+    upper: float
+    """Upper end of the 95 % interval."""
+    value: float
+    """Value of the sum."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Member(Record):
     """A parameter's part in a direction."""
 
@@ -121,6 +151,8 @@ class NullDirection(Record):
     """The same in words."""
     structural: bool | None
     """Whether no pose at all could tell it."""
+    sums: Records[IdentifiableSum]
+    """Sums of its members that the data do know."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
