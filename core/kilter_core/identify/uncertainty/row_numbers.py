@@ -41,8 +41,9 @@ class RowNumbers:
             start += each
             told = ~np.isnan(block.r).reshape(rows, -1)
             part = RowNumbers(A[:, own], r[:, own], L[:, own], told.mean(axis=0))
-            whole = isinstance(block.slopes, Spanned) and each == told.shape[1]
-            parts.append(part.followed(block.slopes.span, root, told) if whole else part)
+            if isinstance(block.slopes, Spanned) and each == told.shape[1]:  # not shortened yet
+                part = part.followed(block.slopes.span, root, told)
+            parts.append(part)
         return RowNumbers(
             np.concatenate([p.A for p in parts], axis=1), np.concatenate([p.r for p in parts], axis=1),
             np.concatenate([p.L for p in parts], axis=1), np.concatenate([p.said for p in parts]),
