@@ -201,6 +201,10 @@ class Problem(LeastSquares[Linearised]):
         """Whitened blocks (V, k, w), zero where nothing was measured."""
         return [self.weights.whitening(block.group).residual(block.r) for block in residual.blocks]
 
+    def roots(self, residual: Residual) -> list[Floats | None]:
+        """Roots of the weights (V, k, 1) that the loss gives what is left in each block, None where all are one."""
+        return self._roots(self._over_sigma(residual), _weight_root)
+
     def _roots(self, scaled: list[Floats], root: Callable[[Floats], Floats]) -> list[Floats | None]:
         """Roots of the weights (V, k, 1) of each block, None where all are one."""
         if self.loss == "tukey" and self.weights.rows is not None:

@@ -17,11 +17,12 @@ import numpy as np
 import scipy.stats
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit
+from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit, freedom_by_group
 from kilter_core.identify.problem import HOLD
 from kilter_core.identify.robust import Loss, tukey_limit
 from kilter_core.identify.tukey import dimension_of, row_sizes
-from kilter_core.identify.uncertainty.settling import levers, scatter_of_poses
+from kilter_core.identify.uncertainty.row_numbers import RowNumbers
+from kilter_core.identify.uncertainty.settling import scatter_of_poses
 from kilter_core.types import Floats, Ints
 
 NORMAL = float(scipy.stats.norm.ppf(0.975))
@@ -44,9 +45,10 @@ def clustered(fit: Fit) -> Fit:
     groups = problem.measurement.observations.pose_groups()
     if not problem.measurement.observes_places:
         return fit
-    A, r = problem.by_row(problem.linearised(fit.values, fit.residual))
-    if len(fit.J) > A.shape[0] * A.shape[1]:
+    if len(fit.J) > sum(problem.numbers_of(block) for block in fit.residual.blocks):
         return fit  # a filter goes on from what it knew, and takes the noise it is given
+    each = RowNumbers.of(fit)
+    A, r = each.A, each.r
     total = products(A, A)
     eye, known = np.eye(len(total)), problem.prior_information()
     held = eye[:0] if problem.held is None else problem.held
@@ -56,11 +58,11 @@ def clustered(fit: Fit) -> Fit:
     numbers = problem.measurement.numbers()
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     weighed = problem.measurement.observations.pose_weight is not None
-    shared = total if weighed else _shared(A, r, levers(fit), groups, numbers / left, _seen(fit))
+    shared = total if weighed else _shared(A, r, each.L, groups, numbers / left, _seen(fit, each.said))
     meat = mixed(shared, *scores_by_pose(A, r, groups, bread))
     around = sandwich(H, meat, H - bend * total, known)
     scale = as_normal(problem.prior_sigma, left)
-    return replace(fit, covariance=around * np.outer(scale, scale), freedom=left)
+    return replace(fit, covariance=around * np.outer(scale, scale) + _of_few(fit, left), freedom=left)
 
 
 def sandwich(H: Floats, meat: Floats, rest: Floats, known: Floats) -> Floats:
@@ -82,6 +84,22 @@ def as_normal(sigma: Floats, freedom: float) -> Floats:
     return np.asarray(sigma * float(scipy.stats.t.ppf(0.975, freedom)) / NORMAL)
 
 
+def _of_few(fit: Fit, left: float) -> Floats:
+    """What is added (F, F) because the noise of a kind is known by fewer numbers than ``left``, those of all kinds together.
+
+    Where a tracker's frame stands a dozen points say, whose noise is known by what they leave, and not by all corners beside.
+    It is added as the noise of the kind goes into the parameters: scaled one by one these would no longer cancel each other.
+    """
+    apart, start, more = freedom_by_group(fit), 0, np.zeros_like(fit.covariance)
+    for block in fit.residual.blocks if apart else ():
+        J = fit.J[start : start + fit.problem.numbers_of(block)]
+        start += len(J)
+        own, all_kinds = (float(scipy.stats.t.ppf(0.975, f)) for f in (min(apart[block.group], left), left))
+        moved = J @ fit.covariance
+        more += ((own**2 - all_kinds**2) / NORMAL**2) * moved.T @ moved
+    return more
+
+
 def bend_of(fit: Fit) -> float:
     """Mean slope of a robust loss's pull over its mean weight, by which the normal matrix is too certain (Huber 1981)."""
     if fit.problem.loss == "linear":
@@ -93,14 +111,12 @@ def bend_of(fit: Fit) -> float:
     return float(np.mean(bend) / np.mean(weight))
 
 
-def _seen(fit: Fit) -> Floats | None:
+def _seen(fit: Fit, said: Floats) -> Floats | None:
     """Root of the share of the rows (R,) that have each number, where several kinds were measured in some rows each."""
     measurement = fit.problem.measurement
     if len(measurement.kinds) == 1 and measurement.tool.measured().all():
         return None
-    rows = len(measurement.observations)
-    seen = fit.residual.by_row(np.concatenate([~np.isnan(b.r).reshape(-1) for b in fit.residual.blocks]), rows)
-    return np.asarray(np.sqrt(np.maximum(seen.mean(axis=0), 1.0 / rows)))
+    return np.asarray(np.sqrt(np.maximum(said, 1.0 / len(measurement.observations))))
 
 
 def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float, seen: Floats | None = None) -> Floats:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit, ive, logit, logsumexp
 
 from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.uncertainty.settling import levers
+from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
 from kilter_core.types import Bools, Floats, Ints
@@ -55,11 +55,10 @@ class Structure:
         rows = problem.measurement.observations
         if not problem.measurement.observes_places or len(fit.residual.points) != len(rows):
             return None
-        A, r = problem.by_row(problem.linearised(fit.values, fit.residual))
-        if len(fit.J) > r.size:
+        if len(fit.J) > sum(problem.numbers_of(block) for block in fit.residual.blocks):
             return None  # a filter goes on from what it knew
-        poses = _Poses.of(rows)
-        A, r, L = poses.mean(A), poses.mean(r), poses.mean(levers(fit))
+        poses, each = _Poses.of(rows), RowNumbers.of(fit)
+        A, r, L = poses.mean(each.A), poses.mean(each.r), poses.mean(each.L)
         of_points = np.zeros(r.shape, dtype=bool)
         of_points[:, : fit.residual.points[0].size] = True
         said = (np.abs(A).max(axis=2) > 0.0).reshape(-1)
