@@ -156,4 +156,5 @@ def triangular(A: Floats) -> Floats | None:
     if fault:
         return None
     root, fault = dtrtri(factor, lower=1)
-    return None if fault or not float(np.sum(root**2)) < SURELY / VISIBLE else np.asarray(root)
+    each = root.ravel(order="K")  # a view: a selection asks tens of thousands of times
+    return None if fault or not float(each @ each) < SURELY / VISIBLE else np.asarray(root)

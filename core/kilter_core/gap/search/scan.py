@@ -43,6 +43,11 @@ class Block:
     columns: Ints
     one_sided: Bools
 
+    @cached_property
+    def signed(self) -> bool:
+        """Whether any has a known sign."""
+        return bool(self.one_sided.any())
+
 
 @dataclass(frozen=True)
 class Scores:
@@ -110,7 +115,7 @@ class Scorer:
             half, degrees, block = self._halves(gram, n, among)
             z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
             taken = np.sum(z**2, axis=2).T
-            if block.one_sided.any():
+            if block.signed:
                 wrong = block.one_sided & (data[:, block.columns[:, 0]] < 0.0)
                 taken = np.where(wrong, 0.0, taken)
             S[:, block.place], d[block.place] = taken, degrees
