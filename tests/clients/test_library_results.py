@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import kilter_client
-from kilter_client import MissingPackageError
+from kilter_client import MissingPackageError, typed
 from kilter_client.cli.reports.results import show_result
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Record, Records
@@ -246,3 +247,11 @@ def test_the_short_name_has_everything() -> None:
     assert kilter.IdentifyResult is IdentifyResult
     with pytest.raises(AttributeError):
         kilter.Nothing  # noqa: B018
+
+
+def test_every_module_of_types_is_had_by_its_name() -> None:
+    folder = Path(typed.__path__[0])
+    assert sorted(typed.__all__) == sorted(path.stem for path in folder.glob("*.py") if path.stem != "__init__")
+    assert all(inspect.ismodule(getattr(typed, name)) for name in typed.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
+        typed.__getattr__("nonsense")

@@ -9,12 +9,8 @@ from pydantic import Field
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.fleet_priors import PriorUsed
-<<<<<<< HEAD
-from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
-=======
 from kilter_service.contract.identifiable_sums import IdentifiableSum
-from kilter_service.contract.units import Deg, Metres, Mm, Stored
->>>>>>> b30e3df23963f1dea697bd96e5cd6bde9d937d8d
+from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
 MOSTLY = 0.5  # more than half of a number is what it mostly is
