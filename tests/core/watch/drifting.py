@@ -30,23 +30,28 @@ class DriftingArm:
 
     def frames(self, q: Floats) -> list[Floats]:
         """Frames (4, 4) of the base and after each row."""
+        d, a, alpha = self.rows.T
+        c, s, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
+        steps = np.zeros((len(q), 4, 4))
+        steps[:, 0] = np.stack([c, -s * ca, s * sa, a * c], axis=1)
+        steps[:, 1] = np.stack([s, c * ca, -c * sa, a * s], axis=1)
+        steps[:, 2, 1:] = np.stack([sa, ca, d], axis=1)
+        steps[:, 3, 3] = 1.0
         out = [self.base]
-        for angle, (d, a, alpha) in zip(q, self.rows, strict=True):
-            turn, tilt = np.eye(4), np.eye(4)
-            turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-            turn[2, 3] = d
-            tilt[:3, :3] = Rotation.from_rotvec([alpha, 0.0, 0.0]).as_matrix()
-            tilt[0, 3] = a
-            out.append(out[-1] @ turn @ tilt)
+        for step in steps:
+            out.append(out[-1] @ step)
         return out
 
     def torques(self, q: Floats) -> Floats:
         """Moment (6,) of gravity about each axis, N m; where the arm is meant to be."""
-        frames = self.frames(q)
-        places = [T[:3, :3] @ c + T[:3, 3] for T, c in zip(frames[1:], self.centres, strict=True)]
+        frames = np.array(self.frames(q))
+        places = np.einsum("kij,kj->ki", frames[1:, :3, :3], self.centres) + frames[1:, :3, 3]
         forces = self.masses[:, None] * (self.base[:3, :3] @ GRAVITY)
-        own = [sum(np.cross(places[i] - T[:3, 3], forces[i]) for i in range(k, 6)) for k, T in enumerate(frames[:6])]
-        return np.array([T[:3, 2] @ moment for T, moment in zip(frames, own, strict=False)])
+        # The moment about an axis is that of all forces beyond it: those about the origin, moved there.
+        about_origin = np.cumsum(np.cross(places, forces)[::-1], axis=0)[::-1]
+        beyond = np.cumsum(forces[::-1], axis=0)[::-1]
+        moments = about_origin - np.cross(frames[:6, :3, 3], beyond)
+        return np.asarray(np.sum(frames[:6, :3, 2] * moments, axis=1))
 
     def point(self, q: Floats) -> Floats:
         """Where an instrument sees the tool point (3,) m."""
