@@ -34,7 +34,7 @@ def searched(made: Sized, effect: str) -> tuple[GapReport, Judged]:
 WIRE = {"mm": 1e3, "deg": 180.0 / np.pi}  # other units are SI
 
 
-@pytest.mark.parametrize("large", [False, True])
+@pytest.mark.parametrize("large", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_truth_is_inside_the_intervals_at_any_size(large: bool) -> None:
     inside = []
     for effect in SMALL:

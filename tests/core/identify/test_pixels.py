@@ -60,13 +60,14 @@ def test_ten_points_of_a_tracker_settle_the_scale() -> None:
     assert not [w for w in result.warnings if w["code"] == "camera_gauge"]
 
 
-def test_intervals_hold_and_follow_the_noise() -> None:
-    """Of 23 fits of 25 views 93 to 97 % of the parameters that count as known lie in their intervals; twice the noise shows."""
+@pytest.mark.parametrize(("many", "least"), [(8, 0.91), pytest.param(20, 0.93, marks=pytest.mark.slow)])
+def test_intervals_hold_and_follow_the_noise(many: int, least: float) -> None:
+    """Of fits of 25 views 93 to 97 % of the parameters that count as known lie in their intervals; twice the noise shows."""
     names = ("theta_offset_2", "theta_offset_3", "theta_offset_4", "theta_offset_5", "alpha_2", "alpha_4", "d_5", "a_3")
     scene = eye_to_hand(yielding=STIFF)
     robot = robot_from_document(scene.drawn.document())
     inside, sigma = [], {}
-    for noise_px, fits in ((0.1, 20), (0.2, 3)):
+    for noise_px, fits in ((0.1, many), (0.2, 3)):
         for seed in range(fits):
             rng = np.random.default_rng(100 + seed)
             rows = scene.observed(scene.poses(25, rng), rng, noise_px)
@@ -78,7 +79,7 @@ def test_intervals_hold_and_follow_the_noise() -> None:
                 off = found[name] - nominal[name] - ERRORS.get(name, 0.0)
                 inside.append(abs(off) <= 1.96 * known[name])
             sigma.setdefault(noise_px, []).append([known[name] for name in names])
-    assert 0.93 <= np.mean(inside) <= 0.985, np.mean(inside)
+    assert least <= np.mean(inside) <= 0.985, np.mean(inside)
     assert np.mean(sigma[0.2], axis=0) / np.mean(sigma[0.1][:3], axis=0) == pytest.approx(2.0, rel=0.25)
 
 

@@ -15,7 +15,8 @@ ARMS, NOISE_M = 25, 2e-5
 
 
 @pytest.mark.parametrize(
-    ("step_deg", "poses", "visits"), [(360.0 / 4096.0, 40, 1), (360.0 / 4096.0, 15, 3), (0.01, 40, 1)]
+    ("step_deg", "poses", "visits"),
+    [pytest.param(360.0 / 4096.0, 40, 1, marks=pytest.mark.slow), (360.0 / 4096.0, 15, 3), (0.01, 40, 1)],
 )
 def test_intervals_hold_with_readings_in_whole_steps(step_deg: float, poses: int, visits: int) -> None:
     """100 intervals of 95 %; visits of one pose share the error of their reading and are no three of them."""

@@ -52,7 +52,10 @@ def whole(scene: Scene, q: Floats) -> NDArray[np.bool_]:
     return np.asarray((~np.isnan(scene.pixels(q, scene.eyes[0], scene.sheets[0]))).all(axis=(1, 2)))
 
 
-@pytest.mark.parametrize("scene", [eye_to_hand(), eye_in_hand()], ids=["to_hand", "in_hand"])
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(eye_to_hand(), id="to_hand"), pytest.param(eye_in_hand(), id="in_hand", marks=pytest.mark.slow)],
+)
 def test_20_planned_views_tell_more_than_20_random_ones(scene: Scene) -> None:
     """Held-out tool error by the covariance and as it is, over three draws of noise."""
     start, _ = started(scene)

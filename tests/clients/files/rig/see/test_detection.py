@@ -23,6 +23,10 @@ SHOTS = [
     Shot((10, -30, 120), (-10, 5, 300), blur_px=0.8, noise=1.0, gain=0.6, lens=FISHEYE),
 ]  # a picture takes a second to be drawn
 MOST_BIAS_PX = 0.02
+KINDS_OF_BOARD = [
+    pytest.param(CHARUCO, 0.02, id="charuco"),
+    pytest.param(TAGS, 0.06, id="apriltag", marks=pytest.mark.slow),
+]
 
 
 def seen(options: tuple[str, ...], grey: Any) -> View:
@@ -33,7 +37,7 @@ def seen(options: tuple[str, ...], grey: Any) -> View:
     return view
 
 
-@pytest.mark.parametrize(("options", "scatter_px"), [(CHARUCO, 0.02), (TAGS, 0.06)], ids=["charuco", "apriltag"])
+@pytest.mark.parametrize(("options", "scatter_px"), KINDS_OF_BOARD)
 def test_corners_have_no_bias_and_are_within_their_intervals(options: tuple[str, ...], scatter_px: float) -> None:
     document = board(options)[1]
     off, pulls = [], []
