@@ -18,6 +18,7 @@ from kilter_core.identify.identifiability import NullDirection, identifiable, ow
 from kilter_core.types import Floats
 
 NORMAL = 1.96  # standard deviations of a 95 % interval
+SUREST = 1e-6  # of the unit: no more digits are written
 SMALL = 1e-6  # of a prior sigma: a coefficient that is rounding
 FRAMES = ("base_", "tool_")  # where these are put is a convention, and their angles do not add
 
@@ -54,11 +55,17 @@ class Known:
                 out[group[-1]] += self._sum(names, g / self.prior_sigma[at])
         return out
 
+    def _sigma(self, at: Sequence[int], g: Floats) -> float:
+        """Standard deviation of a sum. What the members cancel may leave less than rounding does, so roots are added."""
+        scale = self.prior_sigma[at]
+        roots, vectors = np.linalg.eigh(self.covariance[np.ix_(at, at)] / np.outer(scale, scale))
+        return float(np.linalg.norm(np.sqrt(np.clip(roots, 0.0, None)) * (vectors.T @ (g * scale))))
+
     def _sum(self, names: Sequence[str], g: Floats) -> Iterator[dict[str, Any]]:
         kept = np.flatnonzero(np.abs(g) * self.prior_sigma[[self.names.index(n) for n in names]] > SMALL)
         names, g = [names[int(k)] for k in kept], g[kept] / g[kept[0]]
         at = [self.names.index(name) for name in names]
-        sigma = float(np.sqrt(g @ self.covariance[np.ix_(at, at)] @ g))
+        sigma = self._sigma(at, g)
         value, prior = float(g @ self.values[at]), float(np.linalg.norm(g * self.prior_sigma[at]))
         if len(names) < 2 or not np.isfinite(value) or not identifiable(np.array([sigma]), np.array([prior]))[0]:
             return
@@ -77,7 +84,7 @@ class Known:
 
 def _as_sure_as(sigma: float) -> Callable[[float], str]:
     """How to write numbers of which a standard deviation is known: with its first two digits."""
-    places = max(0, 1 - int(np.floor(np.log10(max(sigma, 1e-12)))))
+    places = max(0, 1 - int(np.floor(np.log10(max(sigma, SUREST)))))
     return lambda value: f"{value:.{places}f}"
 
 

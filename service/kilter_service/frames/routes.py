@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from kilter_service.contract.frames import Frame, NewFrame
-from kilter_service.frames.service import found
+from kilter_service.frames import service
 from kilter_service.routing import GuardedRoute
 
 router = APIRouter(prefix="/v1/frames", tags=["frames"], route_class=GuardedRoute)
@@ -14,4 +14,4 @@ router = APIRouter(prefix="/v1/frames", tags=["frames"], route_class=GuardedRout
 @router.post("")
 def make(frame: NewFrame) -> Frame:
     """Find a frame from digitised points: known points measured again, or a plane, a line in it and an origin."""
-    return found(frame)
+    return service.found(frame)

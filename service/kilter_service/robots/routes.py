@@ -18,10 +18,9 @@ from kilter_service.contract.robots import RobotDocument, Target
 from kilter_service.contract.units import MAX_JOINTS, Name
 from kilter_service.limits import MAX_CIRCLE_MB
 from kilter_service.page_query import PageOfList
-from kilter_service.robots import nominal, service
-from kilter_service.robots.check import check as checked
-from kilter_service.robots.circles import found_robot
-from kilter_service.robots.convert import convert as converted
+from kilter_service.robots import check as checks
+from kilter_service.robots import circles, nominal, service
+from kilter_service.robots import convert as conversions
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 from kilter_service.tables import reading
@@ -49,13 +48,13 @@ def add(document: RobotDocument, response: Response, database: DatabaseOfApp, _:
 @router.post("/check")
 def check(document: RobotDocument) -> RobotCheck:
     """Say what a document comes to, without adding it: axes, the arm at zero, reach, and what looks wrong."""
-    return checked(document)
+    return checks.check(document)
 
 
 @router.post("/convert", response_model_exclude_none=True)
 def convert(document: RobotDocument, to: Target) -> RobotDocument:
     """Write a document in another convention, without adding it: the same poses at the same joint readings."""
-    return DOCUMENT.validate_python(converted(document, to))
+    return DOCUMENT.validate_python(conversions.convert(document, to))
 
 
 @router.post(
@@ -80,7 +79,7 @@ async def from_circles(
 
 
 def _found(path: Path, media: str, name: str, to: Target, base: str, follows: list[str]) -> FoundRobot:
-    return found_robot(path, media, name, to, base, follows)
+    return circles.found_robot(path, media, name, to, base, follows)
 
 
 @router.get("")

@@ -64,9 +64,9 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     assert "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
     assert "nobody" in command.json("kit", "nobody", code=1)["detail"]
     assert "no views of this arm yet" in page("so100")
-    kilter.robots.add({"name": "few", "convention": "preset", "preset": "so101"})
-    command("upload", "few", rows, "--cameras", rig)
-    page_of_few = page("few")
+    kilter.robots.add({"name": "kit-few", "convention": "preset", "preset": "so101"})
+    command("upload", "kit-few", rows, "--cameras", rig)
+    page_of_few = page("kit-few")
     assert f"{len(one_sided)} views of " in page_of_few
     for line in missing.split("\n"):
         assert line in page_of_few

@@ -121,6 +121,20 @@ def test_of_three_that_act_as_one_their_sum_is_known() -> None:
     assert found["sentence"].startswith("Together they are known: a + b + c = 6.0")
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sum_that_is_known_better_than_rounding_shows_still_has_a_number(seed: int) -> None:
+    """Exact measurements: what the members cancel is below the rounding of their variances, and may come out negative."""
+    J = 1e7 * jacobian(np.random.default_rng(seed))
+    J[:, 1] = -2.5 * J[:, 0]
+    prior = np.array([1e-2, 3e-3, 1e-2, 1e-2])
+    rounded = np.linalg.inv(J.T @ J + np.diag(prior**-2))
+    rounded[:2, :2] -= 1e-16 * np.outer(prior[:2], prior[:2])
+    known = Known(NAMES, np.ones(4), [("mm", 1e3)] * 4, rounded, prior)
+    for one in (one for own in known.sums(null_directions(J, NAMES, prior)) for one in own):
+        assert 0.0 <= one["sigma"] < 1e-3
+        assert len(one["sentence"]) < 120
+
+
 def test_of_parallel_axes_the_sum_of_distances_is_known() -> None:
     """A UR10 by its Denavit-Hartenberg rows in plain numpy: 1 mm in all along joints 2 to 4, which nobody can divide."""
     half = np.pi / 2

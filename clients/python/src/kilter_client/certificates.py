@@ -9,11 +9,17 @@ from __future__ import annotations
 import base64
 import json
 import socket
-import ssl
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from kilter_files.ground.later import Later
+
+if TYPE_CHECKING:
+    import ssl
+else:
+    ssl = Later("ssl")
 
 PATIENCE_S, ALERT_S = 3.0, 1.0
 EXPIRED, NOT_YET, OTHER_NAMES = 10, 9, (62, 64)  # X509_V_ERR_… of OpenSSL

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +19,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
+from kilter_service.wire import to_deg
 
 NEWEST = Page(limit=20)
 CORNER = "u1_px"  # a column that only views have
@@ -83,7 +83,7 @@ def _views(database: Database, campaign: Campaign, joints: int) -> Iterator[cove
         if name in table.column_names:
             columns[name] = table[name].to_pylist()
         elif in_rad in table.column_names:
-            columns[name] = [None if value is None else math.degrees(value) for value in table[in_rad].to_pylist()]
+            columns[name] = [None if value is None else to_deg(value) for value in table[in_rad].to_pylist()]
     for k in range(table.num_rows):
         yield {name: values[k] for name, values in columns.items()}
 

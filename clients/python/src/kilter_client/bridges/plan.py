@@ -248,7 +248,7 @@ def planned(path: Path | None, port: int | None, limits_deg: Sequence[Limits]) -
     """Make the plan of a bridge: of a file, or of a UDP port of this machine; ``limits_deg`` of each joint.
 
     Raises:
-        FileError: the file is no path of this robot.
+        FileError: the file is not a path of this robot.
         UsageError: both or none is given, or the port cannot be had.
 
     """
