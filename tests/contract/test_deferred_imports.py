@@ -71,3 +71,29 @@ def test_what_a_gate_hands_out_is_what_the_types_are_checked_against(name: str) 
         one: getattr(gate, one)._name for one in gate.__all__
     }
     assert all(isinstance(it, ModuleType) for it in found.values())
+
+
+HANDED_OUT = re.compile(r'^    (\w+) = Later\("([\w.]+)"\)$', re.MULTILINE)
+
+
+def test_what_a_module_loads_later_is_what_its_types_are_checked_against() -> None:
+    """Also where a module has such names for itself only."""
+    wrong, found = [], 0
+    for path in [path for folder in PRODUCT for path in (REPOSITORY / folder).rglob("*.py")]:
+        text = path.read_text(encoding="utf-8")
+        later = dict(HANDED_OUT.findall(text))
+        if not later:
+            continue
+        (checked,) = [
+            n for n in ast.parse(text).body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"
+        ]
+        named = {
+            one.asname or one.name: f"{node.module}.{one.name}" if isinstance(node, ast.ImportFrom) else one.name
+            for node in checked.body
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for one in node.names
+        }
+        found += len(later)
+        wrong += [f"{path.name}: {name}" for name, module in later.items() if named.get(name) != module]
+    assert found > 100
+    assert wrong == []

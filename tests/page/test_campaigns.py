@@ -21,7 +21,8 @@ from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
 from kilter_service.db.tables import JobRow, RobotRow
-from kilter_service.page.campaign.series import Kept, thinned
+from kilter_service.page.campaign.series import thinned
+from kilter_service.recent import Recent
 from kilter_service.settings import Settings
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
@@ -126,10 +127,10 @@ def test_no_extreme_is_lost(count: int) -> None:
 
 
 def test_columns_that_are_kept_are_bounded() -> None:
-    kept = Kept(most=3 * 800)
+    kept = Recent[np.ndarray](3 * 800, lambda column: column.nbytes)
     for k in range(20):
         assert kept.get((str(k),), lambda k=k: np.full(100, float(k)))[0] == k
-    assert len(kept._columns) == 3
+    assert len(kept._kept) == 3
     assert kept.get(("19",), lambda: pytest.fail("it was kept"))[0] == 19
 
 

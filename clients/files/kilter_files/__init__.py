@@ -50,7 +50,6 @@ def __getattr__(name: str) -> Any:
     """``DEVICES``: the reader of each device's files, by name, gathered from the readers when it is asked for."""
     if name != "DEVICES":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
     return {name: one.read for name, one in registry.readers_for(reader.DEVICE).items()}
 
 

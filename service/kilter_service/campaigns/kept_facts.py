@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -11,14 +9,14 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.db import Database
+from kilter_service.recent import Recent
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts
     from kilter_service.campaigns.looking import Rows
 
 MOST_FACTS = 24
-_facts: OrderedDict[tuple[str, ...], Facts] = OrderedDict()
-_lock = threading.Lock()
+_facts = Recent["Facts"](MOST_FACTS)
 
 
 def key_of(campaign: Campaign) -> tuple[str, ...]:
@@ -33,17 +31,12 @@ def facts_of(database: Database, campaign: Campaign, reading: Callable[[Rows], N
         ObservationError: nothing was uploaded yet. ServiceError: no such campaign, or parts of it are missing.
 
     """
-    key = key_of(campaign)
-    with _lock:
-        if key in _facts:
-            _facts.move_to_end(key)
-            return _facts[key]
-    rows = looking.stored(database, campaign.id)
-    found = facts(rows)
-    if reading is not None:
-        reading(rows)
-    with _lock:
-        _facts[key] = found
-        while len(_facts) > MOST_FACTS:
-            _facts.popitem(last=False)
-    return found
+
+    def read() -> Facts:
+        rows = looking.stored(database, campaign.id)
+        found = facts(rows)
+        if reading is not None:
+            reading(rows)
+        return found
+
+    return _facts.get(key_of(campaign), read)

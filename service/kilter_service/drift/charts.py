@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections import OrderedDict
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -14,6 +11,7 @@ import numpy as np
 from kilter_service.contract.drift import ControlChart
 from kilter_service.core import core_history
 from kilter_service.drift.records import StoredCheck
+from kilter_service.recent import Recent
 
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
 FALSE_ALARM = 1e-3  # chance at which a single check alarms (kilter_core.watch, which loads numpy and scipy)
@@ -60,22 +58,11 @@ class KeptCharts:
     """Charts of the checks that were looked at lately: computing those of a fleet takes seconds, and checks never change."""
 
     def __init__(self, most: int = KEPT) -> None:
-        self._most, self._lock = most, threading.Lock()
-        self._kept = OrderedDict[tuple[tuple[str, datetime], ...], list[ControlChart]]()
+        self._charts = Recent[list[ControlChart]](most)
 
     def of(self, made: Sequence[StoredCheck]) -> list[ControlChart]:
         """Return the charts of these checks; what is returned is shared, and nobody changes it."""
-        key = tuple((one.job_id, one.at) for one in made)
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-        found = charts_of(made)
-        with self._lock:
-            self._kept[key] = found
-            while len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        return found
+        return self._charts.get(tuple((one.job_id, one.at) for one in made), lambda: charts_of(made))
 
 
 def height(chart: ControlChart) -> float:

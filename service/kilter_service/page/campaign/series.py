@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from kilter_service.recent import Recent
 
 if TYPE_CHECKING:
     Floats = NDArray[np.float64]
@@ -46,27 +46,4 @@ def _places(values: Floats, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     return hits[np.unique(owner, return_index=True)[1]]
 
 
-class Kept:
-    """Columns that were looked at lately: at most so many bytes of them, of whichever campaigns."""
-
-    def __init__(self, most: int = KEPT_BYTES) -> None:
-        self._most, self._columns = most, OrderedDict[tuple[str, ...], "Floats"]()
-        self._lock = threading.Lock()
-
-    def get(self, key: tuple[str, ...], read: Callable[[], Floats]) -> Floats:
-        """Return a column, read where it is not kept."""
-        with self._lock:
-            found = self._columns.get(key)
-            if found is not None:
-                self._columns.move_to_end(key)
-                return found
-        found = read()
-        with self._lock:
-            if found.nbytes <= self._most:
-                self._columns[key] = found
-            while sum(column.nbytes for column in self._columns.values()) > self._most:
-                self._columns.popitem(last=False)
-        return found
-
-
-KEPT = Kept()
+KEPT = Recent["Floats"](KEPT_BYTES, lambda column: column.nbytes)  # of whichever campaigns

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from kilter_files.ground.errors import FileError
+from kilter_core.errors import RobotError
 from kilter_files.rig.kit import coverage, words
-from kilter_files.robots.exported import lists_of_export
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.kept_facts import key_of
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Version
 from kilter_service.db import Database
-from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
+from kilter_service.recent import Recent
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.wire import to_deg
 
 NEWEST = Page(limit=20)
 CORNER = "u1_px"  # a column that only views have
-REACH_M = 0.3  # where a load is held of which the words speak
 BACKLASH = "backlash_load_"
+# A page that is open asks every few seconds, and neither the rows of a campaign nor a version change.
+_rows = Recent[list[coverage.Row]](40)
+_tables = Recent[bytes](40)
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ def shown_kit(database: Database, name: str) -> Kit:
     joints = [joint.model_dump() for joint in robot.joints]
     used, rows = [], []
     for campaign in campaigns.list_campaigns(database, name, NEWEST).campaigns:
-        views = [*_views(database, campaign, len(joints))]
+        views = _rows.get(key_of(campaign), partial(_views, database, campaign, len(joints)))
         if views:
             used.append(campaign)
             rows += views
@@ -72,10 +75,10 @@ def shown_kit(database: Database, name: str) -> Kit:
     return Kit(robot, used, capture, _found(database, name, {one.id for one in used}, joints))
 
 
-def _views(database: Database, campaign: Campaign, joints: int) -> Iterator[coverage.Row]:
+def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage.Row]:
     """The rows of a campaign of views; nothing of another one."""
     if all(column.name != CORNER for column in looking.columns(database, campaign.id)):
-        return
+        return []
     table = looking.stored(database, campaign.id).table
     columns: dict[str, Sequence[float | None]] = {}
     for name in coverage.wanted(joints):
@@ -84,8 +87,7 @@ def _views(database: Database, campaign: Campaign, joints: int) -> Iterator[cove
             columns[name] = table[name].to_pylist()
         elif in_rad in table.column_names:
             columns[name] = [None if value is None else to_deg(value) for value in table[in_rad].to_pylist()]
-    for k in range(table.num_rows):
-        yield {name: values[k] for name, values in columns.items()}
+    return [{name: values[k] for name, values in columns.items()} for k in range(table.num_rows)]
 
 
 def _found(database: Database, robot: str, views: set[str], joints: Sequence[Mapping[str, Any]]) -> Found | None:
@@ -99,14 +101,16 @@ def _found(database: Database, robot: str, views: set[str], joints: Sequence[Map
 
 
 def _said(database: Database, version: Version, joints: Sequence[Mapping[str, Any]]) -> Found:
-    result = version.model_dump()
-    try:
-        table = versions.exported(database, version.id, "mdh-csv").text
-    except (ServiceError, FileError):
-        table = ""  # a chain that no table describes has no zeros to tell
-    told = lists_of_export(table.encode() if isinstance(table, str) else table)
-    lines = words.lines_of(result, joints, told.get("zero_offsets", []), REACH_M) or [words.NOTHING]
-    errors = words.errors_of(result)
-    before, after = errors["before_mm"], errors["after_mm"]
+    told = words.told(version.model_dump(), joints, _tables.get(version.id, lambda: _table(database, version.id)))
+    before, after = told["before_mm"], told["after_mm"]
     off_by = None if before is None or after is None else words.off_by(before, after)
-    return Found(version, lines, [one.message for one in version.warnings], off_by)
+    return Found(version, told["lines"] or [words.NOTHING], told["warnings"], off_by)
+
+
+def _table(database: Database, version_id: str) -> bytes:
+    """The version as a table, whose comments tell its zeros; nothing where no table describes its chain."""
+    try:
+        text = versions.exported(database, version_id, "mdh-csv").text
+    except RobotError:
+        return b""
+    return text if isinstance(text, bytes) else text.encode()

@@ -6,11 +6,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from kilter_files.robots.exported import lists_of_export
+
 SURE, WITHIN_95 = 3.0, 1.96  # standard deviations
 LEAST_BACKLASH_DEG, LEAST_SAG_DEG, LEAST_TICKS = 0.1, 0.1, 2
 TICK_DEG = 360.0 / 4095.0
 G = 9.81
 HELD_KG = 0.2  # of which the words speak
+REACH_M = 0.3  # how far away it is held
 
 
 def lines_of(
@@ -55,6 +58,17 @@ def off_by(before_mm: float, after_mm: float) -> str:
 
 
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"
+
+
+def told(result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], table: bytes) -> dict[str, Any]:
+    """What people are told of a result or a version; ``table`` is its export ``mdh-csv``, empty where there is none."""
+    zeros = lists_of_export(table).get("zero_offsets", [])
+    return {
+        "lines": lines_of(result, joints, zeros, REACH_M),
+        "zero_offsets": zeros,
+        **errors_of(result),
+        "warnings": [str(one["message"]) for one in result.get("warnings") or []],
+    }
 
 
 def errors_of(result: Mapping[str, Any]) -> dict[str, float | None]:

@@ -19,14 +19,13 @@ from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import job_bar
 from kilter_client.errors import NotFoundError, UsageError
-from kilter_client.files import files_exported, kit_coverage, kit_words
+from kilter_client.files import kit_coverage, kit_words
 from kilter_files import prepare
 
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
 # Likely size of half a servo's backlash: with the prior of an industrial gear that of a worn one went into the joint's zero.
 BACKLASH_RAD = math.radians(1.0)
 HELD_OUT = 0.25
-REACH_M = 0.3  # where no reach is known
 SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos correct nothing by themselves
 
 
@@ -109,17 +108,8 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
     with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
-    told = files_exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
-    zeros = told.get("zero_offsets", [])
-    lines = kit_words.lines_of(result, arm["joints"], zeros, REACH_M)
-    warnings = [str(one["message"]) for one in result.get("warnings") or []]
-    return {
-        "version_id": version,
-        "lines": lines,
-        "zero_offsets": zeros,
-        **kit_words.errors_of(result),
-        "warnings": warnings,
-    }
+    table = kilter.versions.export(version, "mdh-csv")
+    return {"version_id": version, **kit_words.told(result, arm["joints"], table)}
 
 
 def _show_steps(document: Mapping[str, Any]) -> None:
