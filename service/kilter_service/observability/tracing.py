@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from kilter_files.ground.later import Later
+
 if TYPE_CHECKING:
     from opentelemetry.trace import Span, Tracer
 
@@ -20,6 +22,7 @@ PACKAGES = "opentelemetry-sdk opentelemetry-exporter-otlp-proto-http"
 WANTED = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 
 _tracer: Tracer | None = None
+propagation, trace = map(Later, ("opentelemetry.trace.propagation.tracecontext", "opentelemetry.trace"))
 
 
 def configure(process: str) -> None:
@@ -42,12 +45,9 @@ def configure(process: str) -> None:
 
 
 def _started(name: str, kind: str, carrier: Mapping[str, str], attributes: Mapping[str, Any]) -> Any:
-    from opentelemetry.trace import SpanKind
-    from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
-
     assert _tracer is not None
-    parent = TraceContextTextMapPropagator().extract(carrier)
-    return _tracer.start_as_current_span(name, context=parent, kind=SpanKind[kind], attributes=dict(attributes))
+    parent = propagation.TraceContextTextMapPropagator().extract(carrier)
+    return _tracer.start_as_current_span(name, context=parent, kind=trace.SpanKind[kind], attributes=dict(attributes))
 
 
 @contextmanager
@@ -82,8 +82,6 @@ def traceparent() -> str:
     """Return where this is in a trace, for the job that goes on with it; empty outside of one."""
     if _tracer is None:
         return ""
-    from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
-
     carrier: dict[str, str] = {}
-    TraceContextTextMapPropagator().inject(carrier)
+    propagation.TraceContextTextMapPropagator().inject(carrier)
     return carrier.get("traceparent", "")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import CONDITIONS, Observations
+from kilter_files.ground.later import transform
 from kilter_service.contract.columns import BASE, LOAD_PARTS, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
 from kilter_service.tables.columns import Column
 from kilter_service.tables.views import views
@@ -90,8 +91,6 @@ def _whole(values: Floats | None) -> NDArray[np.int64] | None:
 
 
 def _rotation(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
-    from scipy.spatial.transform import Rotation  # half a second: not at the start of the API process
-
     quaternion = _vector(si, ("qx", "qy", "qz", "qw"))
     euler = _vector(si, ("phi", "theta", "psi"))
     if quaternion is None and euler is None:
@@ -101,7 +100,11 @@ def _rotation(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
     seen = ~np.isnan(given).any(axis=1)
     out = np.full((len(given), 3, 3), np.nan)
     if seen.any():
-        made = Rotation.from_euler("ZXZ", given[seen]) if quaternion is None else Rotation.from_quat(given[seen])
+        made = (
+            transform.Rotation.from_euler("ZXZ", given[seen])
+            if quaternion is None
+            else transform.Rotation.from_quat(given[seen])
+        )
         out[seen] = made.as_matrix()
     return out
 

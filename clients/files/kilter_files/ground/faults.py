@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.errors import FileError
 
 CUT = "Copy or export it again. If it was recorded like that, allow_cut (--allow-cut) uses the complete frames."
 
@@ -14,13 +14,6 @@ def fault(path: Path, what: str, remedy: str, **place: Any) -> FileError:
     """Build the error of a file; ``place`` is any of line, frame, column, byte."""
     named = [f"{key} {value!r}" if key == "column" else f"{key} {value}" for key, value in place.items()]
     return FileError(f"{', '.join([str(path), *named])}: {what}. {remedy}", file=str(path), **place)
-
-
-def missing_package(path: Path, what: str, package: str) -> MissingPackageError:
-    """Build the error of a format whose package is not installed."""
-    return MissingPackageError(
-        f"{path}: {what} need {package}. Install it with: pip install {package}", package=package
-    )
 
 
 def head_of(path: Path, size: int) -> bytes:

@@ -9,8 +9,8 @@ from pathlib import Path
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, missing_package
-from kilter_files.ground.later import np
+from kilter_files.ground.faults import fault
+from kilter_files.ground.later import csv, need, np, pa
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.time_stamps import stamp_of
 
@@ -32,29 +32,25 @@ def blocks(path: Path, layout: TextLayout, columns: Sequence[int], rows: int) ->
         yield from _slow(path, layout, columns, rows)
         return
     left = rows
-    try:
-        import pyarrow as pa
-        from pyarrow import csv as arrow
-    except ImportError as error:
-        raise missing_package(path, "long text files", "pyarrow") from error
+    need(f"{path}: long text files need", "pyarrow")
     names = [str(i) for i in range(_raw_width(path, layout))]
     wanted = [names[i] for i in columns]
     last = layout.first_line - 1 + rows  # Arrow counts from the file's first line
     try:
-        reader = arrow.open_csv(
+        reader = csv.open_csv(
             path,
-            read_options=arrow.ReadOptions(
+            read_options=csv.ReadOptions(
                 use_threads=False,
                 block_size=BLOCK_BYTES,
                 column_names=names,
                 skip_rows=layout.first_line - 1,
                 encoding="utf-8" if layout.encoding == "utf-8-sig" else layout.encoding,
             ),
-            parse_options=arrow.ParseOptions(
+            parse_options=csv.ParseOptions(
                 delimiter=layout.delimiter,
                 invalid_row_handler=lambda row: "skip" if row.number is not None and row.number > last else "error",
             ),
-            convert_options=arrow.ConvertOptions(
+            convert_options=csv.ConvertOptions(
                 column_types=dict.fromkeys(wanted, pa.float64()),
                 include_columns=wanted,
                 null_values=[*MISSING, *BLANKS],

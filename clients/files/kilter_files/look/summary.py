@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_files.ground.clusters import clusters
+from kilter_files.ground.errors import MissingPackageError
+from kilter_files.ground.later import need, pa, parquet
 from kilter_files.ground.units import converter, unit_of
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
@@ -144,9 +146,8 @@ def _csv(content: bytes) -> Columns:
 
 def _parquet(content: bytes) -> Columns:
     try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
+        need("Parquet files need", "pyarrow")
+    except MissingPackageError:
         return {}
     try:
         table = parquet.read_table(io.BytesIO(content))

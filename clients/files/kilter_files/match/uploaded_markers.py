@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
+from kilter_files.ground.errors import MissingPackageError
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need, pa, parquet
 from kilter_files.ground.units import MARKER
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.knocks import LEAST_MM, Knock, knocks_of_frames, knocks_of_rows
@@ -134,9 +136,8 @@ def _json(prepared: Prepared) -> dict[str, Any]:
 
 def _parquet(prepared: Prepared, wanted: list[str] | None) -> Mapping[str, Any]:
     try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
+        need("Parquet files need", "pyarrow")
+    except MissingPackageError:
         return {}
     try:
         file = parquet.ParquetFile(io.BytesIO(prepared.content))

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
-from kilter_files.ground.errors import FileError, MissingPackageError, UsageError
+from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.later import need
 
 POINTS_PER_MM = 72 / 25.4
 PAPER_MM: dict[str, tuple[float, float]] = {
@@ -161,16 +162,10 @@ def page_pdf(page: Printed) -> bytes:
         MissingPackageError: reportlab is not installed.
 
     """
-    try:
-        from reportlab.pdfgen.canvas import Canvas  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise MissingPackageError(
-            "PDF needs reportlab: pip install reportlab. SVG (-o with the ending .svg) does not need it.",
-            package="reportlab",
-        ) from error
+    reportlab = need("PDF needs", "reportlab", "reportlab.pdfgen.canvas", instead="write SVG (-o with the ending .svg)")
     width, height = (side * POINTS_PER_MM for side in page.size_mm)
     out = io.BytesIO()
-    canvas = Canvas(out, pagesize=(width, height), invariant=1, pageCompression=1)
+    canvas = reportlab.Canvas(out, pagesize=(width, height), invariant=1, pageCompression=1)
     canvas.setTitle(page.title)
     # Viewers offer "no scaling" first when a document asks for it.
     canvas.setViewerPreference("PrintScaling", "None")

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need
 
 MOST_TRIANGLES = 100_000  # of a link, as the server takes them
 M_TO_MM = 1e3
@@ -45,24 +46,14 @@ def link_meshes(
         MissingPackageError: trimesh is not installed.
 
     """
-    trimesh = _trimesh()
+    # trimesh makes meshes coarser with the other
+    trimesh = need("Shapes that a URDF names need", "trimesh", "fast_simplification", "trimesh", install=TOGETHER)
     by_link: dict[str, list[Any]] = {}
     for shape in shapes:
         mesh = _loaded(trimesh, shape, urdf, packages or {})
         mesh.apply_transform(shape["transform"])
         by_link.setdefault(shape["link"], []).append(mesh)
     return [_joined(trimesh, link, parts) for link, parts in by_link.items()]
-
-
-def _trimesh() -> Any:
-    try:
-        import fast_simplification  # noqa: F401  trimesh uses it
-        import trimesh
-    except ImportError as error:
-        raise MissingPackageError(
-            f"Shapes that a URDF names need trimesh: pip install {TOGETHER}.", package="trimesh"
-        ) from error
-    return trimesh
 
 
 def _loaded(trimesh: Any, shape: Mapping[str, Any], urdf: Path, packages: Mapping[str, Path]) -> Any:

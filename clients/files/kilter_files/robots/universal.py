@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError, MissingPackageError, UsageError
+from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.later import need, yaml
 from kilter_files.robots.text import read_text
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -99,10 +100,7 @@ def refuse_other_model(path: Path, model: str, found: tuple[float, ...]) -> None
 
 
 def _origins(path: Path) -> dict[str, tuple[float, ...]]:
-    try:
-        import yaml
-    except ImportError as error:
-        raise MissingPackageError("YAML needs PyYAML: pip install pyyaml.", package="pyyaml") from error
+    need(f"{path}: YAML files need", "pyyaml", "yaml")
     try:
         document = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from kilter_files.ground.errors import MissingPackageError
-from kilter_files.ground.later import np, transform
+from kilter_files.ground.later import need, np, transform
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,10 +32,7 @@ def usd_package() -> Any:
 
     """
     for package, module in _NEEDED:
-        try:
-            import_module(module)
-        except ImportError as error:
-            raise MissingPackageError(f"USD needs a package: pip install {package}.", package=package) from error
+        need("USD needs", package, module)
     return import_module("pxr")
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.errors import FileError
+from kilter_files.ground.later import need
 from kilter_files.robots.sheet import Sheet
 
 MAX_BYTES = 20_000_000  # unpacked: a table of a robot is a few kilobytes
@@ -20,15 +21,10 @@ def read_workbook(path: Path) -> Sheet:
         MissingPackageError: openpyxl is not installed.
 
     """
-    try:
-        from openpyxl import load_workbook
-    except ImportError as error:
-        raise MissingPackageError(
-            "XLSX needs openpyxl: pip install openpyxl, or save the sheet as CSV.", package="openpyxl"
-        ) from error
+    openpyxl = need(f"{path}: Workbooks (.xlsx) need", "openpyxl", instead="save the sheet as CSV")
     _refuse_large(path)
     try:
-        book = load_workbook(path, read_only=True, data_only=True)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheet = book.worksheets[0]
         found = list(enumerate(sheet.iter_rows(values_only=True, max_row=MAX_ROWS), 1))
         book.close()

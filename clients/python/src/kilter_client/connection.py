@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
 from kilter_client.locate import Place, locate
 from kilter_client.steps import Answer, Follow, Pause, Relocate, Request, Step, Steps, refuse
+from kilter_files.ground.later import Later
 
 if TYPE_CHECKING:
     import httpx
+else:
+    httpx = Later("httpx")  # 0.2 s: not when the package is imported
 
 T = TypeVar("T")
 Reword = Callable[[KilterError], None]
@@ -27,8 +30,6 @@ class Connection:
     def __init__(
         self, place: Place, transport: httpx.BaseTransport | None = None, reword: Reword | None = None
     ) -> None:
-        import httpx  # 0.2 s: not when the package is imported
-
         self.url, self._place, self._reword = place.url, place, reword
         self._answered = False  # until then an address where nobody listens is a wrong one
         self._client = httpx.Client(transport=transport, **_settings(place))
@@ -100,8 +101,6 @@ class AsyncConnection:
     def __init__(
         self, place: Place, transport: httpx.AsyncBaseTransport | None = None, reword: Reword | None = None
     ) -> None:
-        import httpx
-
         self.url, self._place, self._reword = place.url, place, reword
         self._answered = False  # until then an address where nobody listens is a wrong one
         self._client = httpx.AsyncClient(transport=transport, **_settings(place))
@@ -233,8 +232,6 @@ def _in_words(reword: Reword | None) -> Iterator[None]:
 @contextmanager
 def reaching(url: str, answered: bool) -> Iterator[None]:
     """Raise errors of the connection to a server as the client's own; ``answered`` says that it was there before."""
-    import httpx
-
     try:
         yield
     except httpx.TimeoutException as error:

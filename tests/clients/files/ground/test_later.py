@@ -9,9 +9,10 @@ from importlib import import_module
 import pytest
 
 from kilter_files.ground import later
+from kilter_files.ground.errors import MissingPackageError
 
 
-@pytest.mark.parametrize("name", later.__all__)
+@pytest.mark.parametrize("name", [name for name, it in vars(later).items() if isinstance(it, later.Later)])
 def test_every_package_of_the_gate_is_one_that_is_imported_at_its_first_use(name: str) -> None:
     code = f"import sys; from kilter_files.ground.later import {name} as it; print(it._name in sys.modules, it._name)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -30,3 +31,11 @@ def test_a_missing_package_is_an_import_error_at_its_first_use() -> None:
 def test_a_name_that_the_package_lacks_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = later.Later("json").no_such_name
+
+
+def test_what_is_needed_is_imported_or_its_command_is_named() -> None:
+    assert later.need("Archives need", "zip", "json", "zipfile").is_zipfile(__file__) is False
+    with pytest.raises(MissingPackageError) as caught:
+        later.need("Archives need", "No-Such", "zipfile", "no_such_package", instead="unpack it yourself")
+    assert str(caught.value) == "Archives need No-Such. Install it with: pip install No-Such, or unpack it yourself."
+    assert caught.value.context == {"package": "No-Such"}

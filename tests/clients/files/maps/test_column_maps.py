@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import csv
 import datetime
 import io
@@ -402,16 +401,7 @@ def test_no_workbook_is_refused(tmp_path: Path, content: bytes) -> None:
 
 def test_without_openpyxl_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = workbook(tmp_path / "a.xlsx", [HEAD])
-    real = builtins.__import__
-
-    def without(name: str, *arguments: Any, **options: Any) -> Any:
-        if name.partition(".")[0] == "openpyxl":
-            raise ImportError(name)
-        return real(name, *arguments, **options)
-
-    for name in [name for name in sys.modules if name.partition(".")[0] == "openpyxl"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(MissingPackageError, match=r"need openpyxl. Install it with: pip install openpyxl"):
         prepare(path)
 

@@ -13,8 +13,8 @@ from typing import Any
 from kilter_files.formats.joints.mcap_check import MCAP, SQLITE, check_mcap, check_sqlite
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import KilterError
-from kilter_files.ground.faults import fault, head_of, missing_package
-from kilter_files.ground.later import np
+from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.later import need, np, rosbag1, rosbag2, typesys
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"
@@ -96,13 +96,9 @@ def _opened(path: Path) -> Iterator[Any]:
             check_mcap(file)
         elif head.startswith(SQLITE):
             check_sqlite(file)
-    try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader
-    except ImportError as error:
-        raise missing_package(path, "ROS bags", "rosbags") from error
+    need(f"{path}: ROS bags need", "rosbags")
     with _guarded(path):
-        reader: Any = Reader1(place) if _is_ros1(place) else Reader(place)
+        reader: Any = rosbag1.Reader(place) if _is_ros1(place) else rosbag2.Reader(place)
         reader.open()
     try:
         yield reader
@@ -188,11 +184,8 @@ def _states(reader: Any, topic: str) -> Iterator[tuple[int, Any, int]]:
 
 
 def _messages(reader: Any, topic: str, kind: str) -> Iterator[tuple[int, Any, int]]:
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.typesys import Stores, get_typestore
-
-    first = isinstance(reader, Reader1)
-    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    first = isinstance(reader, rosbag1.Reader)
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if first else typesys.Stores.ROS2_HUMBLE)
     read = store.deserialize_ros1 if first else store.deserialize_cdr
     chosen = [c for c in reader.connections if c.topic == topic and c.msgtype == kind]
     for number, (_, written, raw) in enumerate(reader.messages(chosen), 1):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.later import need
 
 MCAP = b"\x89MCAP0\r\n"
 SQLITE = b"SQLite format 3\0"
@@ -95,13 +96,9 @@ def _unpacked(path: Path, content: bytes, packing: str, limit: int, at: int) -> 
 
 def _unpacker(path: Path, packing: str, at: int) -> Any:
     if packing == "lz4":
-        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
-        return LZ4FrameDecompressor()
+        return need(f"{path}: This recording needs", "lz4", "lz4.frame").LZ4FrameDecompressor()
     if packing == "zstd":
-        from backports import zstd
-
-        return zstd.ZstdDecompressor()
+        return need(f"{path}: This recording needs", "backports.zstd").ZstdDecompressor()
     raise fault(
         path, f"a chunk is compressed with {packing!r}", "Record with zstd, lz4 or without compression.", byte=at
     )

@@ -6,14 +6,11 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kilter_files.formats.lerobot.mp4_frames import frames_of
-from kilter_files.ground.faults import fault, missing_package
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-    from pyarrow import parquet
+from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need, pa, parquet
 
 INFO, EPISODES_JSONL, EPISODES = "meta/info.json", "meta/episodes.jsonl", "meta/episodes"
 STATE = "observation.state"
@@ -84,15 +81,12 @@ def parquet_file(path: Path) -> parquet.ParquetFile:
         FileError: it is missing or was not finished.
 
     """
-    try:
-        from pyarrow import ArrowInvalid, parquet
-    except ImportError as error:
-        raise missing_package(path, "data sets of LeRobot", "pyarrow") from error
+    need(f"{path}: data sets of LeRobot need", "pyarrow")
     try:
         return parquet.ParquetFile(path)
     except FileNotFoundError as error:
         raise fault(path, "is missing", FINISH) from error
-    except (ArrowInvalid, OSError) as error:
+    except (pa.ArrowInvalid, OSError) as error:
         raise fault(path, "is not a whole Parquet file", FINISH) from error
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.formats.tables.mat_check import check_mat
-from kilter_files.ground.errors import FileError, MissingPackageError
-from kilter_files.ground.later import np
+from kilter_files.ground.errors import FileError
+from kilter_files.ground.later import need, np
 
 EXPRESSION = re.compile(
     r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
@@ -120,15 +120,10 @@ def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
         FileError: no .mat file, or one of version 7.3.
 
     """
-    try:
-        from scipy.io import loadmat
-    except ImportError as error:
-        raise MissingPackageError(
-            f"{path}: .mat files need scipy. Install it with: pip install scipy", package="scipy"
-        ) from error
+    scipy_io = need(f"{path}: .mat files need", "scipy", "scipy.io")
     check_mat(path)
     try:
-        content = loadmat(path, simplify_cells=True)
+        content = scipy_io.loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
         raise FileError(f"{path}: a .mat file of version 7.3. Save it in MATLAB with '-v7'.", file=str(path)) from error
     except Exception as error:  # of a damaged file scipy lets zlib.error, KeyError, IndexError and more through

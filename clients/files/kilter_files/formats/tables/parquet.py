@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.cell_lists import element_of
-from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need, pa
+from kilter_files.ground.later import parquet as arrow
 from kilter_files.ground.names import did_you_mean
 
 MOST_CELLS = 30_000_000
@@ -109,16 +111,9 @@ def read_parquet(path: Path, missing: tuple[float, ...] = ()) -> ParquetSource:
         FileError: no Parquet file.
 
     """
+    need(f"{path}: Parquet files need", "pyarrow")
     try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise MissingPackageError(
-            f"{path}: Parquet files need pyarrow. Install it with: pip install pyarrow",
-            package="pyarrow",
-        ) from error
-    try:
-        _refuse_large(path, pyarrow.parquet.read_metadata(path))
-        return ParquetSource(path, pyarrow.parquet.read_table(path), missing)
-    except (OSError, pyarrow.ArrowException) as error:
+        _refuse_large(path, arrow.read_metadata(path))
+        return ParquetSource(path, arrow.read_table(path), missing)
+    except (OSError, pa.ArrowException) as error:
         raise FileError(f"{path}: is not a Parquet file ({error}).", file=str(path)) from error

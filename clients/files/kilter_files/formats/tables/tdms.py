@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault, missing_package
-from kilter_files.ground.later import np
+from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need, np
 from kilter_files.ground.names import did_you_mean
 
 LEAD_IN = struct.Struct("<4sIIQQ")
@@ -96,13 +96,10 @@ def _calibrated(path: Path, name: str, volts: Floats, calibration: Calibration) 
 def _opened(path: Path) -> Iterator[list[Any]]:
     """Open a file whose segments were checked, for as long as its channels are read."""
     _walk(path)
-    try:
-        from nptdms import TdmsFile  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise missing_package(path, "TDMS files", "npTDMS") from error
+    nptdms = need(f"{path}: TDMS files need", "npTDMS", "nptdms")
     size = path.stat().st_size
     with path.open("rb") as stream:
-        file = _guarded(path, lambda: TdmsFile.open(stream))
+        file = _guarded(path, lambda: nptdms.TdmsFile.open(stream))
         found = _guarded(path, lambda: [channel for group in file.groups() for channel in group.channels()])
         for channel in found:
             if len(channel) * LEAST_BYTES > size:

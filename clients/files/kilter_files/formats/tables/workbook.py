@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, missing_package
+from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need
 from kilter_files.ground.names import did_you_mean
 from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource, header_names
@@ -101,13 +102,10 @@ def _rows(path: Path, layout: Layout) -> tuple[str, list[Row]]:
 
 
 def _opened(path: Path, read: Callable[[Any], Found]) -> Found:
-    try:
-        from openpyxl import load_workbook
-    except ImportError as error:
-        raise missing_package(path, "Workbooks (.xlsx)", "openpyxl") from error
+    openpyxl = need(f"{path}: Workbooks (.xlsx) need", "openpyxl")
     _refuse_large(path)
     try:
-        book = load_workbook(path, read_only=True, data_only=True)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             return read(book)
         finally:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from kilter_files.ground.errors import MissingPackageError
+from kilter_files.ground.later import need
 
 OLDEST = (4, 14)
-INSTALL = "pip install 'opencv-python-headless>=4.14.0.94'"
+INSTALL = "'opencv-python-headless>=4.14.0.94'"
 
 
 def opencv() -> Any:
@@ -17,10 +18,7 @@ def opencv() -> Any:
         MissingPackageError: it is not installed, or too old.
 
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingPackageError(f"Boards need OpenCV. Install it with: {INSTALL}", package="opencv") from error
+    cv2 = need("Boards need", "OpenCV", "cv2", install=INSTALL)
     check_release(cv2.__version__)
     return cv2
 
@@ -48,6 +46,6 @@ def check_release(version: str) -> None:
     if tuple(int(part) for part in version.split(".")[:2]) < OLDEST:
         raise MissingPackageError(
             f"OpenCV {version} is too old: ChArUco corners of releases before 4.14 are shifted by half a pixel, "
-            f"which moves a camera by half a millimetre and shows in no residual. Install a newer one: {INSTALL}",
+            f"which moves a camera by half a millimetre and shows in no residual. Install a newer one: pip install {INSTALL}",
             package="opencv",
         )

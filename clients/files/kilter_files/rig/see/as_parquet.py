@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from kilter_files.ground.faults import missing_package
+from kilter_files.ground.later import csv as reading
+from kilter_files.ground.later import need, pa, parquet
 from kilter_files.ground.units import NAMES
 
 BLOCK_BYTES = 1 << 24  # of the CSV file, read at once
@@ -18,21 +19,15 @@ def check_pyarrow(output: Path) -> None:
         MissingPackageError: pyarrow is not installed.
 
     """
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise missing_package(output, "Parquet files", "pyarrow") from error
+    need(f"{output}: Parquet files need", "pyarrow")
 
 
 def write_parquet(views: Path, output: Path) -> None:
     """Write the rows of a CSV file of views; empty cells are null."""
-    from pyarrow import csv as reading
-    from pyarrow import float64, parquet, string
-
     with views.open(encoding="utf-8", newline="") as stream:
         names = next(csv.reader(stream))
     convert = reading.ConvertOptions(
-        column_types={name: string() if name in NAMES else float64() for name in names}, null_values=[""]
+        column_types={name: pa.string() if name in NAMES else pa.float64() for name in names}, null_values=[""]
     )
     rows = reading.open_csv(views, reading.ReadOptions(block_size=BLOCK_BYTES), convert_options=convert)
     with parquet.ParquetWriter(output, rows.schema, compression="zstd") as writer:

@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.ground.errors import MissingPackageError
+from kilter_files.ground.later import Image, need
 from kilter_files.rig.see.refusals import Refusal
 
 Grey = NDArray[np.uint8]
@@ -20,7 +20,7 @@ LEAST_SIDE = 32
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 DEEP = ("I;16", "I;16B", "I;16L", "I")
-INSTALL = "pip install 'opencv-python-headless>=4.14.0.94' numpy pillow"
+INSTALL = "'opencv-python-headless>=4.14.0.94' numpy pillow"
 
 
 class RefusedError(Exception):
@@ -50,10 +50,7 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> Grey:
 
 def grey_of(name: str, stream: BinaryIO, length: int, size: tuple[int, int] | None = None) -> Grey:
     """Read a picture of so many bytes, as :func:`read_grey` does."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MissingPackageError(f"Pictures need Pillow. Install it with: {INSTALL}", package="pillow") from error
+    need("Pictures need", "Pillow", "PIL.Image", install=INSTALL)
     try:
         if length > MOST_BYTES:
             raise RefusedError(Refusal(name, "picture_too_large", f"has {length >> 20} MB"))

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import MissingPackageError, UsageError
+from kilter_files.ground.errors import UsageError
+from kilter_files.ground.later import need
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.refusals import Refusal
 from kilter_files.rig.see.target import Target
@@ -103,12 +104,7 @@ def second_of(targets: list[Target]) -> Second:
 @cache
 def _detector(family: str) -> Any:
     """The detector of a family, one for the whole process: its own way to destroy itself frees the family's memory twice."""
-    try:
-        import pupil_apriltags  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise MissingPackageError(
-            f"The second detector needs {PACKAGE}. Install it with: pip install {PACKAGE}", package=PACKAGE
-        ) from error
+    pupil_apriltags = need("The second detector needs", PACKAGE, "pupil_apriltags")
     kind = type("Kept", (pupil_apriltags.Detector,), {"__del__": lambda _: None})
     # smaller pictures (quad_decimate above 1) would shift its corners
     return kind(families=family, nthreads=2, quad_decimate=1.0, refine_edges=1)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.ground.errors import FileError, MissingPackageError
+from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.later import Image, ImageOps, need, pypdfium2
 
 Pixels = NDArray[np.uint8]
 
@@ -52,18 +53,8 @@ def read_picture(path: Path, page: int = 1) -> Picture:
     raise fault(path, "is not a PNG, JPEG or PDF", "Save the scan as PNG: it loses nothing.", byte=0)
 
 
-def missing(package: str) -> MissingPackageError:
-    """Build the error of a package of the extra that is not installed."""
-    return MissingPackageError(
-        f"Reading a pencil sheet needs {package}. Install it with: pip install {package}", package=package
-    )
-
-
 def _image(path: Path) -> Picture:
-    try:
-        from PIL import Image, ImageOps
-    except ImportError as error:
-        raise missing("Pillow") from error
+    need("Reading a pencil sheet needs", "Pillow", "PIL.Image")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of doubtful metadata; sizes are checked here
@@ -84,8 +75,6 @@ def _image(path: Path) -> Picture:
 
 def _flat(image: Any) -> Pixels:
     """Eight bits of red, green and blue; what is transparent is paper."""
-    from PIL import Image
-
     if image.mode in ("I;16", "I;16B", "I;16L", "I", "F"):
         deep = np.asarray(image, dtype=np.float64)
         grey = np.clip(deep / (257.0 if deep.max(initial=0) > 255 else 1.0), 0, 255).astype(np.uint8)
@@ -112,10 +101,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def _pdf(path: Path, page: int) -> Picture:
-    try:
-        import pypdfium2  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise missing("pypdfium2") from error
+    need("Reading a pencil sheet needs", "pypdfium2")
     try:
         document = pypdfium2.PdfDocument(path)
     except pypdfium2.PdfiumError as error:
@@ -132,8 +118,6 @@ def _pdf(path: Path, page: int) -> Picture:
 
 
 def _rendered(path: Path, document: Any, page: int) -> Picture:
-    import pypdfium2
-
     try:
         sheet = document[page - 1]
         width, height = (side * INCH_MM / 72 for side in sheet.get_size())

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from kilter_files.ground.errors import MissingPackageError
+from kilter_files.ground.later import need
 from kilter_files.rig.markers import marker_shapes
 from kilter_files.rig.printed import WHITE, Colour, Disc, Shape, Stroke, Text
 from kilter_files.rig.sheet.layout import LINE_MM, MARKER_CELLS, MARKER_MM, RING_MM, STROKE_MM, TARGET_MM, Sheet
@@ -22,12 +22,7 @@ def aruco() -> tuple[Any, Any]:
         MissingPackageError: OpenCV is not installed.
 
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingPackageError(
-            "The pencil sheet needs OpenCV. Install it with: pip install opencv-python-headless", package="opencv"
-        ) from error
+    cv2 = need("The pencil sheet needs", "OpenCV", "cv2", install="opencv-python-headless")
     return cv2, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
 
 

@@ -8,9 +8,10 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.errors import UsageError
 from kilter_client.results.rows import Rows, saved
 from kilter_client.results.tables import html_table
+from kilter_files.ground.later import need
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
 
 if TYPE_CHECKING:
@@ -102,9 +103,6 @@ def _largest(rows: Rows, *names: str) -> str:
 
 
 def _of_parquet(content: bytes) -> dict[str, list[Any]]:
-    try:
-        from pyarrow import parquet
-    except ImportError as error:
-        raise MissingPackageError("Rows of Parquet need pyarrow: pip install pyarrow.", package="pyarrow") from error
+    parquet = need("Rows of Parquet need", "pyarrow", "pyarrow.parquet")
     found: dict[str, list[Any]] = parquet.read_table(io.BytesIO(content)).to_pydict()
     return found

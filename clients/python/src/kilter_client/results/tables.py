@@ -7,14 +7,15 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.errors import MissingPackageError
+from kilter_files.ground.later import need
 
 if TYPE_CHECKING:
     import numpy as np
     import pandas as pd
 
 MOST_ROWS = 60  # of a table in a notebook
-REMEDY = "pip install numpy pandas matplotlib. to_dict() needs nothing."
+PACKAGES = "numpy pandas matplotlib"
+OTHERWISE = "call to_dict(), which needs nothing"
 
 
 class Tabular:
@@ -50,10 +51,7 @@ class Tabular:
             MissingPackageError: pandas is not installed.
 
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingPackageError(f"to_pandas() needs pandas: {REMEDY}", package="pandas") from error
+        pandas = need("to_pandas() needs", "pandas", install=PACKAGES, instead=OTHERWISE)
         return pandas.DataFrame(self.to_dict())
 
     def _repr_html_(self) -> str:
@@ -68,11 +66,7 @@ def numpy_for(what: str) -> Any:
         MissingPackageError: it is not installed.
 
     """
-    try:
-        import numpy
-    except ImportError as error:
-        raise MissingPackageError(f"{what} needs numpy: {REMEDY}", package="numpy") from error
-    return numpy
+    return need(f"{what} needs", "numpy", install=PACKAGES, instead=OTHERWISE)
 
 
 def array_of(numpy: Any, values: Sequence[Any]) -> Any:

@@ -8,7 +8,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, missing_package
+from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need, yaml
 from kilter_files.rig.see.optics.camera import FOCAL, REMEDY, Camera, checked_camera, read_own
 
 MOST_BYTES = 1 << 22
@@ -115,10 +116,7 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _yaml(path: Path, text: str) -> Any:
-    try:
-        import yaml
-    except ImportError as error:
-        raise missing_package(path, "YAML files", "pyyaml") from error
+    need(f"{path}: YAML files need", "pyyaml", "yaml")
     plain = re.sub(r"^%YAML.*$", "", text, flags=re.MULTILINE).replace("!!opencv-matrix", "")
     try:
         return yaml.safe_load(plain)

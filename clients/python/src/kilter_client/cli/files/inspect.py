@@ -12,9 +12,10 @@ from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.tables import show_rows
-from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.errors import UsageError
 from kilter_files.formats.points.tracker_header import PRESETS
 from kilter_files.formats.reader import Hints, LogHints
+from kilter_files.ground.later import need
 from kilter_files.look.draft import draft
 from kilter_files.look.inspection import inspect as look
 
@@ -129,12 +130,7 @@ def check_numpy() -> None:
         MissingPackageError: numpy is not installed.
 
     """
-    try:
-        import numpy  # noqa: F401
-    except ImportError as error:
-        raise MissingPackageError(
-            "Files of devices need numpy. Install it with: pip install numpy", package="numpy"
-        ) from error
+    need("Files of devices need", "numpy")
 
 
 def _show(document: dict[str, Any]) -> None:
