@@ -43,6 +43,9 @@ test: $(KERNELS) ## run the tests, the numeric part first under another kind of 
 	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(subst -n $(TESTERS),-n 2,$(SHARED)) $(OTHER_CORE_TESTS)
 	$(BIN)/python -m pytest $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
 
+test-long: $(KERNELS) ## run the tests of the gate that take longest, which make test leaves out (tests/seconds.txt)
+	$(BIN)/python -m pytest -m "long and not slow and not bench" $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
+
 # While one area changes: its own tests. Each folder of tests is in one of these or in test-page.
 CORE_TESTS := tests/core tests/blind tests/frozen tests/thesis tests/mix_ups
 SERVER_TESTS := tests/service tests/fuzz
@@ -61,8 +64,8 @@ test-stream: $(KERNELS) ## of the tests, those of the corrector and what streams
 test-clients: $(KERNELS) ## of the tests, those of the command, the library, the file readers, the contract and the docs
 	$(BIN)/python -m pytest -q $(SHARED) $(CLIENTS_TESTS)
 
-test-cpu: $(KERNELS) ## print the processor time that each module of tests takes, whatever else the machine does (TESTS="tests/core ...")
-	$(BIN)/python -m pytest -q --cpu $(SHARED) $(TESTS)
+test-cpu: $(KERNELS) ## measure the processor time of each test, whatever else the machine does, and write tests/seconds.txt
+	$(BIN)/python -m pytest -q -m "not slow and not bench" --cpu --write-cpu $(SHARED)
 
 test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
 	$(BIN)/python -m tests.core.processors.compared --n $(or $(N),1000)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import gc
 import logging
 import os
+from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from tests.measured_seconds import measured
 
 # Set before numpy is imported: its threads make small fits ten times slower on two busy cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -20,46 +23,19 @@ settings.load_profile("kilter")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
-# Modules that take long, on a quiet machine 15 s or more. A module is one process's: begun last, the others would wait for it.
-LONG = (
-    "contract/test_doc_examples.py",
-    "corrector/test_c_controller.py",
-    "service/test_degraded_starts.py",
-    "service/test_activation_guard.py",
-    "contract/test_systemd.py",
-    "service/test_workers.py",
-    "clients/test_lost_connections.py",
-    "core/identify/test_plausibility.py",
-    "core/gap/test_find_gap.py",
-    "clients/files/match/test_silent_rows.py",
-    "clients/files/rig/sheet/test_points_order.py",
-    "service/test_clock_jumps.py",
-    "service/test_kills.py",
-    "service/test_gap.py",
-    "corrector/test_kill_every.py",
-    "core/arm/test_compiled.py",
-    "blind/test_gap_blind.py",
-    "core/gap/test_drift.py",
-    "contract/test_demo.py",
-    "mix_ups/test_mix_ups.py",
-    "clients/test_filter_many.py",
-    "core/gap/test_claims.py",
-    "contract/test_contributing.py",
-    "service/test_bad_starts.py",
-    "service/test_seals.py",
-    "contract/test_words.py",
-)
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--cpu", action="store_true", help="print the processor time that each module of tests took")
+    parser.addoption(
+        "--write-cpu", action="store_true", help="with --cpu: write that of each test to tests/seconds.txt"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--cpu"):
         from tests.cpu_seconds import CpuSeconds
 
-        config.pluginmanager.register(CpuSeconds(), "cpu-seconds")
+        config.pluginmanager.register(CpuSeconds(config.getoption("--write-cpu")), "cpu-seconds")
 
 
 COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10
@@ -80,11 +56,23 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the long modules first, in their order; what is in a module, and all others, stays as it was."""
-    first = {REPOSITORY / "tests" / name: place for place, name in enumerate(LONG)}
-    items.sort(key=lambda item: first.get(item.path, len(first)))
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None, object, object]:
+    """Mark what is long before marks choose, and put the long modules first; what is in a module stays as it was.
+
+    A module is one process's: begun last, the others would wait for it. A test that is asked for by its name is not long.
+    """
+    found = measured()
+    long = set() if any("::" in one for one in config.args) else {row.name for row in found if row.is_long}
+    for item in items:
+        if long & {item.nodeid, item.nodeid.partition("::")[0]}:
+            item.add_marker(pytest.mark.long)
+    done = yield
+    by_module: dict[str, float] = defaultdict(float)
+    for row in found:
+        by_module[row.name.partition("::")[0]] += row.took.clock_s
+    items.sort(key=lambda item: -by_module[item.nodeid.partition("::")[0]])
+    return done
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,7 @@
-"""Processor time by module of tests, of this process and of those that it started: `pytest --cpu`, `make test-cpu`.
+"""Processor time of tests, of their process and of those that it started: `pytest --cpu`, `make test-cpu`.
 
 Seconds by the clock say little while others use the machine. A process counts where it ends: a server of a module at the
-module's last test, one of the session at the last test of all. What the process that forks them took for its imports,
+module's last test, one of the session nowhere. What the process that forks them took for its imports,
 5 s, is no module's.
 """
 
@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import resource
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Generator
 
 import pytest
 
+from tests.measured_seconds import Took, rows_of, write
 from tests.service import forked
 
 SHOWN = 40
-KEY = "cpu_s"
+KEY, FIXTURES_KEY = "cpu_s", "cpu_fixtures_s"
 
 
 def used_s() -> float:
@@ -26,39 +27,76 @@ def used_s() -> float:
     return time.process_time() + ended.ru_utime + ended.ru_stime + forked.used_s()
 
 
+def _most(seconds: dict[str, float]) -> list[tuple[str, float]]:
+    return sorted(seconds.items(), key=lambda item: -item[1])
+
+
 class CpuSeconds:
     """Counts in the process that runs a test, and adds up in the one that prints: a report takes the number there."""
 
-    def __init__(self) -> None:
-        self._by_module: Counter[str] = Counter()
-        self._began_s = used_s()
+    def __init__(self, write: bool = False) -> None:
+        self._own_s: dict[str, float] = defaultdict(float)
+        self._fixtures_s: dict[str, float] = defaultdict(float)
+        self._own_clock_s: dict[str, float] = defaultdict(float)
+        self._fixtures_clock_s: dict[str, float] = defaultdict(float)
+        self._write = write
+        self._began_s = self._called_s = self._ended_s = used_s()
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_setup(self) -> Generator[None, object, object]:
         """Begin before the fixtures."""
         self._began_s = used_s()
-        return (yield)
-
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtest_teardown(self, item: pytest.Item) -> Generator[None, object, object]:
-        """End after the fixtures; what a report of this phase has travels with it from another process."""
         try:
             return (yield)
         finally:
-            item.user_properties.append((KEY, used_s() - self._began_s))
+            self._called_s = self._ended_s = used_s()
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_call(self) -> Generator[None, object, object]:
+        """Note when the test itself has ended."""
+        try:
+            return (yield)
+        finally:
+            self._ended_s = used_s()
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
+        """End after the fixtures; what a report of this phase has travels with it from another process."""
+        last_s = used_s()
+        try:
+            return (yield)
+        finally:
+            own = self._ended_s - self._called_s
+            end_s = last_s if nextitem is None else used_s()  # what lasts for the session ends with the last test of all
+            item.user_properties.append((KEY, own))
+            item.user_properties.append((FIXTURES_KEY, end_s - self._began_s - own))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add a test to its module."""
+        module = report.nodeid.partition("::")[0]
+        if report.when == "call":
+            self._own_clock_s[report.nodeid] += report.duration
+        else:
+            self._fixtures_clock_s[module] += report.duration
         if report.when == "teardown":
-            module = report.nodeid.partition("::")[0]
-            self._by_module[module] += sum(float(value) for key, value in report.user_properties if key == KEY)
+            given = dict(report.user_properties)
+            self._own_s[report.nodeid] += float(str(given.get(KEY, 0.0)))
+            self._fixtures_s[module] += float(str(given.get(FIXTURES_KEY, 0.0)))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the modules that took most, and folder by folder what lanes consist of."""
-        folders: Counter[str] = Counter()
-        for module, seconds in self._by_module.items():
+        by_module, folders = self._fixtures_s.copy(), defaultdict[str, float](float)
+        for test, seconds in self._own_s.items():
+            by_module[test.partition("::")[0]] += seconds
+        for module, seconds in by_module.items():
             folders["/".join(module.split("/")[:2])] += seconds
         terminalreporter.section("processor seconds")
-        for name, seconds in [*self._by_module.most_common(SHOWN), *folders.most_common()]:
+        for name, seconds in [*_most(by_module)[:SHOWN], *_most(folders)]:
             terminalreporter.write_line(f"{seconds:8.1f}  {name}")
-        terminalreporter.write_line(f"{self._by_module.total():8.1f}  all tests, without their collection")
+        terminalreporter.write_line(f"{sum(by_module.values()):8.1f}  all tests, without their collection")
+        if self._write:
+            tests = {test: Took(seconds, self._own_clock_s[test]) for test, seconds in self._own_s.items()}
+            fixtures = {
+                module: Took(seconds, self._fixtures_clock_s[module]) for module, seconds in self._fixtures_s.items()
+            }
+            write(rows_of(tests, fixtures))

@@ -191,7 +191,9 @@ def test_a_corrected_trajectory_is_bytes_and_rows() -> None:
 @pytest.mark.parametrize(("ask", "package"), [("to_pandas", "pandas"), ("to_numpy", "numpy")])
 def test_what_a_missing_package_is_for(monkeypatch: pytest.MonkeyPatch, ask: str, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingPackageError, match=f"needs {package}. Install it with: pip install numpy pandas matplotlib, or call"):
+    with pytest.raises(
+        MissingPackageError, match=f"needs {package}. Install it with: pip install numpy pandas matplotlib, or call"
+    ):
         getattr(IdentifyResult.read(DOCUMENT).parameters, ask)()
 
 

@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from tests.measured_seconds import measured
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = ("core", "service", "clients/files", "clients/lerobot", "clients/python/src", "tools")
 OWN = {"kilter", "kilter-core", "kilter-files", "kilter-client"}
@@ -226,7 +228,11 @@ def test_every_folder_of_tests_is_run_by_one_target_of_an_area() -> None:
     assert sorted([*in_areas, "tests/page"]) == sorted(there)
 
 
-def test_the_modules_that_are_run_first_are_there() -> None:
-    from tests.conftest import LONG
-
-    assert [name for name in LONG if not (REPOSITORY / "tests" / name).is_file()] == []
+def test_what_was_measured_of_tests_is_of_tests_that_are_there() -> None:
+    names = [row.name for row in measured()]
+    assert names
+    for name in names:
+        module, _, test = name.partition("[")[0].partition("::")
+        path = REPOSITORY / module
+        there = path.is_file() and (not test or f"def {test.rpartition('::')[2]}(" in path.read_text(encoding="utf-8"))
+        assert there, f"{name} is gone: rename it in tests/seconds.txt too, or take the line out"
