@@ -60,14 +60,18 @@ class CpuSeconds:
             self._ended_s = used_s()
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
+    def pytest_runtest_teardown(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Generator[None, object, object]:
         """End after the fixtures; what a report of this phase has travels with it from another process."""
         last_s = used_s()
         try:
             return (yield)
         finally:
             own = self._ended_s - self._called_s
-            end_s = last_s if nextitem is None else used_s()  # what lasts for the session ends with the last test of all
+            end_s = (
+                last_s if nextitem is None else used_s()
+            )  # what lasts for the session ends with the last test of all
             item.user_properties.append((KEY, own))
             item.user_properties.append((FIXTURES_KEY, end_s - self._began_s - own))
 

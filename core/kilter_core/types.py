@@ -1,4 +1,4 @@
-"""Types that all rooms share: arrays, whose shapes docstrings state, and the callbacks of long computations."""
+"""What all rooms share: types of arrays, whose shapes docstrings state, callbacks of long computations, and one number."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+QUANTILE = 1.959963984540054
+"""Standard deviations of half a 95 % interval: the quantile of the standard normal at 97.5 %."""
 
 Progress = Callable[[float, str], None]
 """Hears the share done (0 to 1) and the stage in words; it may raise to cancel."""

@@ -15,9 +15,8 @@ import numpy as np
 from scipy.linalg import null_space
 
 from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
-from kilter_core.types import Floats
+from kilter_core.types import QUANTILE, Floats
 
-NORMAL = 1.96  # standard deviations of a 95 % interval
 SUREST = 1e-6  # of the unit: no more digits are written
 SMALL = 1e-6  # of a prior sigma: a coefficient that is rounding
 FRAMES = ("base_", "tool_")  # where these are put is a convention, and their angles do not add
@@ -72,7 +71,7 @@ class Known:
         unit, scale = self.units[at[0]]
         coefficients = [float(x) * scale / self.units[k][1] for x, k in zip(g, at, strict=True)]
         value, sigma = value * scale, sigma * scale
-        lower, upper = value - NORMAL * sigma, value + NORMAL * sigma
+        lower, upper = value - QUANTILE * sigma, value + QUANTILE * sigma
         said = _as_sure_as(sigma)
         terms = " ".join(_term(name, x) for name, x in zip(names, coefficients, strict=True)).removeprefix("+ ")
         yield {

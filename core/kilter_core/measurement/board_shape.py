@@ -22,7 +22,6 @@ from kilter_core.types import Bools, Floats, Ints
 
 FEWEST_VIEWS = 10
 FEWEST_CORNERS = 9  # of a view: three numbers of a shape beside six of its pose
-QUANTILE = 1.959963984540054
 BENDS = 3
 
 

@@ -17,11 +17,11 @@ from kilter_core.errors import ObservationError
 from kilter_core.identify.estimate import Frame, new_frames, refitted
 from kilter_core.identify.plausibility.believable import reach
 from kilter_core.identify.seen_poses import as_seen_places
-from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
-from kilter_core.types import Floats
+from kilter_core.types import QUANTILE, Floats
 from kilter_core.watch.causes import Cause, Column, after, columns_of
 from kilter_core.watch.innovation import Innovation
 from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, placed

@@ -14,11 +14,11 @@ import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_core.identify.seen_poses import as_seen_places
-from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
-from kilter_core.types import Floats, Ints
+from kilter_core.types import QUANTILE, Floats, Ints
 from kilter_core.watch.causes import Cause
 from kilter_core.watch.check import Check, absorbed, check
 from kilter_core.watch.innovation import Innovation

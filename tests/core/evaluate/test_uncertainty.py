@@ -15,9 +15,10 @@ from kilter_core.evaluate.uncertainty import Budget, PermissibleError, judge
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.holdout import split
 from kilter_core.identify.options import FRAME_NAMES
-from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.observations import Observations
+from kilter_core.types import QUANTILE
 from tests.core.campaigns import joints, measured
 from tests.core.identify.test_identify import somewhere
 from tests.core.real import real_campaign

@@ -8,9 +8,10 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError, OptionError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.types import QUANTILE
 from kilter_core.watch import check, rezero
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from kilter_core.identify.least_squares import Fit
-from kilter_core.measurement.board_shape import QUANTILE, board_shapes
+from kilter_core.measurement.board_shape import board_shapes
 from kilter_core.parameters import mm
+from kilter_core.types import QUANTILE
 
 CHANCE = 1e-3  # of saying it of a flat board, all boards together
 LITTLE_M = 2e-5  # from the highest to the lowest corner: no printed sheet is flatter

@@ -7,10 +7,10 @@ from typing import Any
 
 from kilter_core.identify.least_squares import Fit
 from kilter_core.measurement.view_motion import Delay, timing
+from kilter_core.types import QUANTILE
 
 CHANCE = 1e-3
 LITTLE_PX = 0.05  # rms of a corner, below which a delay is not worth a word
-QUANTILE = 1.959963984540054
 
 
 def bad_timing(fit: Fit) -> Iterator[dict[str, Any]]:

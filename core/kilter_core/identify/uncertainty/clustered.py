@@ -23,9 +23,8 @@ from kilter_core.identify.robust import Loss, tukey_limit
 from kilter_core.identify.tukey import dimension_of, row_sizes
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.identify.uncertainty.settling import scatter_of_poses
-from kilter_core.types import Floats, Ints
+from kilter_core.types import QUANTILE, Floats, Ints
 
-NORMAL = float(scipy.stats.norm.ppf(0.975))
 FOLLOWED = 0.02  # share of the noise below which the fit follows a pose in a direction, so that no residual shows it
 SMALL = 1e-12  # share of the largest below which a direction of the scores is none
 
@@ -81,7 +80,7 @@ def sandwich(H: Floats, meat: Floats, rest: Floats, known: Floats) -> Floats:
 
 def as_normal(sigma: Floats, freedom: float) -> Floats:
     """Standard deviations so scaled that 1.96 of them are half of Student's 95 % interval."""
-    return np.asarray(sigma * float(scipy.stats.t.ppf(0.975, freedom)) / NORMAL)
+    return np.asarray(sigma * float(scipy.stats.t.ppf(0.975, freedom)) / QUANTILE)
 
 
 def _of_few(fit: Fit, left: float) -> Floats:
@@ -96,7 +95,7 @@ def _of_few(fit: Fit, left: float) -> Floats:
         start += len(J)
         own, all_kinds = (float(scipy.stats.t.ppf(0.975, f)) for f in (min(apart[block.group], left), left))
         moved = J @ fit.covariance
-        more += ((own**2 - all_kinds**2) / NORMAL**2) * moved.T @ moved
+        more += ((own**2 - all_kinds**2) / QUANTILE**2) * moved.T @ moved
     return more
 
 

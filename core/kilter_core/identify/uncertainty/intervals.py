@@ -9,10 +9,9 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.least_squares import Fit, solve
-from kilter_core.types import Bools, Each, Floats, Ints, Progress, one_by_one
+from kilter_core.types import QUANTILE, Bools, Each, Floats, Ints, Progress, one_by_one
 
 CONFIDENCE = 0.95
-QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
 RESAMPLES = 1000
 TRIALS = 4  # fits per end of a profile
 PIN = 0.01  # of HOLD's root: the pin is ten thousand times stiffer than the data

@@ -23,9 +23,8 @@ from kilter_core.measurement.kind import POINTS
 from kilter_core.measurement.pixels import PixelsAlone
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.types import Bools, Floats, Ints
+from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
-QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
 CHANCE = 0.05  # that what is left is taken to be beyond the noise although both only scatter; F test
 EXACT = 10_000  # freedom of a noise that is stated
 SLICE = 4096  # rows whose Jacobians are held at once

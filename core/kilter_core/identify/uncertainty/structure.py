@@ -19,7 +19,7 @@ from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
-from kilter_core.types import Bools, Floats, Ints
+from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
 HARMONICS = 2  # of one joint; of pairs of joints the first
 OVER_TIME = 4  # half waves over the rows in their order
@@ -29,7 +29,6 @@ SHARES = np.linspace(0.005, 0.995, 100) ** 2  # denser towards none: a share is 
 LACKING = 0.05  # prior probability that a model lacks something, before its residuals are seen
 EQUATIONS_PER_JOINT = 3  # equations left over for each joint
 SMALL = 1e-9
-NORMAL = 1.959963984540054  # of the standard normal at 97.5 %
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def _without_pose(basis: Floats, left: Floats, pose: Ints) -> Floats:
 
 
 def _reach(z: Floats) -> float:
-    return max(1.0, float(np.quantile(np.abs(z), 0.95)) / NORMAL)
+    return max(1.0, float(np.quantile(np.abs(z), 0.95)) / QUANTILE)
 
 
 def _likelihoods(columns: Floats, left: Floats, freedom: int, ratios: Floats) -> Floats:

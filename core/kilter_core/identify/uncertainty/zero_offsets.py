@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kilter_core.identify.uncertainty.predictive import QUANTILE, Predictive
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
 from kilter_core.model.closest_table import ClosestTable, zero_names
-from kilter_core.types import Bools, Floats
+from kilter_core.types import QUANTILE, Bools, Floats
 
 
 class KnownZeros(NamedTuple):
