@@ -101,7 +101,7 @@ check: $(KERNELS) ## style, types, import rules
 	$(BIN)/python -m tools.licences --check
 	$(BIN)/python -m tools.bundle_page --check
 	$(BIN)/python -m tools.c_corrector --check
-	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
+	$(BIN)/python -m pytest -q -m "not slow" tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
 
 page: $(READY) ## bundle the page's scripts and styles (needs Node.js, for whoever changes the page only)
 	$(BIN)/python -m tools.bundle_page

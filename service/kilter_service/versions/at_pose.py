@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
+from kilter_core.types import QUANTILE
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
@@ -100,7 +101,7 @@ def _looked_at(
     done = walker.correct_trajectory(arm, rows, options_of(limits, temperature_c))
     there = {effect.id for effect in arm.model.effects}
     missing = [one.id for one in calibration.model.effects if one.stage != "measurement" and one.id not in there]
-    sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / predictive.QUANTILE
+    sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / QUANTILE
     return AtPose(
         rows.q[0], to_base[:3, :3] @ tool + to_base[:3, 3], to_base[:3, :3] @ (tool - expected),
         Status(int(done.status[0])).name, tuple(_parts(arm, known, rows, expected)), tuple(dict.fromkeys(missing)), sigma,
@@ -132,5 +133,5 @@ def _part(
     jacobian = arm.model.jacobian(rows, arm.values, np.array(free, dtype=np.int64), False)[1][0, :3]
     along = np.asarray((shift / size) @ jacobian)
     variance = float(np.einsum("i,ij,j", along, known.covariance[np.ix_(place, place)], along))
-    half = predictive.QUANTILE * math.sqrt(max(variance, 0.0))
+    half = QUANTILE * math.sqrt(max(variance, 0.0))
     return Part(name, size, size - half, size + half)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
+from kilter_core.types import QUANTILE
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
@@ -201,7 +202,7 @@ def reach(database: Database, version: str) -> Reach:
     good = done.status == Status.OK
     rows = rows.select(good)
     before = np.linalg.norm(done.error_removed[good], axis=1)
-    after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / predictive.QUANTILE
+    after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / QUANTILE
     points = predictive.acting(calibration, rows).predict(rows).position
     return Reach(in_base(calibration, points), before, after)
 
