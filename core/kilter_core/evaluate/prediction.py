@@ -12,7 +12,7 @@ from kilter_core.identify.elsewhere import elsewhere
 from kilter_core.identify.estimate import new_frames, refitted
 from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.measurement import Measurement
+from kilter_core.measurement import Measurement, Residual
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -134,12 +134,24 @@ def rows_of(
     calibration: Calibration, measurement: Measurement, refit: Sequence[str] = (), known: Predictive | None = None
 ) -> Rows:
     """Errors of every row of a measurement, with what was expected of them where their noise is known."""
-    points = measurement.residual(calibration.predict(measurement.observations)).points
-    seen = ~np.isnan(points)
-    mean = np.where(seen, points, 0.0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
-    known = None if known is None else known.judging(measurement)
-    u95 = None if known is None else known.of_measured(calibration, measurement, refit)
-    return Rows(mean, u95, measurement.observations.pose_groups())
+    left = measurement.residual(calibration.predict(measurement.observations))
+    u95 = None if known is None else expected_of(calibration, measurement, refit, known)
+    return Rows(mean_errors(left), u95, measurement.observations.pose_groups())
+
+
+def mean_errors(left: Residual) -> Floats:
+    """Errors (N, 3) m of the mean of the markers that each row shows, or of its point; NaN where it shows none."""
+    seen = ~np.isnan(left.points)
+    count = np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
+    return np.asarray(np.where(seen, left.points, 0.0).sum(axis=1) / count)
+
+
+def expected_of(
+    calibration: Calibration, measurement: Measurement, refit: Sequence[str], known: Predictive
+) -> Floats | None:
+    """Half widths (N, 3) m of the 95 % intervals in which ``known`` expects the errors; None where their noise is not known."""
+    here = known.judging(measurement)
+    return None if here is None else here.of_measured(calibration, measurement, refit)
 
 
 def _numbers(metres: Floats) -> list[float | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.repeats import numbered_poses
-from kilter_files.ground.later import parquet, stats
+from kilter_files.ground.later import stats
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.db import Database
 from kilter_service.tables.assemble import observations
-from kilter_service.tables.reading import PARQUET
-from kilter_service.versions import service
+from kilter_service.versions import residuals as left
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -111,9 +109,9 @@ def chance(better: int, worse: int) -> float:
 
 
 def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
-    """Return what a version leaves of every row, as columns of the file that the interface gives."""
-    table = parquet.read_table(io.BytesIO(service.residuals(database, version, chosen, PARQUET)))
-    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
+    """Return what a version leaves of every row, as the columns of the table that the interface gives, but what it expected."""
+    found = left.table(database, version, chosen, expected=False)
+    return {name: found.column(name).to_numpy(zero_copy_only=False) for name in found.column_names}
 
 
 def size_of(table: Mapping[str, Any]) -> Floats:

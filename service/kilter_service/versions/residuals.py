@@ -47,7 +47,14 @@ class Part:
 
 
 def residuals(database: Database, version: str, wanted: Sequence[str], media: str) -> bytes:
-    """Return the residuals of the rows of campaigns, by default of all the version was made from, as CSV or Parquet.
+    """Return the table of :func:`table` as CSV or Parquet."""
+    return write_table(table(database, version, wanted), media)
+
+
+def table(database: Database, version: str, wanted: Sequence[str], expected: bool = True) -> pa.Table:
+    """Return what is left of the rows of campaigns, by default of all the version was made from.
+
+    ``expected`` with half the interval that expects each row, which takes most of the time; without it they are empty.
 
     Raises:
         ServiceError: no such version or campaign, or a campaign of another robot.
@@ -56,7 +63,7 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
     """
     with database.reading() as session:
         row = store.get(session, version)
-        calibration, known = store.calibration(session, version), store.known(session, version)
+        calibration, known = store.calibration(session, version), store.known(session, version) if expected else None
         parts = list(parts_of(session, row, wanted))
         report = row.report
     if not parts:
@@ -65,8 +72,7 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
             code="campaigns_invalid",
             version=version,
         )
-    tables = [pa.table(_columns(part, calibration, known, report)) for part in parts]
-    return write_table(pa.concat_tables(tables), media)
+    return pa.concat_tables([pa.table(_columns(part, calibration, known, report)) for part in parts])
 
 
 def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
@@ -109,12 +115,12 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
     for where, refit in frames_of(part, report):
         measurement = core_measurement.Measurement.of(part.rows.select(where), shape)
         here = refitted(calibration, measurement, refit) if refit else calibration
-        found = core_evaluate.rows_of(here, measurement, refit, known)
         left = measurement.residual(here.predict(measurement.observations))
+        error[where] = core_evaluate.mean_errors(left)
+        half = None if known is None else core_evaluate.expected_of(here, measurement, refit, known)
+        u95[where] = np.nan if half is None else half
         if np.isnan(turn_noise):
             left = left.of_points()
-        error[where] = found.error
-        u95[where] = np.nan if found.u95 is None else found.u95
         size[where] = tukey.sizes_of(left, point_noise or np.nan, turn_noise or np.nan)
         if left.turns is not None:
             turn[where] = np.linalg.norm(left.turns, axis=1)
