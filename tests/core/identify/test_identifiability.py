@@ -85,7 +85,7 @@ def test_what_aliases_do_together_is_known_as_least_squares_says() -> None:
     assert found["value"] / terms["a"] == pytest.approx(1e3 * own[0], rel=1e-3)
     inverse = np.linalg.inv(np.c_[J[:, 0], J[:, 3]].T @ np.c_[J[:, 0], J[:, 3]])
     assert found["sigma"] / abs(terms["a"]) == pytest.approx(1e3 * np.sqrt(inverse[0, 0]), rel=1e-3)
-    assert found["upper"] - found["lower"] == pytest.approx(2 * 1.96 * found["sigma"])
+    assert found["upper"] - found["lower"] == pytest.approx(2 * 1.959963984540054 * found["sigma"])
     assert found["unit"] == "mm"
     assert found["sentence"].startswith("Together they are known: ")
 
