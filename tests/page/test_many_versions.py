@@ -59,3 +59,8 @@ def test_lists_read_no_covariance(there: Made) -> None:
         assert {name: whole[name] for name in one} == one
         assert one["effects"]
         assert one["metrics"]["validation"]["n"] == 40
+
+
+def test_an_old_version_says_where_the_versions_are_that_it_does_not_list(there: Made) -> None:
+    said = words(there.client.get(f"/versions/{there.poor}").raise_for_status().text)
+    assert "any other : tick two in the list" in said.replace("any other:", "any other :")
