@@ -46,6 +46,7 @@ __all__ = [
     "frames_by_time",
     "joint_log",
     "kit_coverage",
+    "kit_loads",
     "kit_words",
     "matching",
     "one_target",
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
     from kilter_files.rig import height as files_height
     from kilter_files.rig import tilt_join as files_tilt_join
     from kilter_files.rig.kit import coverage as kit_coverage
+    from kilter_files.rig.kit import loads as kit_loads
     from kilter_files.rig.kit import words as kit_words
     from kilter_files.rig.live import feeds as files_feeds
     from kilter_files.rig.live import newest as files_newest
@@ -117,6 +119,7 @@ else:
     drawn_circle = Later("kilter_files.rig.drawn_circle")
     files_height = Later("kilter_files.rig.height")
     kit_coverage = Later("kilter_files.rig.kit.coverage")
+    kit_loads = Later("kilter_files.rig.kit.loads")
     kit_words = Later("kilter_files.rig.kit.words")
     files_feeds = Later("kilter_files.rig.live.feeds")
     files_newest = Later("kilter_files.rig.live.newest")
