@@ -43,6 +43,7 @@ __all__ = [
     "files_taken",
     "files_target",
     "files_tilt_join",
+    "files_unusual",
     "frames_by_time",
     "joint_log",
     "kit_coverage",
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from kilter_files.formats.programs.poses import rigid
     from kilter_files.look import refusals as files_refusals
     from kilter_files.look import summary as files_summary
+    from kilter_files.look import unusual as files_unusual
     from kilter_files.match import arm as files_arm
     from kilter_files.match import clock_checks, dwells, frames_by_time, matching, rigid_body
     from kilter_files.rig import ballbar_join as files_ballbar_join
@@ -109,6 +111,7 @@ else:
     files_reading = Later("kilter_files.formats.programs.reading")
     files_refusals = Later("kilter_files.look.refusals")
     files_summary = Later("kilter_files.look.summary")
+    files_unusual = Later("kilter_files.look.unusual")
     files_arm = Later("kilter_files.match.arm")
     clock_checks = Later("kilter_files.match.clock_checks")
     dwells = Later("kilter_files.match.dwells")
