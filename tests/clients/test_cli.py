@@ -37,12 +37,12 @@ class Command:
         assert found == code, printed.out + printed.err
         return printed.out + printed.err
 
-    def json(self, *arguments: object, code: int = 0) -> dict[str, Any]:
-        """Run with --json: stdout must be one document and stderr empty."""
+    def json(self, *arguments: object, code: int | tuple[int, ...] = 0) -> dict[str, Any]:
+        """Run with --json: stdout must be one document and stderr empty; ``code`` may be one of several."""
         self._capsys.readouterr()
         found = run([*(str(argument) for argument in arguments), "--json"])
         printed = self._capsys.readouterr()
-        assert found == code, printed.out + printed.err
+        assert found in (code if isinstance(code, tuple) else (code,)), printed.out + printed.err
         assert printed.err == ""
         document = json.loads(printed.out)
         assert isinstance(document, dict)

@@ -149,6 +149,11 @@ def test_models_that_cannot_be_settled_are_refused_with_the_remedy(
     assert "base and tool need 6" in refusal(rigid(arm), "few", "--site", "flange")
     loop = rigid(arm).replace("<worldbody>", '<include file="theirs.xml"/><worldbody>')
     assert "theirs.xml: MuJoCo cannot load it" in refusal(loop)
+    assert "Take out the <include> that names a file a second time" in refusal(loop)
+    (tmp_path / "other.xml").write_text('<mujoco><include file="theirs.xml"/></mujoco>')
+    told = refusal(loop.replace('file="theirs.xml"', 'file="other.xml"'))
+    assert "'theirs.xml' already included" in told
+    assert "Take out the <include> that names a file a second time" in told
     mesh = rigid(arm).replace("<worldbody>", '<asset><mesh name="m" file="gone.stl"/></asset><worldbody>')
     assert "gone.stl" in refusal(mesh)
     swinging = "".join(f'<position joint="axis{j}" kp="1e7"/>' for j in range(1, 7))

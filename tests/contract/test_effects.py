@@ -28,6 +28,7 @@ from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.transforms import rotation_log
+from kilter_files.look.unusual import below_zero
 
 Floats = NDArray[np.float64]
 
@@ -348,6 +349,9 @@ def test_parameters_are_physical(case: Case) -> None:
         assert p.unit
         assert p.description
         assert p.lower >= 0.0 or (case.effect.signs == "any" and p.lower == -p.upper)
+        assert below_zero(p.name, -1.0) == (p.lower == 0.0), (
+            p.name
+        )  # by its name a reader is told what a negative value is
 
 
 DAMPED, RESIDUAL = 0x0800, 0x1000

@@ -55,6 +55,10 @@ REPORT = {
     "parameters": [
         {"name": "a_2", "unit": "mm", "value": 190.00421, "nominal": 190.0, "sigma": 0.0014, "identifiable": True},
         {"name": "d_5", "unit": "mm", "value": 200.0, "nominal": 200.0, "sigma": 5.0, "identifiable": False, "plausible": True},
+        {"name": "backlash_load_2", "unit": "deg", "value": -0.17, "nominal": 0.0, "sigma": 0.02, "identifiable": True,
+         "plausible": False},
+        {"name": "backlash_load_3", "unit": "deg", "value": -0.01, "nominal": 0.0, "sigma": 0.02, "identifiable": True,
+         "plausible": False},
     ],
 }  # fmt: skip
 EDGES = [0.01, 0.02, 0.05, 1.0, 2.0, 3.0]
@@ -130,6 +134,10 @@ def test_the_report_says_what_the_interface_says(server: httpx.Client, version: 
     assert "a_2 mm 190.0000 190.0042 ± 0.0014 0.0042 190.0015 to 190.0070 yes" in text
     assert "These poses cannot determine d_5" in text
     assert "tool_z cannot be told from d_5" in text
+    for shown in (text, plain(server.get(f"/versions/{version}").raise_for_status().text)):
+        assert "below 0, which cannot be: check masses, payload and how the base stands" in shown
+        assert "not seen: below 0 by less than its uncertainty" in shown
+        assert "larger than usual" not in shown
     assert told["sha256"] in text
     assert told["robot_sha256"] in text
     assert re.search(rf"{JOB}, identify; asked for [-0-9: ]+ UTC by anna, finished", text)

@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from kilter_files.look.unusual import why_unusual
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.db.row import now
@@ -180,6 +181,7 @@ def of_joints(numbers: Sequence[int]) -> str:
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "largest": largest,
     "sigma_of": sigma_of, "chance": chance, "age": age, "moment": moment, "percent": percent, "count": count,
+    "why_unusual": why_unusual,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
     "left_out": left_out,
 }  # fmt: skip

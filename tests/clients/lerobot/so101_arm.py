@@ -33,12 +33,17 @@ def move(axis: str, amount: float) -> Floats:
     return T
 
 
-def tool_mm(q_deg: Floats, errors: Mapping[str, float] | None = None) -> Floats:
-    """Tool point (3,) mm at real joint angles (5,) degrees; ``errors`` by name of an element, mm or degrees."""
+def tool(q_deg: Floats, errors: Mapping[str, float] | None = None) -> Floats:
+    """Pose (4, 4) of the tool, mm, at real joint angles (5,) degrees; ``errors`` by name of an element, mm or degrees."""
     T = np.eye(4)
     for one in elements():
         value = q_deg[JOINTS.index(one["joint"])] if "joint" in one else one["value"]
         value += (errors or {}).get(one.get("name", ""), 0.0)
         T = T @ move(one["axis"], np.radians(value) if one["axis"][0] == "R" else value)
-    found: Floats = T[:3, 3]
+    return T
+
+
+def tool_mm(q_deg: Floats, errors: Mapping[str, float] | None = None) -> Floats:
+    """Tool point (3,) mm, as ``tool``."""
+    found: Floats = tool(q_deg, errors)[:3, 3]
     return found

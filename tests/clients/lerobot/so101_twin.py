@@ -96,6 +96,16 @@ class Twin:
         return T
 
 
+def gravity_nm(reading_deg: Floats, payload_kg: float) -> Floats:
+    """Moments (5,) of gravity about the joints of an arm without errors: against what MuJoCo says holds it."""
+    model, data = NOMINAL.model, mujoco.MjData(NOMINAL.model)
+    model.body_mass[model.body("payload").id] = max(payload_kg, 1e-6)
+    mujoco.mj_setConst(model, data)
+    data.qpos[:] = np.radians(reading_deg)
+    mujoco.mj_forward(model, data)
+    return np.array(-data.qfrc_bias)
+
+
 def ticks(angles_deg: Floats) -> Floats:
     """Angles as servos read them."""
     return np.round(angles_deg / TICK_DEG) * TICK_DEG
@@ -106,3 +116,6 @@ def _place(T: Floats) -> str:
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T[:3, :3]).ravel())
     pos = " ".join(repr(0.001 * float(one)) for one in T[:3, 3])
     return f'pos="{pos}" quat="{" ".join(repr(float(one)) for one in quat)}"'
+
+
+NOMINAL = Twin([0.0] * 5, [1e4] * 5, [0.0] * 5)

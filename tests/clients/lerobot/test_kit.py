@@ -16,8 +16,8 @@ from kilter_client import Kilter
 from kilter_client.locate import locate
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_arm import tool_mm
-from tests.clients.lerobot.so101_twin import Twin, ticks
-from tests.clients.lerobot.webcam import View, views, written
+from tests.clients.lerobot.so101_twin import Twin, gravity_nm, ticks
+from tests.clients.lerobot.webcam import View, advised, views, views_near, written
 from tests.clients.test_cli import Command
 
 STIFFNESS, PLAY_DEG = [300.0, 33.0, 28.0, 40.0, 300.0], [0.0, 0.0, 1.1, 0.0, 0.0]
@@ -68,15 +68,45 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     command("upload", "kit-few", rows, "--cameras", rig)
     page_of_few = page("kit-few")
     assert f"{len(one_sided)} views of " in page_of_few
-    for line in missing.split("\n"):
+    for line in command.json("kit", "kit-few", *asked[2:], code=4)["missing"]:
         assert line in page_of_few
     assert "What the arm has" not in page_of_few
+
+
+def test_views_of_a_joint_that_gravity_pulls_one_way_are_asked_for_until_they_are_there(
+    kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]
+) -> None:
+    """Upper arm forwards only: no backlash of joint 2 is told; views near the examples of the kit settle it."""
+    kilter.robots.add({"name": "kit-forwards", "convention": "preset", "preset": "so101"})
+    rng, asked = np.random.default_rng(2), list[list[str]]()
+
+    def ask(views_so_far: list[View], *more: str) -> dict[str, Any]:
+        rows, rig = written(tmp_path, f"forwards-{len(views_so_far)}", views_so_far)
+        servos = calibration(tmp_path)
+        document = command.json(
+            "kit", "kit-forwards", rows, "--cameras", rig, "--calibration", servos, *more, code=(0, 4)
+        )
+        asked.append(document["missing"])
+        return document
+
+    forwards = [view for view in seen if gravity_nm(view.reading, view.payload_kg)[1] > 0.0]
+    held = ask(forwards, "--anyway")
+    why = f"joint 2 (shoulder_lift) cannot be told from its zero: gravity pulls it the other way in 0 of {len(forwards)} views"
+    assert any(why in line for line in held["lines"])
+    assert why in page("kit-forwards")
+    document, enough = advised(ask, forwards, lambda examples: views_near(ARM, examples, rng, PAYLOADS, 0.5))
+    lift = next(line for line in asked[1] if "gravity pulls joint 2" in line)
+    assert "it does in 0 of " in lift
+    assert asked[-1] == []
+    assert len(enough) - len(forwards) <= 20
+    assert any("joint 2 (shoulder_lift): no backlash seen" in line for line in document["lines"])
 
 
 def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]) -> None:
     rows, rig = written(tmp_path, "views", seen)
     document = command.json("kit", "so101", rows, "--cameras", rig, "--calibration", calibration(tmp_path))
     assert document["missing"] == []
+    assert [one["wanted"] for one in document["loads"]] == [0, 0, 0]
     assert document["before_mm"] > 12.0
     assert document["after_mm"] < 2.0
     assert any("joint 3 (elbow_flex) has " in line and "deg of backlash" in line for line in document["lines"])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from scipy.stats import binomtest
 from kilter_client import Kilter
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_twin import Twin
-from tests.clients.lerobot.webcam import View, views, written
+from tests.clients.lerobot.webcam import View, advised, views, views_near, written
 from tests.clients.test_cli import Command
 
 ARMS = int(os.environ.get("ARMS", "20"))
@@ -36,9 +37,8 @@ def command(capsys: pytest.CaptureFixture[str]) -> Command:
     return Command(capsys)
 
 
-def forty_views(twin: Twin, rng: np.random.Generator) -> list[View]:
+def two_of_four(seen: list[View]) -> list[View]:
     """Two of the four views of each pose: both payloads, each from another side."""
-    seen = views(twin, POSES, rng, PAYLOADS, CORNER_PX)
     return [one for k in range(0, len(seen), 4) for one in (seen[k], seen[k + 2 + int(same(seen[k], seen[k + 2]))])]
 
 
@@ -47,11 +47,19 @@ def same(one: View, other: View) -> bool:
 
 
 def asked(kilter: Kilter, command: Command, folder: Path, name: str, twin: Twin, rng: np.random.Generator) -> Any:
-    """What the kit says, with the parameters of its version."""
+    """What the kit says of 40 views and those it asked for besides, with the parameters of its version."""
     kilter.robots.add({"name": name, "convention": "preset", "preset": "so101", "controller_compensation": "none"})
-    rows, rig = written(folder, name, forty_views(twin, rng))
-    options = ("--cameras", rig, "--calibration", calibration(folder), "--anyway")
-    document = command.json("kit", name, rows, *options)
+
+    def ask(seen: list[View], *more: str) -> dict[str, Any]:
+        rows, rig = written(folder, name, seen)
+        options = ("--cameras", rig, "--calibration", calibration(folder), *more)
+        return command.json("kit", name, rows, *options, code=(0, 4))
+
+    def take(examples_deg: Sequence[Sequence[float]]) -> list[View]:
+        return two_of_four(views_near(twin, examples_deg, rng, PAYLOADS, CORNER_PX))
+
+    document, seen = advised(ask, two_of_four(views(twin, POSES, rng, PAYLOADS, CORNER_PX)), take)
+    document = document if "version_id" in document else ask(seen, "--anyway")
     found = {one["name"]: one["value"] for one in kilter.versions.get(document["version_id"])["parameters"]}
     return document, found
 
@@ -81,7 +89,8 @@ def test_play_stiffness_and_the_right_joint(
         after.append(document["after_mm"])
         with capsys.disabled():
             print(
-                f"\nworn {k}: joint {joint}, named {named(document['lines'])}, play {play_off[-1]:+.0%}, "
+                f"\nworn {k}: {document['views']} views, joint {joint}, named {named(document['lines'])}, "
+                f"play {play_off[-1]:+.0%}, "
                 f"stiffness {', '.join(f'{one:+.0%}' for one in stiffness_off[-3:])}, "
                 f"{document['before_mm']:.1f} to {document['after_mm']:.2f} mm; right {share(right, k + 1)}, "
                 f"play within 20 % {share(int(np.sum(np.abs(play_off) <= 0.2)), k + 1)}, stiffness within 15 % "

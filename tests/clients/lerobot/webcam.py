@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.clients.lerobot.so101_arm import tool as nominal_tool
 from tests.clients.lerobot.so101_twin import Twin, ticks
 
 Floats = NDArray[np.float64]
 
 SIZE, FOCAL = (1920, 1080), 1400.0
 CORNERS = np.array([[x, y, 0.0] for y in (0.0, 20.0, 40.0) for x in (0.0, 20.0, 40.0, 60.0)])
+STOPS_DEG = np.array([99.0, 96.0, 94.0])  # of the three joints in the middle
 LIMITS_DEG = np.array([60.0, 70.0, 70.0, 70.0, 140.0])
 
 
@@ -68,19 +72,62 @@ def views(twin: Twin, poses: int, rng: np.random.Generator, payloads: tuple[floa
     """Views of as many poses, each with every payload and from both sides; the board is whole in each."""
     found: list[View] = []
     while len(found) < poses * len(payloads) * 2:
-        reading = ticks(rng.uniform(-1.0, 1.0, 5) * LIMITS_DEG)
-        own = []
-        for payload in payloads:
-            first = np.where(rng.random(5) < 0.5, -1.0, 1.0)
-            for side in (first, -first):
-                tool = twin.settled(reading, side, payload)
-                pixels = project(tool)
-                if pixels is None:
-                    break
-                own.append(View(reading, side, payload, pixels + rng.normal(0.0, noise_px, pixels.shape), tool))
-        if len(own) == 2 * len(payloads):
-            found += own
+        found += _of_pose(twin, ticks(rng.uniform(-1.0, 1.0, 5) * LIMITS_DEG), rng, payloads, noise_px)
     return found
+
+
+def views_near(
+    twin: Twin,
+    examples_deg: Sequence[Sequence[float]],
+    rng: np.random.Generator,
+    payloads: tuple[float, ...],
+    noise_px: float,
+) -> list[View]:
+    """Views of a pose near those that somebody advised: the arm and its gripper are turned until the board is seen whole."""
+    spread_deg = 5.0
+    while True:
+        inner = np.array(examples_deg[rng.integers(len(examples_deg))])[1:4]
+        pan, roll = rng.uniform(-1.0, 1.0, 2) * LIMITS_DEG[[0, 4]]
+        near = np.clip(inner + rng.uniform(-spread_deg, spread_deg, 3), -STOPS_DEG, STOPS_DEG)
+        reading = ticks(np.array([pan, *near, roll]))
+        if project(nominal_tool(reading)) is not None:
+            own = _of_pose(twin, reading, rng, payloads, noise_px)
+            if own:
+                return own
+        spread_deg += 0.02
+
+
+def advised(
+    ask: Callable[[list[View]], Mapping[str, Any]],
+    seen: list[View],
+    take: Callable[[Sequence[Sequence[float]]], list[View]],
+) -> tuple[Mapping[str, Any], list[View]]:
+    """What the kit says after its advice was followed: views near its examples (``take``), until it asks for none."""
+    while True:
+        document = ask(seen)
+        wanted = [one for one in document["loads"] if one["examples_deg"]]
+        if not wanted:
+            return document, seen
+        for one in wanted:
+            enough = len(seen) + one["wanted"]
+            while len(seen) < enough:
+                seen = [*seen, *take(one["examples_deg"])]
+
+
+def _of_pose(
+    twin: Twin, reading: Floats, rng: np.random.Generator, payloads: tuple[float, ...], noise_px: float
+) -> list[View]:
+    """Views of a pose with every payload and from both sides; none where the board is not whole in all."""
+    own: list[View] = []
+    for payload in payloads:
+        first = np.where(rng.random(5) < 0.5, -1.0, 1.0)
+        for side in (first, -first):
+            tool = twin.settled(reading, side, payload)
+            pixels = project(tool)
+            if pixels is None:
+                return []
+            own.append(View(reading, side, payload, pixels + rng.normal(0.0, noise_px, pixels.shape), tool))
+    return own
 
 
 def written(folder: Path, name: str, seen: list[View]) -> tuple[Path, Path]:

@@ -133,6 +133,19 @@ def test_the_bodies_are_those_of_the_version() -> None:
     assert farthest_um(twin((), GEOMETRY), 3) < CLOSE_UM / 10.0
 
 
+def test_how_far_a_soft_base_tilts_stands_in_the_notes() -> None:
+    """A prediction leaves its tilt out of the loads; the twin settles within what is said, and near it when stretched out."""
+    exported, _ = twin(["base_compliance"], MOUNT)
+    said = next(line for line in exported.notes if "soft base tilts" in line)
+    most = float(said.split("up to ")[1].split(" deg")[0])
+    model = mujoco.MjModel.from_xml_string(str(exported.text))
+    stretched = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    data = settled(model, stretched, 1.0, 0.0, 2e-3)[1]
+    tilt = np.degrees(np.hypot(*(data.joint(f"base_{axis}").qpos[0] for axis in "xy")))
+    assert 0.5 * most < tilt < 1.1 * most
+    assert not any("soft base" in line for line in twin(["axial_compliance"], SAG)[0].notes)
+
+
 @pytest.mark.parametrize("effect", sorted(IN_THE_MODEL))
 def test_elements_hold_the_effect(effect: str) -> None:
     """Beside a wind-up or backlash there is a sag, as there is on an arm."""

@@ -43,9 +43,11 @@ __all__ = [
     "files_taken",
     "files_target",
     "files_tilt_join",
+    "files_unusual",
     "frames_by_time",
     "joint_log",
     "kit_coverage",
+    "kit_loads",
     "kit_words",
     "matching",
     "one_target",
@@ -69,6 +71,7 @@ if TYPE_CHECKING:
     from kilter_files.formats.programs.poses import rigid
     from kilter_files.look import refusals as files_refusals
     from kilter_files.look import summary as files_summary
+    from kilter_files.look import unusual as files_unusual
     from kilter_files.match import arm as files_arm
     from kilter_files.match import clock_checks, dwells, frames_by_time, matching, rigid_body
     from kilter_files.rig import ballbar_join as files_ballbar_join
@@ -76,6 +79,7 @@ if TYPE_CHECKING:
     from kilter_files.rig import height as files_height
     from kilter_files.rig import tilt_join as files_tilt_join
     from kilter_files.rig.kit import coverage as kit_coverage
+    from kilter_files.rig.kit import loads as kit_loads
     from kilter_files.rig.kit import words as kit_words
     from kilter_files.rig.live import feeds as files_feeds
     from kilter_files.rig.live import newest as files_newest
@@ -107,6 +111,7 @@ else:
     files_reading = Later("kilter_files.formats.programs.reading")
     files_refusals = Later("kilter_files.look.refusals")
     files_summary = Later("kilter_files.look.summary")
+    files_unusual = Later("kilter_files.look.unusual")
     files_arm = Later("kilter_files.match.arm")
     clock_checks = Later("kilter_files.match.clock_checks")
     dwells = Later("kilter_files.match.dwells")
@@ -117,6 +122,7 @@ else:
     drawn_circle = Later("kilter_files.rig.drawn_circle")
     files_height = Later("kilter_files.rig.height")
     kit_coverage = Later("kilter_files.rig.kit.coverage")
+    kit_loads = Later("kilter_files.rig.kit.loads")
     kit_words = Later("kilter_files.rig.kit.words")
     files_feeds = Later("kilter_files.rig.live.feeds")
     files_newest = Later("kilter_files.rig.live.newest")

@@ -115,11 +115,15 @@ def loaded(path: Path) -> Any:
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
-        raise FileError(
-            f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}. Put the files that it names beside it, or mend "
-            "the place that is named.",
-            file=str(path),
-        ) from error
+        said = " ".join(str(error).split())
+        raise FileError(f"{path}: MuJoCo cannot load it: {said}. {_remedy(said)}", file=str(path)) from error
+
+
+def _remedy(said: str) -> str:
+    """What to do about a model, by what MuJoCo says of it."""
+    if "already included" in said:
+        return "Take out the <include> that names a file a second time: files that include each other have no end."
+    return "Put the files that it names beside it, or mend the place that is named."
 
 
 def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> Floats:

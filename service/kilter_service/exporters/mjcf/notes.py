@@ -28,7 +28,8 @@ Placed = Sequence[tuple[str, Sequence["Effect"]]]  # where effects went, in word
 def notes(version: Version, calibration: Calibration, placed: Placed, known: Sequence[str]) -> tuple[str, ...]:
     """Everything to know before the twin is trusted; ``known`` is what all twins of the format have in common."""
     effects = _of_effects(calibration, placed)
-    return (*effects, *_of_loads(calibration), held_out(version.metrics.validation), *known)
+    loads = (*_of_loads(calibration), *_of_soft_base(calibration))
+    return (*effects, *loads, held_out(version.metrics.validation), *known)
 
 
 def in_mujoco(exported: ExportedEffects) -> Placed:
@@ -99,4 +100,20 @@ def _of_loads(calibration: Calibration) -> Iterator[str]:
         yield (
             f"The twin hangs where its loads leave it, a prediction of Kilter {takes}: "
             f"{np.sqrt(np.mean(apart**2)):.2f} um rms and {apart.max():.2f} um at most apart over the workspace."
+        )
+
+
+def _of_soft_base(calibration: Calibration) -> Iterator[str]:
+    """How far gravity is tilted against the arm, which a prediction leaves out of its loads and a simulator does not."""
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if effect.id == "base_compliance"])
+    if not kept.model.effects:
+        return
+    batch, (soft, where) = kept.model.batch(workspace(calibration.robot)), kept.model.placed[0]
+    moved = soft.local(batch, kept.values[where]).base
+    tilt = 0.0 if moved is None else float(np.max(np.linalg.norm(moved[:, 3:], axis=1)))
+    if tilt > 0.0:
+        yield (
+            f"The soft base tilts by up to {np.degrees(tilt):.2g} deg over the workspace, without load: where a simulator has "
+            "it, gravity loads the tilted arm; a prediction of Kilter leaves gravity as the robot states it, and sag and the "
+            "side of a backlash with it."
         )

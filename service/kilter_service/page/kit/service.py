@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,6 +19,7 @@ from kilter_service.db import Database
 from kilter_service.paging import Page
 from kilter_service.recent import Recent
 from kilter_service.robots import service as robots
+from kilter_service.robots.convert import convert
 from kilter_service.versions import service as versions
 from kilter_service.wire import to_deg
 
@@ -28,6 +29,20 @@ BACKLASH = "backlash_load_"
 # A page that is open asks every few seconds, and neither the rows of a campaign nor a version change.
 _rows = Recent[list[coverage.Row]](40)
 _tables = Recent[bytes](40)
+_chains = Recent[dict[str, Any]](40)
+Views = Mapping[str, Sequence[coverage.Row]]  # by the id of their campaign
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """Joints of a robot, and its document of convention ``chain``."""
+
+    joints: Sequence[Mapping[str, Any]]
+    chain: Mapping[str, Any]
+
+    def capture(self, views: Views, campaigns: Iterable[str]) -> coverage.Capture:
+        """What the views of some campaigns cover."""
+        return coverage.coverage([row for one in campaigns for row in views[one]], self.joints, self.chain)
 
 
 @dataclass(frozen=True)
@@ -65,14 +80,15 @@ def shown_kit(database: Database, name: str) -> Kit:
     """Return what the kit shows of a robot."""
     robot = robots.get(database, name)
     joints = [joint.model_dump() for joint in robot.joints]
-    used, rows = [], []
+    used, rows = [], dict[str, list[coverage.Row]]()
     for campaign in campaigns.list_campaigns(database, name, NEWEST).campaigns:
         views = _rows.get(key_of(campaign), partial(_views, database, campaign, len(joints)))
         if views:
             used.append(campaign)
-            rows += views
-    capture = coverage.coverage(rows, joints) if rows else None
-    return Kit(robot, used, capture, _found(database, name, {one.id for one in used}, joints))
+            rows[campaign.id] = views
+    arm = _Arm(joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
+    capture = arm.capture(rows, rows) if rows else None
+    return Kit(robot, used, capture, _found(database, name, rows, arm))
 
 
 def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage.Row]:
@@ -90,18 +106,21 @@ def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage
     return [{name: values[k] for name, values in columns.items()} for k in range(table.num_rows)]
 
 
-def _found(database: Database, robot: str, views: set[str], joints: Sequence[Mapping[str, Any]]) -> Found | None:
+def _found(database: Database, robot: str, views: Views, arm: _Arm) -> Found | None:
     """What the newest version says that was made from such views with backlash among its effects."""
     for summary in versions.list_versions(database, robot, NEWEST).versions:
         version = versions.get(database, summary.id)
-        from_views = views & {one.id for one in version.campaigns}
+        from_views = [one.id for one in version.campaigns if one.id in views]
         if from_views and any(one.name.startswith(BACKLASH) for one in version.parameters):
-            return _said(database, version, joints)
+            return _said(database, version, arm.joints, arm.capture(views, from_views).untold)
     return None
 
 
-def _said(database: Database, version: Version, joints: Sequence[Mapping[str, Any]]) -> Found:
-    told = words.told(version.model_dump(), joints, _tables.get(version.id, lambda: _table(database, version.id)))
+def _said(
+    database: Database, version: Version, joints: Sequence[Mapping[str, Any]], untold: Mapping[int, str]
+) -> Found:
+    table = _tables.get(version.id, lambda: _table(database, version.id))
+    told = words.told(version.model_dump(), joints, table, untold)
     before, after = told["before_mm"], told["after_mm"]
     off_by = None if before is None or after is None else words.off_by(before, after)
     return Found(version, told["lines"] or [words.NOTHING], told["warnings"], off_by)

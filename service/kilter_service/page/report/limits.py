@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from kilter_files.look.unusual import why_unusual
 from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
@@ -43,9 +44,10 @@ def _unknown(version: Version) -> Iterator[str]:
             "well. Read them only together."
         )
     yield from (one.sentence for one in version.null_directions if one.sentence)
-    odd = [one.name for one in version.parameters if one.plausible is False]
-    if odd:
-        yield f"The values of {', '.join(odd)} are larger than usual: check them before you rely on them."
+    odd = [one for one in version.parameters if one.plausible is False]
+    for why in dict.fromkeys(why_unusual(one.name, one.value, one.sigma) for one in odd):
+        alike = [one for one in odd if why_unusual(one.name, one.value, one.sigma) == why]
+        yield f"Of {_names(alike)} these rows say: {why}. Check before you rely on them."
 
 
 def _names(found: Sequence[Parameter]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
+from kilter_files.look.unusual import why_unusual
 from kilter_service.acceptance.service import Wish
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
@@ -218,7 +219,7 @@ def _parameter(one: Parameter) -> list[str]:
         if one.from_prior
         else "no"
         if one.identifiable is False
-        else "unusually large"
+        else why_unusual(one.name, one.value, one.sigma)
         if one.plausible is False
         else "yes"
     )

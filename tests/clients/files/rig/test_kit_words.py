@@ -12,7 +12,7 @@ JOINTS = [{"name": "pan"}, {"name": "lift"}]
 
 
 def said(**parameter: Any) -> list[str]:
-    return lines_of({"parameters": [{"name": "backlash_load_2", "unit": "deg", **parameter}]}, JOINTS, [], 0.3)
+    return lines_of({"parameters": [{"name": "backlash_load_2", "unit": "deg", **parameter}]}, JOINTS, [], 0.3, {})
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,8 @@ def said(**parameter: Any) -> list[str]:
     [
         ({"value": 0.5, "sigma": 0.02}, "joint 2 (lift) has 1.0 deg of backlash"),
         ({"value": 0.5, "sigma": 0.2}, "joint 2 (lift) may have a little backlash: 0.22 to 1.78 deg (95 %)"),
+        ({"value": 0.033, "sigma": 0.014},
+         "joint 2 (lift): no backlash seen beyond a step of its reading (95 %: 0.01 to 0.12 deg)"),
         ({"value": 0.02, "sigma": 0.1}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.43 deg)"),
         ({"value": -0.02, "sigma": 0.02}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.04 deg)"),
         ({"value": -0.05, "sigma": 0.018}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.00 deg)"),
@@ -37,3 +39,11 @@ def test_a_width_is_never_below_zero(parameter: dict[str, Any], line: str) -> No
 
 def test_what_could_not_be_measured_is_not_told() -> None:
     assert said(value=None, sigma=None) == []
+
+
+def test_of_a_joint_that_gravity_pulls_one_way_no_backlash_is_told() -> None:
+    """Whatever the fit says of it: its prior decided."""
+    why = "the backlash of joint 2 (lift) cannot be told from its zero: ..."
+    for value, sigma in ((0.5, 0.02), (0.02, 0.1), (-0.5, 0.05)):
+        result = {"parameters": [{"name": "backlash_load_2", "unit": "deg", "value": value, "sigma": sigma}]}
+        assert lines_of(result, JOINTS, [], 0.3, {2: why}) == [why]

@@ -1,4 +1,4 @@
-"""Whether views are enough to tell what a low-cost arm has: both sides, two payloads, the joints moved, poses repeated."""
+"""Whether views are enough to tell what a low-cost arm has: both sides, two payloads, joints moved and pulled both ways."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import FileError
+from kilter_files.rig.kit.loads import Pulled, pulled
 
 FEWEST_VIEWS, FEWEST_POSES = 40, 20
 LEAST_SHARE = 0.25  # of the views, from either side of a joint, and with either payload
@@ -23,34 +24,45 @@ Row = Mapping[str, float | None]
 
 @dataclass(frozen=True)
 class Capture:
-    """What was seen: views, distinct poses, payloads kg, and sentences on what is missing."""
+    """What was seen: views, distinct poses, payloads kg, sentences on what is missing, and how gravity pulled the joints."""
 
     views: int
     poses: int
     payloads_kg: tuple[float, ...]
     missing: tuple[str, ...]
+    pulled: tuple[Pulled, ...] = ()
+
+    @property
+    def untold(self) -> dict[int, str]:
+        """Why the backlash of a joint, from 1, cannot be told."""
+        return {one.joint: one.untold for one in self.pulled if one.untold}
 
 
-def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]]) -> Capture:
-    """Look at views of an arm in files of ``kilter see``; ``joints`` as the server tells them.
+def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any]) -> Capture:
+    """Look at views of an arm in files of ``kilter see``; ``joints`` as the server tells them, ``chain`` as it converts it.
 
     Raises:
         FileError: a file without the joints of the arm, or without corners.
 
     """
-    return coverage([row for file in files for row in _rows(file, len(joints))], joints)
+    return coverage([row for file in files for row in _rows(file, len(joints))], joints, chain)
 
 
-def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]]) -> Capture:
-    """Look at views of an arm: joints in degrees (``q1_deg`` ...), sides (``dir1`` ...), ``payload_kg``, None where empty."""
+def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any]) -> Capture:
+    """Look at views of an arm: joints in degrees (``q1_deg`` ...), sides (``dir1`` ...), ``payload_kg``, None where empty.
+
+    ``chain`` is its robot document of convention ``chain``, of which gravity's pull follows.
+    """
     q = [[row[f"q{j + 1}_deg"] or 0.0 for j in range(len(joints))] for row in rows]
     poses = {tuple(round(value / LEAST_DEG) for value in row) for row in q}
     payloads = [row.get("payload_kg") for row in rows]
     known = tuple(sorted({value for value in payloads if value is not None}))
+    loads = pulled(chain, q, [value or 0.0 for value in payloads], [_limits(joint) for joint in joints]) if rows else []
     missing = [
         *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints), *_travel(q, joints),
+        *(one.missing for one in loads if one.missing),
     ]  # fmt: skip
-    return Capture(len(rows), len(poses), known, tuple(missing))
+    return Capture(len(rows), len(poses), known, tuple(missing), tuple(loads))
 
 
 def wanted(joints: int) -> list[str]:
@@ -122,10 +134,16 @@ def _sides(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]]) -> Iterator
 
 def _travel(q: Sequence[Sequence[float]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for j, joint in enumerate(joints):
-        low, high = joint.get("limits_deg") or (None, None)
-        if low is None or high is None or not q:
+        limits = _limits(joint)
+        if limits is None or not q:
             continue
+        low, high = limits
         moved = max(row[j] for row in q) - min(row[j] for row in q)
         if moved < LEAST_TRAVEL * (high - low):
             wanted = LEAST_TRAVEL * (high - low)
             yield f"motion of joint {j + 1} ({joint['name']}): it moved by {moved:.0f} deg, {wanted:.0f} would do"
+
+
+def _limits(joint: Mapping[str, Any]) -> tuple[float, float] | None:
+    low, high = joint.get("limits_deg") or (None, None)
+    return None if low is None or high is None else (float(low), float(high))

@@ -17,20 +17,23 @@ REACH_M = 0.3  # how far away it is held
 
 
 def lines_of(
-    result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets: Sequence[Mapping[str, Any]], reach_m: float
-) -> list[str]:
+    result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets: Sequence[Mapping[str, Any]], reach_m: float,
+    untold: Mapping[int, str],
+) -> list[str]:  # fmt: skip
     """Sentences, the largest first, then where no backlash was seen, and which zeros are not told.
 
-    ``offsets`` are the zero offsets of an exported table (real less reading), ``reach_m`` where a load may be.
+    ``offsets`` are the zero offsets of an exported table (real less reading), ``reach_m`` where a load may be, ``untold``
+    says why the backlash of a joint, from 1, is not to be told: its prior decides there, whatever the fit says.
     """
-    parameters = {str(one["name"]): one for one in result.get("parameters") or []}
+    stated = {str(one["name"]): one for one in result.get("parameters") or []}
+    parameters = {name: one for name, one in stated.items() if name not in {f"backlash_load_{j}" for j in untold}}
     numbers = {str(joint["name"]): j for j, joint in enumerate(joints, 1)}
     zeros = [one for one in offsets if "offset_deg" in one and one["joint"] in numbers]
     found = [
         *_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(zeros, numbers, parameters)
     ]  # fmt: skip
     told = (text for _, text in sorted(found, key=lambda one: -one[0]))
-    return [*told, *_no_backlash(parameters, joints), *_not_told(zeros, numbers)]
+    return [*told, *_no_backlash(parameters, joints), *untold.values(), *_not_told(zeros, numbers)]
 
 
 def steps(robot: str) -> list[str]:
@@ -60,11 +63,13 @@ def off_by(before_mm: float, after_mm: float) -> str:
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"
 
 
-def told(result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], table: bytes) -> dict[str, Any]:
+def told(
+    result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], table: bytes, untold: Mapping[int, str]
+) -> dict[str, Any]:
     """What people are told of a result or a version; ``table`` is its export ``mdh-csv``, empty where there is none."""
     zeros = lists_of_export(table).get("zero_offsets", [])
     return {
-        "lines": lines_of(result, joints, zeros, REACH_M),
+        "lines": lines_of(result, joints, zeros, REACH_M, untold),
         "zero_offsets": zeros,
         **errors_of(result),
         "warnings": [str(one["message"]) for one in result.get("warnings") or []],
@@ -113,6 +118,8 @@ def _no_backlash(parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[M
                 f"{name}: no backlash seen; {-high:.1f} to {-low:.1f} deg (95 %) against the load instead: check "
                 "payload_kg, and that the robot's base stands upright"
             )
+        elif low > 0.0 and low + high < 2.0 * LEAST_BACKLASH_DEG:
+            yield f"{name}: no backlash seen beyond a step of its reading (95 %: {low:.2f} to {high:.2f} deg)"
         elif low > 0.0:
             yield f"{name} may have a little backlash: {low:.2f} to {high:.2f} deg (95 %)"
         else:

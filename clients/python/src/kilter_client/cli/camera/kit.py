@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +20,7 @@ from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import job_bar
 from kilter_client.errors import NotFoundError, UsageError
-from kilter_client.files import kit_coverage, kit_words
+from kilter_client.files import kit_coverage, kit_loads, kit_words
 from kilter_files import prepare
 
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
@@ -67,13 +68,13 @@ def kit(
                 "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
             )
         refuse_other_servos(calibration, [joint["name"] for joint in arm["joints"]])
-        seen = kit_coverage.captured(views, arm["joints"])
+        seen = kit_coverage.captured(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"))
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
-                    "missing": list(seen.missing)}  # fmt: skip
+                    "missing": list(seen.missing), "loads": [asdict(one) for one in seen.pulled]}  # fmt: skip
         if not seen.missing or anyway:
             conditions = rig_conditions(cameras) | servo_conditions(calibration)
             sent = [_sent(robot, file, conditions, as_json) for file in views]
-            document |= _page(kilter, arm, sent, as_json)
+            document |= _page(kilter, arm, sent, seen.untold, as_json)
     emit(document, as_json, _show)
     if seen.missing and not anyway:
         raise typer.Exit(4)
@@ -96,9 +97,11 @@ def _sent(robot: str, file: Path, conditions: dict[str, Any], as_json: bool) -> 
     return str(send(robot, None, wanted, file, prepare(file), as_json)["campaign_id"])
 
 
-def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_json: bool) -> dict[str, Any]:
+def _page(
+    kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], untold: Mapping[int, str], as_json: bool
+) -> dict[str, Any]:
     """Identify, and say what came of it."""
-    loaded = list(range(2, len(arm["joints"])))  # the first is vertical, the last carries no moment about itself
+    loaded = [*kit_loads.loaded(len(arm["joints"]))]
     effects = [
         {"id": "axial_compliance", "joints": loaded},
         {"id": "backlash_load", "joints": loaded, "softening_nm": 0.02, "prior_sigma_rad": BACKLASH_RAD},
@@ -109,7 +112,7 @@ def _page(kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], as_j
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
     table = kilter.versions.export(version, "mdh-csv")
-    return {"version_id": version, **kit_words.told(result, arm["joints"], table)}
+    return {"version_id": version, **kit_words.told(result, arm["joints"], table, untold)}
 
 
 def _show_steps(document: Mapping[str, Any]) -> None:
