@@ -14,6 +14,7 @@ from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.model_comparison import PoseErrors, geometry_alone
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import registered
+from kilter_core.identify.registry import METHODS
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors
@@ -99,4 +100,4 @@ def in_fitted_frames(
 
 def continues(options: IdentifyOptions, prior: Prior | None) -> bool:
     """Whether a filter goes on from what is known."""
-    return options.method == "kalman" and prior is not None
+    return METHODS[options.method].continues and prior is not None

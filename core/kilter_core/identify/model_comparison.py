@@ -12,6 +12,7 @@ import numpy as np
 from kilter_core.errors import CoreError
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.parameters import DEG, MM, mm
@@ -142,7 +143,7 @@ def geometry_alone(begin: Calibration, measurement: Measurement, options: Identi
     free, fix = (tuple(p for p in patterns if _some(p, plain.names)) for patterns in (options.free, options.fix))
     if options.free and not free:
         fix = (*fix, *plain.names[6 : plain.model.n_geometric - 6])
-    method = "least_squares" if options.method == "kalman" else options.method
+    method = "least_squares" if METHODS[options.method].continues else options.method
     level = None if options.level == 3 else options.level
     chosen = replace(options, effects=(), free=free, fix=fix, level=level, method=method, tilt_first=False)
     try:

@@ -39,6 +39,7 @@ from kilter_core.identify.plausibility.flat_boards import bent_boards
 from kilter_core.identify.plausibility.timing import bad_timing
 from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
+from kilter_core.identify.registry import METHODS
 from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.scale_gauge import with_likeliest_scale
@@ -368,7 +369,7 @@ def _reported(
 
 def _shown(train: Observations, options: IdentifyOptions) -> Observations:
     """Rows to say the influence at: all where the method weighs by it, else so many that it costs little beside the fit."""
-    if options.method == "influence" or len(train) <= INFLUENCE_ROWS:
+    if METHODS[options.method].weighs_by_influence or len(train) <= INFLUENCE_ROWS:
         return train
     return train.select(np.unique(np.linspace(0, len(train) - 1, INFLUENCE_ROWS).astype(int)))
 

@@ -10,7 +10,7 @@ from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.fleet.believed import believed
 from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.methods.kalman import Prior, kalman
+from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
 from kilter_core.identify.methods.signs import SHARPENINGS, likelier, sharpened, softened
 from kilter_core.identify.options import IdentifyOptions
@@ -96,12 +96,12 @@ def _again(
     prior: Prior | None,
 ) -> Fit:
     """The fit with the loads of ``model``: from where it ended, or by a method that has to begin anew from the start."""
-    if options.method in ("least_squares", "global_search") and options.loss != "tukey" and not options.tilt_first:
+    again = METHODS[options.method].again
+    if again and options.loss != "tukey" and not options.tilt_first:
         found = continued(fit, model, options)
     else:
         begin = replace(start, model=replace(start.model, effects=model.effects, load_chain=model.load_chain))
-        method = "least_squares" if options.method == "global_search" else options.method
-        found = _fitted(begin, measurement, replace(options, method=method), None, prior)
+        found = _fitted(begin, measurement, replace(options, method=again or options.method), None, prior)
     return replace(found, iterations=fit.iterations + found.iterations, report={**fit.report, **found.report})
 
 
@@ -115,10 +115,9 @@ def _fitted(
     begin = start
     if options.tilt_first and _knows_no_effect(start):
         begin = _tilted(start, measurement, options)
-    if options.method == "kalman":
-        fit = kalman(begin, measurement, options, progress, prior)
-    else:
-        fit = METHODS[options.method].fitter()(begin, measurement, options, progress)
+    method = METHODS[options.method]
+    known = (prior,) if method.continues else ()
+    fit: Fit = method.fitter()(begin, measurement, options, progress, *known)
     if not options.tilt_first:
         return fit
     return replace(fit, report={**fit.report, "effects": "held" if begin is start else "fitted first"})
