@@ -130,7 +130,7 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     assert "its sag at rest included" in lift
     assert "joint 1" not in " ".join(document["lines"])
     shown = page("so101")
-    off = f"the tool is off by {document['before_mm']:.1f} mm, corrected by {document['after_mm']:.1f} mm"
+    off = f"the tool is off by {document['before_mm']:.1f} mm, corrected by {document['after_mm']:.2f} mm"
     for line in (off, *document["lines"], *document["warnings"]):
         assert line.replace("`", "").lower() in shown.lower()
     command("activate", document["version_id"], "--robot", "so101", "--force")
