@@ -48,7 +48,8 @@ def same(one: View, other: View) -> bool:
 
 def asked(kilter: Kilter, command: Command, folder: Path, name: str, twin: Twin, rng: np.random.Generator) -> Any:
     """What the kit says of 40 views and those it asked for besides, with the parameters of its version."""
-    kilter.robots.add({"name": name, "convention": "preset", "preset": "so101", "controller_compensation": "none"})
+    so101 = {"name": name, "convention": "preset", "preset": "so101", "controller_compensation": "none"}
+    kilter.robots.add({**so101, "payload_sigma": {"mass_percent": 1.0, "com_mm": 10.0}})  # as the kit adds one
 
     def ask(seen: list[View], *more: str) -> dict[str, Any]:
         rows, rig = written(folder, name, seen)

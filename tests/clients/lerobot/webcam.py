@@ -86,7 +86,7 @@ def views_near(
     """Views of a pose near those that somebody advised: the arm and its gripper are turned until the board is seen whole."""
     spread_deg = 5.0
     while True:
-        inner = np.array(examples_deg[rng.integers(len(examples_deg))])[1:4]
+        inner = np.array(examples_deg[int(rng.integers(len(examples_deg)))])[1:4]
         pan, roll = rng.uniform(-1.0, 1.0, 2) * LIMITS_DEG[[0, 4]]
         near = np.clip(inner + rng.uniform(-spread_deg, spread_deg, 3), -STOPS_DEG, STOPS_DEG)
         reading = ticks(np.array([pan, *near, roll]))

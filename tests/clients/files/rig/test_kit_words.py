@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kilter_files.rig.kit.words import lines_of
+from kilter_files.rig.kit.words import lines_of, off_by
 
 JOINTS = [{"name": "pan"}, {"name": "lift"}]
 
@@ -47,3 +47,8 @@ def test_of_a_joint_that_gravity_pulls_one_way_no_backlash_is_told() -> None:
     for value, sigma in ((0.5, 0.02), (0.02, 0.1), (-0.5, 0.05)):
         result = {"parameters": [{"name": "backlash_load_2", "unit": "deg", "value": value, "sigma": sigma}]}
         assert lines_of(result, JOINTS, [], 0.3, {2: why}) == [why]
+
+
+def test_an_arm_that_is_left_off_by_little_is_not_called_perfect() -> None:
+    assert off_by(31.94, 0.034) == "the tool is off by 31.9 mm, corrected by 0.03 mm (views held out)"
+    assert off_by(31.94, 2.34) == "the tool is off by 31.9 mm, corrected by 2.3 mm (views held out)"

@@ -14,6 +14,7 @@ from kilter_files.rig.kit.moments import gravity_moments
 LEAST_LOAD_NM = 0.05  # well beyond the friction of a servo: it rests on one flank then
 FEWEST_EITHER_WAY = 6  # views
 CLEARLY = 0.5  # of the most that gravity can pull so: whoever comes near an example still has the other way
+OFF_STOPS = 0.03  # of a joint's range
 MOST_EXAMPLES, APART_DEG = 3, 30.0
 STEPS_OF_A_JOINT = 13  # of the poses among which an example is sought
 
@@ -95,7 +96,7 @@ def _examples(
 ) -> dict[int, tuple[tuple[float, ...], ...]]:  # fmt: skip
     """For each joint the poses nearest to those seen, at which gravity pulls it the way that is lacking."""
     inner = [joint - 1 for joint in loaded(seen.shape[1])]
-    spans = [limits[k] or (-180.0, 180.0) for k in inner]
+    spans = [_off_the_stops(limits[k]) for k in inner]
     grid = np.array(list(itertools.product(*(np.linspace(low, high, STEPS_OF_A_JOINT) for low, high in spans))))
     poses = np.unique(seen, axis=0)
     away = np.stack([np.max(np.abs(grid - pose[inner]), axis=1) for pose in poses])
@@ -110,6 +111,11 @@ def _examples(
         fit = pull > max(CLEARLY * float(pull.max()), LEAST_LOAD_NM)
         out[joint] = _apart(tried, grid, np.where(fit, nearest, np.inf))
     return out
+
+
+def _off_the_stops(limits: tuple[float, float] | None) -> tuple[float, float]:
+    low, high = limits or (-180.0, 180.0)
+    return low + OFF_STOPS * (high - low), high - OFF_STOPS * (high - low)
 
 
 def _apart(poses: Floats, inner: Floats, cost: Floats) -> tuple[tuple[float, ...], ...]:

@@ -57,7 +57,8 @@ def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
 
 def off_by(before_mm: float, after_mm: float) -> str:
     """How far off the tool is, on views held out."""
-    return f"the tool is off by {before_mm:.1f} mm, corrected by {after_mm:.1f} mm (views held out)"
+    digits = 1 if after_mm >= 1.0 else 2  # 0.0 mm would be a perfect arm
+    return f"the tool is off by {before_mm:.1f} mm, corrected by {after_mm:.{digits}f} mm (views held out)"
 
 
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"

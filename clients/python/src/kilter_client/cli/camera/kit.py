@@ -26,6 +26,12 @@ from kilter_files import prepare
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
 # Likely size of half a servo's backlash: with the prior of an industrial gear that of a worn one went into the joint's zero.
 BACKLASH_RAD = math.radians(1.0)
+# Load over which a gear changes flanks, N m: an empty wrist of such an arm carries up to 0.12, mostly less.
+SOFTENING_NM = 0.005
+PAYLOAD_SIGMA = {
+    "mass_percent": 1.0,
+    "com_mm": 10.0,
+}  # it was weighed on a kitchen scale, and the jaw holds it about there
 HELD_OUT = 0.25
 SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos correct nothing by themselves
 
@@ -87,7 +93,8 @@ def _arm(kilter: Kilter, robot: str, as_json: bool) -> dict[str, Any]:
         if robot not in SERVOS:
             raise
     note(f"{robot} is added from its preset", as_json)
-    kilter.robots.add({"name": robot, "convention": "preset", "preset": robot, "controller_compensation": "none"})
+    document = {"name": robot, "convention": "preset", "preset": robot, "controller_compensation": "none"}
+    kilter.robots.add({**document, "payload_sigma": PAYLOAD_SIGMA})
     return dict(kilter.robots.get(robot))
 
 
@@ -104,9 +111,10 @@ def _page(
     loaded = [*kit_loads.loaded(len(arm["joints"]))]
     effects = [
         {"id": "axial_compliance", "joints": loaded},
-        {"id": "backlash_load", "joints": loaded, "softening_nm": 0.02, "prior_sigma_rad": BACKLASH_RAD},
+        {"id": "backlash_load", "joints": loaded, "softening_nm": SOFTENING_NM, "prior_sigma_rad": BACKLASH_RAD},
     ]
-    options = {"effects": effects, "masses": "as_stated", "limits": LIMITS}
+    # Masses are those of a public model: cables and another gripper weigh too, and decide the sign of a small load.
+    options = {"effects": effects, "masses": "uncertain", "limits": LIMITS}
     job = kilter.jobs.submit("identify", arm["name"], list(campaigns), HELD_OUT, options)
     with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
         result = kilter.jobs.wait(job["id"], progress)["result"]
