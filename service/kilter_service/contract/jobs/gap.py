@@ -8,7 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.effect_curves import EffectCurve
 from kilter_service.contract.figures import GapFigures
-from kilter_service.contract.fits import LoadNumber, Reference, SetAside
+from kilter_service.contract.fits import LoadNumber, NullDirection, Reference, SetAside
 from kilter_service.contract.fleet_priors import PriorUsed
 from kilter_service.contract.gap_details import (
     Adequacy,
@@ -118,6 +118,10 @@ class GapResult(MadeVersion):
     )
     set_aside: list[SetAside] | None = Field(None, description="Rows that the search set aside, held out or not.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
+    null_directions: list[NullDirection] | None = Field(
+        None,
+        description="What these data cannot tell apart in the final model, and sums that they know; null: earlier results.",
+    )
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +72,7 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
         }
     )
     progress(0.98, "errors of the new version")
-    version = _version(job, report, train, held, share, aside)
+    version = _version(job, report, train, held, share, {**found, "set_aside": aside})
     return JobOutput(result, replace(version, report={**version.report, "prior": result["prior"]}))
 
 
@@ -160,19 +160,22 @@ def _version(
     train: Observations,
     held: Observations | None,
     share: float | None,
-    aside: Sequence[dict[str, Any]],
+    found: Mapping[str, Any],
 ) -> VersionContent:
-    """What an identification stores of its fit, of the search's last one; ``share`` of the poses was held out by itself."""
+    """What an identification stores of its fit, of the search's last one; ``found`` is its document.
+
+    ``share`` of the poses was held out by itself.
+    """
     stored = report.stored
     document = {
         "metrics": stored.metrics(train, held, report.spikes),
         "parameters": stored.parameters(),
-        "null_directions": stored.null_directions(),
+        "null_directions": found["null_directions"],
         "noise_mm": report.gap.get("noise_mm"),
         "noise_source": report.noise["source"],
         "load_model": stored.load_model(),
         "warnings": list(report.warnings),
-        "set_aside": list(aside),
+        "set_aside": list(found["set_aside"]),
         "reference": stored.reference(),
         HELD_OUT: share,
     }
