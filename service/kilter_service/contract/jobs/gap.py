@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -62,6 +62,11 @@ class GapOptions(Asked):
     base: Free = Field("free", description="Whether the base is fitted.")
     tool: Free = Field("free", description="Whether the tool is fitted.")
     reference: ReferenceFrames = Field("auto", description=REFERENCE)
+    refit: Annotated[list[Literal["tool"]], Field(max_length=1)] = Field(
+        [],
+        description='["tool"]: every campaign and session has a tool point of its own (a remounted marker); '
+        "[]: all rows share one.",
+    )
     prior: PriorName = Field(None, description=PRIOR)
     max_effects: Annotated[int, Field(ge=1, le=50)] = Field(
         8, description="Most effects to name, 1 to 50; an effect at several joints is one."

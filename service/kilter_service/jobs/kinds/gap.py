@@ -145,13 +145,19 @@ def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | No
 def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:
     """Rows to search, what to hold out, and the confirmation, poses and sessions numbered apart."""
     held = job.validation if isinstance(job.validation, dict) else {}
-    parts = iter(numbered([*job.campaigns.values(), *held.values(), *job.confirmation.values()]))
+    given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
+    parts = iter(numbered(map(_as_session, given) if job.options.refit else given))
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
     rows, others, confirmation = (Observations.concatenate(group) if group else None for group in groups)
     assert rows is not None
     validation = others if others is not None else job.validation
     assert validation is None or isinstance(validation, Observations | float)
     return rows, validation, confirmation
+
+
+def _as_session(rows: Observations) -> Observations:
+    """A campaign without sessions is one of its own."""
+    return rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
 
 
 def _version(
