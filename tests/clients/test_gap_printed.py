@@ -91,3 +91,11 @@ def test_the_joints_at_which_both_halves_name_an_effect_are_told(capsys: pytest.
     assert "both name it at" not in printed(capsys, effects=[one])
     earlier = play | {"halves": {key: value for key, value in halves.items() if key != "joints"}}
     assert "both name it at" not in printed(capsys, effects=[earlier])
+
+
+def test_what_cannot_be_told_apart_is_printed_with_its_sum(capsys: pytest.CaptureFixture[str]) -> None:
+    said = "d_2 cannot be told from d_3. Together they are known: d_2 + d_3 = 164.1 mm (95 %: 163.9 to 164.3)."
+    members = [{"name": "d_2", "weight": 1.0}, {"name": "d_3", "weight": -1.0}]
+    lines = printed(capsys, null_directions=[{"parameters": members, "sentence": said}]).splitlines()
+    assert lines[lines.index("What these data cannot distinguish:") + 1] == f"  - {said}"
+    assert "What these data cannot distinguish:" not in printed(capsys)

@@ -11,8 +11,8 @@ from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
 from kilter_core.gap.expected import probe, timed
-from kilter_core.gap.find import beginning
 from kilter_core.gap.options import GapOptions
+from kilter_core.gap.search.beginning import beginning
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.identify.compare import poses_of, thinned
@@ -55,7 +55,7 @@ def check_gap(
 
     """
     options = options or GapOptions()
-    begin = beginning(robot, start)
+    begin = beginning(robot, start, observations, options)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):

@@ -11,7 +11,6 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.errors import OptionError
 from kilter_core.gap.budget import MEASURING, PLANNING, RESAMPLING, SEARCHING, SHUFFLING, Budget
 from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
@@ -53,6 +52,7 @@ from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.report.told_apart import Proposed, told_apart
+from kilter_core.gap.search.beginning import beginning
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
 from kilter_core.gap.search.events import numbered
@@ -108,7 +108,7 @@ def find_gap(
 
     """
     options, progress = options or GapOptions(), progress or unheard
-    begin, budget = beginning(robot, start), Budget(options.budget_s)
+    begin, budget = beginning(robot, start, observations, options), Budget(options.budget_s)
     named = [EFFECTS[name] for name in wanted(options.effects)]
     given = as_inputs(named, begin, observations, validation, confirmation)
     (observations, validation, confirmation), by_views = seen_poses(begin, *given)
@@ -126,19 +126,6 @@ def find_gap(
     if not isinstance(share, Observations):
         report = report.numbered(*held_out(every, share, options.seed))
     return replace(report, warnings=(*budget.warnings(), *report.warnings, *remarks))
-
-
-def beginning(robot: Robot, start: Calibration | None) -> Calibration:
-    """Refuse a start of another robot: its chain would be searched, and what differs named as physics."""
-    if start is None:
-        return Calibration.nominal(robot)
-    if (start.robot.name, start.robot.chain.elements) != (robot.name, robot.chain.elements):
-        raise OptionError(
-            f"The start is a version of robot {start.robot.name!r}, the rows are of {robot.name!r}: name a version of "
-            f"{robot.name!r}, or leave start out.",
-            option="start",
-        )
-    return start
 
 
 def _part(progress: Progress, low: float, high: float) -> Progress:

@@ -30,7 +30,8 @@ class GapOptions:
     ``tool`` are "free" or "fixed", and ``reference`` says in which frames a correction works, as there ("auto",
     "robot", "registration"). ``next_poses`` is how many poses to propose. ``matters_um`` is the movement of the
     tool below which a misfit or an effect is said to be too small to matter, unless the instrument promises less
-    than that. ``budget_s`` is how many seconds a search may take: it then ends with the best that it has.
+    than that. ``refit`` ("tool",) gives every session a tool point of its own. ``budget_s`` is how many seconds a search
+    may take: it then ends with the best that it has.
     """
 
     alpha: float = 0.01
@@ -49,6 +50,7 @@ class GapOptions:
     seed: int = 0
     matters_um: float = MATTERS_UM
     budget_s: float | None = None
+    refit: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._numbers()
@@ -63,6 +65,8 @@ class GapOptions:
             raise OptionError("matters_um must be 0 or more: it is a size in micrometres.", option="matters_um")
         if self.budget_s is not None and not self.budget_s > 0.0:
             raise OptionError("budget_s must be above 0: it is how many seconds a search may take.", option="budget_s")
+        if tuple(self.refit) not in ((), ("tool",)):
+            raise OptionError(f'refit is {list(self.refit)}: give ["tool"], or [].', option="refit")
         for name, most in MOST.items():
             least = 0 if name == "next_poses" else 1
             if not least <= getattr(self, name) <= most:

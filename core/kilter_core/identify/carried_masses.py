@@ -116,7 +116,9 @@ def masses_said(
             '"as_stated" takes them as exact, "uncertain" fits them, in many fits.'
         )
     else:
-        text = f"No link has a mass and no row a payload, so there is nothing for {following} to follow."
+        text = (
+            f"No link has a mass and no row a payload: {following} follow no load but those that rows state for links."
+        )
     return {"carried": carried is not None, "considered": considered is not None, "sentence": text}
 
 

@@ -114,6 +114,19 @@ def test_the_covariance_is_that_of_everything_that_was_fitted(far, fitted):
     assert one[k, m] != 0.0
 
 
+def test_a_hunt_says_what_the_distances_along_parallel_axes_are_together(far):
+    """Joints 2 to 4 of the arm that measured are parallel: plain numpy drew it, and its three distances are of no matter
+    one by one."""
+    directions = far.to_document()["null_directions"]
+    assert directions == far.stored.null_directions()
+    (found,) = [one for own in directions for one in own["sums"] if one["parameters"][0]["name"] == "d_2"]
+    assert {one["name"]: one["coefficient"] for one in found["parameters"]} == pytest.approx(
+        {"d_2": 1.0, "d_3": 1.0, "d_4": 1.0}, abs=1e-3
+    )
+    true = 1e3 * sum(step.value for step in scene(3).built.steps if step.name in ("d_2", "d_3", "d_4"))
+    assert abs(found["value"] - true) < 4.0 * found["sigma"] < 1.0
+
+
 def test_a_filter_goes_on_from_a_hunt_with_a_few_more_poses(far, ur10):
     known = far.stored.covariance()
     prior = Prior(tuple(known["names"]), np.array(known["matrix"]))

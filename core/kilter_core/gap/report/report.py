@@ -136,6 +136,7 @@ class GapReport:
             "figures": self.figures,
             "effect_curves": self.effect_curves,
             "load_model": self.stored.load_model(),
+            "null_directions": self.stored.null_directions(),
             "reference": self.stored.reference(),
         }
 

@@ -292,8 +292,8 @@ class _Preparation:
             return stated_noise(visits.observations.sigma, visits, size)
         self._warn(
             "no_repeats",
-            "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to "
-            "it, and none can be more than provisional. Repeat ten poses three times, with another pose in between.",
+            "No pose was repeated often enough, so the noise is that of the fit: every verdict is relative to it, and above "
+            "provisional is only what both halves, or a confirmation, show alike. Repeat ten poses thrice, others between.",
         )
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return source.even(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost))

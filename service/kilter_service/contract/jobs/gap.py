@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from kilter_service.contract.effect_curves import EffectCurve
 from kilter_service.contract.figures import GapFigures
-from kilter_service.contract.fits import LoadNumber, Reference, SetAside
+from kilter_service.contract.fits import LoadNumber, NullDirection, Reference, SetAside
 from kilter_service.contract.fleet_priors import PriorUsed
 from kilter_service.contract.gap_details import (
     Adequacy,
@@ -62,6 +62,11 @@ class GapOptions(Asked):
     base: Free = Field("free", description="Whether the base is fitted.")
     tool: Free = Field("free", description="Whether the tool is fitted.")
     reference: ReferenceFrames = Field("auto", description=REFERENCE)
+    refit: Annotated[list[Literal["tool"]], Field(max_length=1)] = Field(
+        [],
+        description='["tool"]: every campaign and session has a tool point of its own (a remounted marker); '
+        "[]: all rows share one.",
+    )
     prior: PriorName = Field(None, description=PRIOR)
     max_effects: Annotated[int, Field(ge=1, le=50)] = Field(
         8, description="Most effects to name, 1 to 50; an effect at several joints is one."
@@ -118,6 +123,10 @@ class GapResult(MadeVersion):
     )
     set_aside: list[SetAside] | None = Field(None, description="Rows that the search set aside, held out or not.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
+    null_directions: list[NullDirection] | None = Field(
+        None,
+        description="What these data cannot tell apart in the final model, and sums that they know; null: earlier results.",
+    )
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +72,7 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
         }
     )
     progress(0.98, "errors of the new version")
-    version = _version(job, report, train, held, share, aside)
+    version = _version(job, report, train, held, share, {**found, "set_aside": aside})
     return JobOutput(result, replace(version, report={**version.report, "prior": result["prior"]}))
 
 
@@ -145,7 +145,8 @@ def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | No
 def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:
     """Rows to search, what to hold out, and the confirmation, poses and sessions numbered apart."""
     held = job.validation if isinstance(job.validation, dict) else {}
-    parts = iter(numbered([*job.campaigns.values(), *held.values(), *job.confirmation.values()]))
+    given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
+    parts = iter(numbered(map(_as_session, given) if job.options.refit else given))
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
     rows, others, confirmation = (Observations.concatenate(group) if group else None for group in groups)
     assert rows is not None
@@ -154,25 +155,33 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
     return rows, validation, confirmation
 
 
+def _as_session(rows: Observations) -> Observations:
+    """A campaign without sessions is one of its own."""
+    return rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
+
+
 def _version(
     job: JobInput,
     report: GapReport,
     train: Observations,
     held: Observations | None,
     share: float | None,
-    aside: Sequence[dict[str, Any]],
+    found: Mapping[str, Any],
 ) -> VersionContent:
-    """What an identification stores of its fit, of the search's last one; ``share`` of the poses was held out by itself."""
+    """What an identification stores of its fit, of the search's last one; ``found`` is its document.
+
+    ``share`` of the poses was held out by itself.
+    """
     stored = report.stored
     document = {
         "metrics": stored.metrics(train, held, report.spikes),
         "parameters": stored.parameters(),
-        "null_directions": stored.null_directions(),
+        "null_directions": found["null_directions"],
         "noise_mm": report.gap.get("noise_mm"),
         "noise_source": report.noise["source"],
         "load_model": stored.load_model(),
         "warnings": list(report.warnings),
-        "set_aside": list(aside),
+        "set_aside": list(found["set_aside"]),
         "reference": stored.reference(),
         HELD_OUT: share,
     }

@@ -44,6 +44,7 @@ Refit = Annotated[
         help="base, tool: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
     ),
 ]
+OWN_TOOL = "tool: a tool point for each campaign and session; left out: one for all."
 Figures = Annotated[
     Path | None,
     typer.Option(
@@ -138,6 +139,7 @@ def gap(
     fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["fix"])] = None,
     base: Annotated[Frame | None, typer.Option(help=GAP["base"])] = None,
     tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
+    refit: Annotated[Literal["tool"] | None, typer.Option(help=OWN_TOOL)] = None,
     reference: Reference = None,
     prior: Annotated[Literal["fleet"] | None, typer.Option(help=GAP["prior"])] = None,
     seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
@@ -168,6 +170,7 @@ def gap(
         prior=prior,
         seed=seed,
         budget_s=budget,
+        refit=None if refit is None else [refit],
     )
     files = partial(_write_search, poses, figures, as_json)
     again = arguments.split_names(confirmation)

@@ -9,7 +9,7 @@ from typing import ClassVar
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownSearch
 from kilter_client.typed.effect_curves import EffectCurve
-from kilter_client.typed.fits import Figure, LoadNumber, Objection, Reference, Remark
+from kilter_client.typed.fits import Figure, LoadNumber, NullDirection, Objection, Reference, Remark
 from kilter_client.typed.fleet_priors import PriorUsed
 from kilter_client.typed.identifications import SetAside
 from kilter_client.typed.search_numbers import (
@@ -345,6 +345,8 @@ class GapResult(ShownSearch, Record):
     """The noise that the gap is compared with."""
     not_testable: Records[Untestable]
     """What these rows cannot say, and how they could."""
+    null_directions: Records[NullDirection]
+    """What these data cannot tell apart in the final model, and sums that they know; None: earlier results."""
     objections: Records[Objection]
     """What it found against activating the version."""
     predictive: Predictive | None

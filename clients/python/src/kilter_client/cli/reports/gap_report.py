@@ -8,6 +8,7 @@ from typing import Any
 from kilter_client.cli.output import say
 from kilter_client.cli.reports.identify_report import corrected_in
 from kilter_client.cli.reports.load_model_report import show_load_model
+from kilter_client.cli.reports.unobservable_report import show_unobservable
 from kilter_client.cli.tables import number, show_rows
 
 MOST_PLACES = 12
@@ -37,6 +38,7 @@ def show_gap(result: Mapping[str, Any]) -> None:
     if result.get("prior"):
         say(result["prior"]["sentence"])
     show_load_model(result.get("load_model") or [])
+    show_unobservable(result.get("null_directions") or [])
     _not_testable(result.get("not_testable") or [])
     _next_poses(result.get("next_poses") or [], result.get("told_apart") or {})
     if result.get("version_id") and result.get("reference"):

@@ -9,6 +9,7 @@ from kilter_client.cli.output import say
 from kilter_client.cli.reports.drift_report import show_drift, show_smallest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
+from kilter_client.cli.reports.unobservable_report import show_unobservable
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
@@ -104,7 +105,7 @@ def show_result(result: Mapping[str, Any]) -> None:
     show_identification(result)
     _joints(result.get("joints") or [])
     _configurations(result.get("configurations") or [])
-    _null_directions(result.get("null_directions") or [])
+    show_unobservable(result.get("null_directions") or [])
     for warning in result.get("warnings") or ():
         say(f"warning: {warning.get('message', warning) if isinstance(warning, Mapping) else warning}")
     if result.get("noise_mm") is not None:
@@ -214,17 +215,3 @@ def _configurations(configurations: list[Mapping[str, Any]]) -> None:
     ]
     if rows:
         show_rows(("joint", "axis", "payload kg", "joint values (deg, prismatic mm)"), rows)
-
-
-def _null_directions(directions: list[Any]) -> None:
-    if not directions:
-        return
-    say("What these data cannot distinguish:")
-    for direction in directions:
-        sentence = direction.get("sentence") if isinstance(direction, Mapping) else direction
-        say(f"  - {sentence or _combination(direction)}")
-
-
-def _combination(direction: Mapping[str, Any]) -> str:
-    parts = direction.get("parameters") or ()
-    return " ".join(f"{part['weight']:+.2f} {part['name']}" for part in parts) + " changes nothing that was measured."
