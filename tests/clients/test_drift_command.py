@@ -127,13 +127,14 @@ def test_what_cannot_be_checked_is_refused_with_place_and_remedy(
     said = refused(calibrated, foreign, code="rows_of_another_arm")
     assert "of another robot" in said
     (gone,) = [one for one in k.campaigns(calibrated, retired=True) if one.name == "other.csv"]
-    assert f"campaign {gone.id}, was retired" in said
+    assert f"Campaign {gone.id} was retired" in said
     assert "other.csv" not in [one.name for one in k.campaigns(calibrated)]
     with pytest.raises(JobFailedError, match="was retired, so that nothing is compared with it"):
         k.drift(calibrated, written(tmp_path / "theirs.csv", other, 6, 10), progress=False)
     assert "theirs.csv" not in [one.name for one in k.campaigns(calibrated)]
     k.restore(gone.id)
-    refused(calibrated, "--campaign", gone.id, code="rows_of_another_arm")  # named: it is somebody else's to retire
+    said = refused(calibrated, "--campaign", gone.id, code="rows_of_another_arm")
+    assert "still in use, because other jobs or versions name it" in said  # who restored it knows more than the check
     assert "other.csv" in [one.name for one in k.campaigns(calibrated)]
     k.add_robot({**other.document(), "name": f"{calibrated}-other"})
     sent = k.upload(f"{calibrated}-other", foreign, name="theirs", progress=False)
