@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -251,3 +254,27 @@ def test_what_moved_is_re_zeroed_activated_and_agrees(
     assert "Nothing has moved" in told["detail"]
     told = command.json("rezero", calibrated, "--campaign", "again.csv", "--cause", "elbow", code=1)
     assert told["code"] == "option_invalid"
+
+
+def test_the_exit_code_is_the_verdicts_where_nobody_reads_on(
+    calibrated: str, arm: DriftingArm, tmp_path: Path, server: Path
+) -> None:
+    """As in ``kilter check ... | head``: the reader is gone before anything is printed."""
+    ends = {3: arm.after("zero_3", STEP), 0: arm}
+    for code, now in ends.items():
+        rows = written(tmp_path / f"ends-{code}.csv", now, 6, 12)
+        for more in ([], ["--json"]):
+            read, write = os.pipe()
+            os.close(read)
+            command = [
+                sys.executable,
+                "-c",
+                "from kilter_client.cli import main; main()",
+                "check",
+                calibrated,
+                str(rows),
+            ]
+            ended = subprocess.run([*command, *more], stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+            os.close(write)
+            assert ended.returncode == code, ended.stderr
+            assert "Broken pipe" not in ended.stderr

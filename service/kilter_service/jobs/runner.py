@@ -18,13 +18,14 @@ from kilter_service.caller import on_behalf
 from kilter_service.db import Database, DatabaseAwayError, Session
 from kilter_service.db.failures import in_words
 from kilter_service.failure_log import log_failure
-from kilter_service.jobs import foreign_rows, store
+from kilter_service.jobs import store
 from kilter_service.jobs.can_correct import with_ability_warning
 from kilter_service.jobs.certificates import with_certificate_warnings
 from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
+from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
