@@ -43,6 +43,11 @@ def test_rows_of_another_arm_are_taken_out_of_use_by_the_check_itself(
     watched.calibrated()
     watched.checked(arm, 2, 1)
     foreign = watched.sent(other, 6, 3, DAY + timedelta(days=2))
+    body = {"kind": "drift", "robot": "watched", "campaigns": [foreign]}
+    (problem,) = client.post("/v1/jobs/check", json=body).raise_for_status().json()["problems"]
+    assert problem["code"] == "rows_of_another_arm"
+    assert f"kilter campaigns retire {foreign}" in problem["message"]  # what only looks changes nothing
+    assert in_use(watched, foreign)
     message = refused(watched, foreign)["error"]["message"]
     assert f"Campaign {foreign} was retired" in message
     assert f"kilter campaigns restore {foreign}" in message

@@ -6,9 +6,9 @@ from sqlalchemy import String, cast, select
 
 from kilter_service.db import Session
 from kilter_service.db.tables import CampaignRow, JobRow
+from kilter_service.jobs.kinds.drift import FOREIGN
 from kilter_service.references import store as references
 
-FOREIGN = "rows_of_another_arm"
 KIND = "drift"
 RETIRED = (
     " Campaign {campaign} was retired, so that nothing is compared with it; an administrator can bring it back (`kilter "
