@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -127,13 +130,14 @@ def test_what_cannot_be_checked_is_refused_with_place_and_remedy(
     said = refused(calibrated, foreign, code="rows_of_another_arm")
     assert "of another robot" in said
     (gone,) = [one for one in k.campaigns(calibrated, retired=True) if one.name == "other.csv"]
-    assert f"campaign {gone.id}, was retired" in said
+    assert f"Campaign {gone.id} was retired" in said
     assert "other.csv" not in [one.name for one in k.campaigns(calibrated)]
     with pytest.raises(JobFailedError, match="was retired, so that nothing is compared with it"):
         k.drift(calibrated, written(tmp_path / "theirs.csv", other, 6, 10), progress=False)
     assert "theirs.csv" not in [one.name for one in k.campaigns(calibrated)]
     k.restore(gone.id)
-    refused(calibrated, "--campaign", gone.id, code="rows_of_another_arm")  # named: it is somebody else's to retire
+    said = refused(calibrated, "--campaign", gone.id, code="rows_of_another_arm")
+    assert "still in use, because other jobs or versions name it" in said  # who restored it knows more than the check
     assert "other.csv" in [one.name for one in k.campaigns(calibrated)]
     k.add_robot({**other.document(), "name": f"{calibrated}-other"})
     sent = k.upload(f"{calibrated}-other", foreign, name="theirs", progress=False)
@@ -250,3 +254,27 @@ def test_what_moved_is_re_zeroed_activated_and_agrees(
     assert "Nothing has moved" in told["detail"]
     told = command.json("rezero", calibrated, "--campaign", "again.csv", "--cause", "elbow", code=1)
     assert told["code"] == "option_invalid"
+
+
+def test_the_exit_code_is_the_verdicts_where_nobody_reads_on(
+    calibrated: str, arm: DriftingArm, tmp_path: Path, server: Path
+) -> None:
+    """As in ``kilter check ... | head``: the reader is gone before anything is printed."""
+    ends = {3: arm.after("zero_3", STEP), 0: arm}
+    for code, now in ends.items():
+        rows = written(tmp_path / f"ends-{code}.csv", now, 6, 12)
+        for more in ([], ["--json"]):
+            read, write = os.pipe()
+            os.close(read)
+            command = [
+                sys.executable,
+                "-c",
+                "from kilter_client.cli import main; main()",
+                "check",
+                calibrated,
+                str(rows),
+            ]
+            ended = subprocess.run([*command, *more], stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+            os.close(write)
+            assert ended.returncode == code, ended.stderr
+            assert "Broken pipe" not in ended.stderr

@@ -29,12 +29,12 @@ class Watched:
         self.client, self.until, self.arm, self.name = client, until, arm, name
         client.post("/v1/robots", json={**arm.document(), "name": name}).raise_for_status()
 
-    def sent(self, arm: DriftingArm, poses: int, seed: int, at: datetime) -> str:
+    def sent(self, arm: DriftingArm, poses: int, seed: int, at: datetime, role: str = "validation") -> str:
         rng = np.random.default_rng(seed)
         q = some_poses(poses, rng)
         seen = arm.measured(q, rng, NOISE).position
         assert seen is not None
-        body = {"name": f"{at:%Y-%m-%d}", "numbered": True, "role": "validation", "measured_at": at.isoformat()}
+        body = {"name": f"{at:%Y-%m-%d}", "numbered": True, "role": role, "measured_at": at.isoformat()}
         made = self.client.post(f"/v1/robots/{self.name}/campaigns", json=body).raise_for_status().json()["id"]
         columns = {f"q{k + 1}_deg": np.degrees(q[:, k]).tolist() for k in range(6)}
         columns |= {f"{axis}_mm": (seen[:, k] * 1e3).tolist() for k, axis in enumerate("xyz")}

@@ -25,6 +25,7 @@ from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
+from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
@@ -141,8 +142,9 @@ class Runner:
                 _store(session, claim, Outcome(error=("internal_error", message)))
 
     def _asked_for(self, claim: Claim, outcome: Outcome) -> AbstractContextManager[None]:
-        """Let the audit name who asked for the version that is stored; what makes none changes no robot."""
-        if outcome.output is None or outcome.output.version is None:
+        """Let the audit name who asked for a version that is stored, or a campaign that is retired; else no robot changes."""
+        retires = outcome.error is not None and outcome.error[0] == foreign_rows.FOREIGN
+        if not retires and (outcome.output is None or outcome.output.version is None):
             return nullcontext()
         with self._database.reading() as session:
             return on_behalf(store.asked_by(session, claim.job_id), ROUTE, {"job": claim.job_id})
@@ -161,7 +163,8 @@ def _store(session: Session, claim: Claim, outcome: Outcome) -> None:
     if not lease.holds(session, claim):
         log.warning("job %s is no longer this worker's: what it computed is dropped", claim.job_id)
     elif outcome.error is not None:
-        store.fail(session, claim.job_id, *outcome.error)
+        code, message = outcome.error
+        store.fail(session, claim.job_id, code, foreign_rows.refused(session, claim.job_id, code, message))
     elif outcome.output is not None:
         version = outcome.output.version
         said = [] if version is None else objections_of(version.report, version.limits)

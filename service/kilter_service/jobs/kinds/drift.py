@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
     from kilter_core.watch import Check
 
+FOREIGN = "rows_of_another_arm"
+STAYS = (
+    " Campaign {campaign} is still in use: retire it, on its page or by `kilter campaigns retire {campaign}`, so that nothing "
+    "is compared with it."
+)
+
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Check the rows of the campaign against the version named, else the active one."""
@@ -35,7 +41,15 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     """Check, which takes no time, and say only what would be refused."""
     found.learn_from(*job.campaigns.values())
     with found.noting_refusals():
-        checked(job, rows_of(job), known_of(job))
+        try:
+            checked(job, rows_of(job), known_of(job))
+        except ObservationError as error:
+            if error.code != FOREIGN:
+                raise
+            (campaign,) = job.campaigns
+            raise ObservationError(
+                error.message + STAYS.format(campaign=campaign), code=FOREIGN, **error.context
+            ) from None
 
 
 def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,8 +20,7 @@ from kilter_client.cli.references import resolved, resolved_options
 from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.texts.option_texts import DRIFT, REZERO
-from kilter_client.errors import ApiError, JobFailedError, UsageError
-from kilter_client.verbs.drifts import FOREIGN, foreign
+from kilter_client.errors import UsageError
 
 Rows = Annotated[
     Path | None,
@@ -87,7 +85,7 @@ def check(
         if not no_wait:
             with on_interrupt(partial(job_goes_on, job["id"])), job_bar("check", as_json) as progress:
                 note(f"job {job['id']}", as_json)
-                job = _waited(kilter, job["id"], progress, used if campaign is None else None)
+                job = dict(kilter.jobs.wait(job["id"], progress))
     emit(job, as_json, show_job)
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
@@ -127,20 +125,6 @@ def rezero(
     """Make a version of the one or few parameters that moved; everything else stays as it was identified."""
     chosen = arguments.options(option, causes=arguments.split_names(cause), version=version, noise_mm=noise_mm)
     run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name)
-
-
-def _waited(kilter: Kilter, job: str, progress: Callable[[float, str], None], sent: str | None) -> dict[str, Any]:
-    """Wait for a check; rows that were ``sent`` for it and are of another arm are retired."""
-    try:
-        return dict(kilter.jobs.wait(job, progress))
-    except JobFailedError as error:
-        if sent is None or error.code != FOREIGN:
-            raise
-        try:
-            kilter.campaigns.retire(sent)
-        except ApiError:
-            raise foreign(error, sent, retired=False) from None
-        raise foreign(error, sent, retired=True) from None
 
 
 def _verdict(job: dict[str, Any]) -> str:

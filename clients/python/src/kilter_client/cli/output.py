@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -22,11 +23,19 @@ INVALID = r"Invalid value for ((?:'[^']+'(?: / )?)+): (?:Value error, )?"  # an 
 
 
 def emit(document: Document, as_json: bool, show: Callable[[Document], None]) -> None:
-    """Print a command's document: as JSON, or by ``show`` for people."""
-    if as_json:
-        print(json.dumps(document, indent=2, ensure_ascii=False))
-    else:
-        show(document)
+    """Print a command's document: as JSON, or by ``show`` for people.
+
+    Whoever reads may stop before the end, as ``head`` does: the exit code still says how the command ended.
+    """
+    try:
+        if as_json:
+            print(json.dumps(document, indent=2, ensure_ascii=False))
+        else:
+            show(document)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # What is buffered still would be written at the end, and fail there.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def say(text: str = "") -> None:

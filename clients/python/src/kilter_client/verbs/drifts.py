@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Unpack, cast
 
-from kilter_client.errors import ApiError, JobFailedError, UsageError
+from kilter_client.errors import UsageError
 from kilter_client.given import Data
 from kilter_client.progress import Watching
-from kilter_client.results.record import Record
-from kilter_client.steps import Document, Steps
-from kilter_client.verbs import campaigns, jobs, keeping
+from kilter_client.steps import Steps
+from kilter_client.verbs import campaigns, jobs
 from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
@@ -19,13 +18,6 @@ if TYPE_CHECKING:
 
     from kilter_client.typed.drifts import DriftResult, RezeroResult
     from kilter_client.typed.options import DriftOptions, RezeroOptions
-
-FOREIGN = "rows_of_another_arm"
-RETIRED = " What was sent, campaign {campaign}, was retired, so that nothing is compared with it."
-KEPT = (
-    " What was sent, campaign {campaign}, is still in use: ask an administrator of the server to retire it (`kilter campaigns "
-    "retire {campaign}`), so that nothing is compared with it."
-)
 
 
 def drift(
@@ -46,8 +38,8 @@ def drift(
 ) -> Steps[DriftResult]:
     """Say whether an arm has moved since its version was made, and which one change explains it.
 
-    The rows are stored as a campaign with the role ``validation``: no fit takes them unless it names them. Rows of another
-    arm are retired.
+    The rows are stored as a campaign with the role ``validation``: no fit takes them unless it names them. Where
+    they are of another arm the server retires them.
 
     Args:
         robot: name of the robot.
@@ -80,33 +72,11 @@ def drift(
             instrument=instrument, progress=progress,
         )  # fmt: skip
         asked = jobs.asked("drift", robot, sent.campaign_id, options, None, name)
-        return cast("DriftResult", (yield from _run_with_rows_of_its_own(asked, sent.campaign_id, progress, timeout_s)))
+        return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
     _refuse_known({"device": device, "column_map": column_map, "payload_kg": payload_kg,
                    "temperature_c": temperature_c, "measured_at": measured_at, "instrument": instrument})  # fmt: skip
     asked = jobs.asked("drift", robot, reference("campaign", campaign), options, None, name)
     return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
-
-
-def _run_with_rows_of_its_own(
-    asked: Document, campaign: str, progress: Watching, timeout_s: float | None
-) -> Steps[Record]:
-    """Run a check of rows that were sent for it; those of another arm are retired."""
-    try:
-        return (yield from jobs.run(asked, progress, timeout_s))
-    except JobFailedError as error:
-        if error.code != FOREIGN:
-            raise
-        try:
-            yield from keeping.retire(campaign, kind="campaign")
-        except ApiError:
-            raise foreign(error, campaign, retired=False) from None
-        raise foreign(error, campaign, retired=True) from None
-
-
-def foreign(error: JobFailedError, campaign: str, *, retired: bool) -> JobFailedError:
-    """Say why a check was refused, and what becomes of its rows, which are of another arm."""
-    said = str(error).rstrip() + (RETIRED if retired else KEPT).format(campaign=campaign)
-    return JobFailedError(said, job=error.job, code=FOREIGN)
 
 
 def rezero(

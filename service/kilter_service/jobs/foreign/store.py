@@ -1,0 +1,49 @@
+"""What becomes of rows that a check refused as of another arm: page, HTTP, library and command follow this one rule."""
+
+from __future__ import annotations
+
+from sqlalchemy import String, cast, select
+
+from kilter_service.db import Session
+from kilter_service.db.tables import CampaignRow, JobRow
+from kilter_service.jobs.kinds.drift import FOREIGN
+from kilter_service.references import store as references
+
+KIND = "drift"
+RETIRED = (
+    " Campaign {campaign} was retired, so that nothing is compared with it; an administrator can bring it back (`kilter "
+    "campaigns restore {campaign}`)."
+)
+KEPT = (
+    " Campaign {campaign} is still in use, because {why}: ask an administrator to retire it (`kilter campaigns retire "
+    "{campaign}`) if it is of another arm, so that nothing is compared with it."
+)
+TO_FIT = "it was sent to be fitted"
+USED = "other jobs or versions name it"
+
+
+def refused(session: Session, job_id: str, code: str, message: str) -> str:
+    """Retire the campaign of a check that was refused as of another arm, and say so behind the message of the refusal.
+
+    A campaign stays where it was sent to be fitted, for it may be of an arm that was rebuilt, and where another job or a
+    version names it: whoever restored it, or learnt from it, knows more than the check.
+    """
+    row = session.get_one(JobRow, job_id)
+    if row.kind != KIND or code != FOREIGN:
+        return message
+    (key,) = row.request["campaigns"]
+    campaign = session.get_one(CampaignRow, key)
+    why = TO_FIT if campaign.role == "train" else USED if _is_used(session, row, key) else None
+    if why is not None:
+        return message.rstrip() + KEPT.format(campaign=key, why=why)
+    references.retire(session, "campaign", key, str(row.asked_by.get("actor", "")))
+    return message.rstrip() + RETIRED.format(campaign=key)
+
+
+def _is_used(session: Session, job: JobRow, campaign: str) -> bool:
+    others = select(JobRow.id).where(
+        JobRow.robot_id == job.robot_id, JobRow.id != job.id, cast(JobRow.request, String).contains(campaign)
+    )
+    if session.execute(others.limit(1)).first() is not None:
+        return True
+    return bool(references.citing_campaign(session, job.robot_id, campaign))

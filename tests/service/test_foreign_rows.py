@@ -1,0 +1,66 @@
+"""Rows of another arm, sent over HTTP as the page sends them: the server's check takes them out of use, and says so."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import Any
+
+import httpx
+import numpy as np
+
+from tests.core.watch.drifting import some_arm
+from tests.service.conftest import WorkerProcess
+from tests.service.watched_robot import DAY, Until, Watched
+
+TOLERANCE = {"tolerance_mm": 1.0}
+
+
+def refused(watched: Watched, campaign: str) -> dict[str, Any]:
+    body = {"kind": "drift", "robot": watched.name, "campaigns": [campaign]}
+    job = watched.client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
+
+    def read() -> dict[str, Any]:
+        return dict(watched.client.get(f"/v1/jobs/{job}").json())
+
+    assert watched.until is not None
+    watched.until(lambda: read()["state"] in ("succeeded", "failed"))
+    found = read()
+    assert found["state"] == "failed"
+    assert found["error"]["code"] == "rows_of_another_arm"
+    return found
+
+
+def in_use(watched: Watched, campaign: str) -> bool:
+    return watched.client.get(f"/v1/campaigns/{campaign}").raise_for_status().json()["retired_at"] is None
+
+
+def test_rows_of_another_arm_are_taken_out_of_use_by_the_check_itself(
+    client: httpx.Client, worker: WorkerProcess, until: Until
+) -> None:
+    worker.start()
+    arm, other = some_arm(np.random.default_rng(3)), some_arm(np.random.default_rng(99))
+    watched = Watched(client, until, arm, "watched")
+    watched.calibrated()
+    watched.checked(arm, 2, 1)
+    foreign = watched.sent(other, 6, 3, DAY + timedelta(days=2))
+    body = {"kind": "drift", "robot": "watched", "campaigns": [foreign]}
+    (problem,) = client.post("/v1/jobs/check", json=body).raise_for_status().json()["problems"]
+    assert problem["code"] == "rows_of_another_arm"
+    assert f"kilter campaigns retire {foreign}" in problem["message"]  # what only looks changes nothing
+    assert in_use(watched, foreign)
+    message = refused(watched, foreign)["error"]["message"]
+    assert f"Campaign {foreign} was retired" in message
+    assert f"kilter campaigns restore {foreign}" in message
+    assert not in_use(watched, foreign)
+    judged = client.get("/v1/robots/watched/acceptance", params=TOLERANCE).raise_for_status().json()
+    assert foreign not in [one["id"] for one in judged["campaigns"]]
+    assert judged["campaigns"]
+    log = client.get("/v1/audit").raise_for_status().json()
+    assert any(foreign in str(one) and "kilterd worker" in str(one) for one in log["entries"])
+    client.post(f"/v1/campaigns/{foreign}/restore").raise_for_status()
+    assert "still in use, because other jobs or versions name it" in refused(watched, foreign)["error"]["message"]
+    assert in_use(watched, foreign)
+    to_fit = watched.sent(other, 6, 4, DAY + timedelta(days=3), "train")
+    assert "still in use, because it was sent to be fitted" in refused(watched, to_fit)["error"]["message"]
+    assert in_use(watched, to_fit)
+    assert watched.history()["checks"] == 1
