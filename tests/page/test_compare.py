@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
 import math
 import re
@@ -152,3 +153,31 @@ def test_two_are_ticked_and_compared_in_the_browser(there: Made, chromium: Brows
         assert page.locator("svg [data-chosen]").count() == 2  # from above and from the side
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
+
+
+def test_many_rows_are_paired_after_the_view_is_there(there: Made, chromium: Browser) -> None:
+    """Pairing 100 000 rows takes ten seconds, in which nothing was shown; parameters and campaigns are there at once."""
+    new = {"name": "many rows"}
+    campaign = there.client.post(f"/v1/robots/{there.robot}/campaigns", json=new).raise_for_status().json()["id"]
+    columns = {name: list(values) for name, values in Katana().columns(5200, seed=11).items()}
+    there.client.post(f"/v1/campaigns/{campaign}/observations", json=columns).raise_for_status()
+    first = compared(there, campaign)
+    assert "Comparing 5\u202f200 rows pose by pose" in html.unescape(first)
+    assert ("is better on" in first, "What differs" in first) == (False, True)
+    address = re.search(r'<a href="([^"]+rows=true[^"]+)"', first)  # for those without JavaScript
+    assert address is not None
+    whole = there.client.get(html.unescape(address[1])).raise_for_status().text
+    said = re.search(r"version 2 is better on [^.]+", words(whole))
+    assert said is not None
+    assert "Comparing" not in words(whole)
+    with opened(chromium, there.client) as page:
+        page.goto(f"/versions/{there.poor}/compare/{there.good}?campaign={campaign}")
+        page.get_by_text("is better on").wait_for()
+        assert said[0] in words(page.content())
+        assert page.locator("#same-rows").count() == 1
+        page.locator("svg [data-row]").first.click()
+        page.locator(".row-tray").get_by_text("1 row chosen").wait_for()
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            found = Axe().run(page)
+            assert found.violations_count == 0, found.generate_report()

@@ -61,6 +61,16 @@ def test_lists_read_no_covariance(there: Made) -> None:
         assert one["metrics"]["validation"]["n"] == 40
 
 
-def test_an_old_version_says_where_the_versions_are_that_it_does_not_list(there: Made) -> None:
-    said = words(there.client.get(f"/versions/{there.poor}").raise_for_status().text)
-    assert "any other : tick two in the list" in said.replace("any other:", "any other :")
+def test_a_version_offers_the_active_one_first_and_says_that_there_are_more(there: Made) -> None:
+    page = there.client.get(f"/versions/{there.poor}").raise_for_status().text
+    offered = page.split("Compare it with")[1].split("</ul>")[0]
+    assert 0 < offered.index(there.good) < offered.index("version 1")
+    assert "one of the others: tick any two in the list of versions" in words(offered)
+    assert f'href="/robots/{there.robot}/versions"' in offered
+
+
+def test_a_job_whose_result_is_not_stored_says_so_and_shows_a_way_out(there: Made) -> None:
+    """It ended in an error of the server: the template asked for a version that nobody had given it."""
+    page = there.client.get("/jobs/job_0000000000000001").raise_for_status().text
+    assert "The job has succeeded, but its result is not stored." in words(page)
+    assert f'href="/robots/{there.robot}/versions">versions of' in page

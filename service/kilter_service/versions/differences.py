@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -63,8 +63,13 @@ def diff(database: Database, a: str, b: str, wanted: Sequence[str] = ()) -> Vers
     return compared(database, a, b, wanted).diff
 
 
-def compared(database: Database, a: str, b: str, wanted: Sequence[str] = ()) -> Compared:
-    """Compare two versions as ``diff`` does, and keep the rows."""
+def compared(
+    database: Database, a: str, b: str, wanted: Sequence[str] = (), few: Callable[[Sequence[str]], bool] | None = None
+) -> Compared:
+    """Compare two versions as ``diff`` does, and keep the rows.
+
+    Where ``few`` says no of the campaigns, rows are left alone: neither ``paired`` nor ``not_paired`` is said.
+    """
     a, b = version_of(a), version_of(b)
     if a == b == NOMINAL:
         raise ServiceError(f"Both are {NOMINAL!r}: name a version to compare with it.", code="option_invalid")
@@ -80,6 +85,8 @@ def compared(database: Database, a: str, b: str, wanted: Sequence[str] = ()) -> 
         return Compared(found.model_copy(update={"not_paired": NO_BASE}), chosen, None)
     if not chosen:
         return Compared(found.model_copy(update={"not_paired": UNMEASURED}), chosen, None)
+    if few is not None and not few(chosen):
+        return Compared(found, chosen, None)
     try:
         rows = pairs(database, a, b, chosen)
         said = judged(database, rows, *(Side(one.name, one.called or one.name) for one in (first, second)))

@@ -97,6 +97,6 @@ def shown(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
         one.id: one.name for one in campaigns.list_campaigns(database, job.robot, Page(), with_retired=True).campaigns
     }
     if job.state != "succeeded" or job.result is None:
-        return job, "", {"names": names, "place": jobs.places(database).get(job.id)}
+        return job, "", {"names": names, "version": None, "place": jobs.places(database).get(job.id)}
     view = result_of(job.kind)
     return job, view.template, {"names": names, **view.shown(database, job)}

@@ -20,6 +20,7 @@ from kilter_service.paging import Page
 from kilter_service.versions import differences, service
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
+MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: about half a second
 SAME = 1e-9  # smaller differences are rounding
 STEPS = 200  # of a cumulative curve
 BARS = ("mean_mm", "p95_mm", "max_mm")
@@ -63,6 +64,13 @@ class Compared:
         return self.diff.paired
 
     @property
+    def later(self) -> int:
+        """How many rows are paired only when the view has asked for them; 0 where all is said."""
+        if self.diff.paired is not None or self.diff.not_paired:
+            return 0
+        return sum(one.rows for one in self.campaigns if one.id in self.chosen)
+
+    @property
     def moved(self) -> list[ParameterChange]:
         """Parameters that differ by more than their uncertainty, or are in one version only."""
         return [one for one in self.changed if one.moved]
@@ -78,9 +86,15 @@ class Compared:
         return len(self.diff.parameters) - len(self.changed)
 
 
-def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
-    """Compare two versions on rows held out of both, where there are such."""
-    found = differences.compared(database, a, b, wanted or ())
+def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None, whole: bool = True) -> Compared:
+    """Compare two versions on rows held out of both, where there are such; many rows only for the ``whole``."""
+
+    def few(chosen: Sequence[str]) -> bool:
+        robot = service.get(database, differences.version_of(a)).robot
+        there = campaigns.list_campaigns(database, robot, Page()).campaigns
+        return sum(one.rows for one in there if one.id in chosen) <= MOST_AT_ONCE
+
+    found = differences.compared(database, a, b, wanted or (), None if whole else few)
     diff, rows = found.diff, found.pairs
     sides = [None if name == differences.NOMINAL else service.get(database, name) for name in (diff.a, diff.b)]
     known = next(side for side in sides if side is not None)

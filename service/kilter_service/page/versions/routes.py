@@ -131,6 +131,8 @@ def compare(
     request: Request,
     database: DatabaseOfApp,
     campaign: Annotated[list[str] | None, Query(max_length=comparison.MOST_CAMPAIGNS)] = None,
+    rows: bool = False,
 ) -> HTMLResponse:
-    """Show how two versions differ, and what each leaves of the campaigns chosen."""
-    return render(request, "versions/compare.html", shown=comparison.compared_versions(database, a, b, campaign))
+    """Show how two versions differ, and what each leaves of the campaigns chosen; of many rows once they are asked for."""
+    shown = comparison.compared_versions(database, a, b, campaign, rows)
+    return render(request, "versions/compare.html", shown=shown)

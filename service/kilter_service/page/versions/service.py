@@ -112,7 +112,7 @@ def version(database: Database, version_id: str) -> Shown:
     unknown = [one for one in found.parameters if one not in known]
     unseen = [one for one in unknown if not of_a_mass(one.name)]
     others = service.list_versions(database, found.robot, Page(limit=MOST_SHOWN)).versions
-    rest = [one for one in others if one.id != version_id]
+    rest = sorted((one for one in others if one.id != version_id), key=lambda one: not one.active)
     now = today.of_robot(database, found.robot) if found.active else None
     odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
     parent = "" if found.parent_id is None else service.get(database, found.parent_id).name
