@@ -261,3 +261,19 @@ def test_names_come_in_json_and_parquet_too(shared_client: httpx.Client) -> None
         "/v1/robots/watched/observations/check", content=csv(table).encode(), headers={"content-type": "text/csv"}
     )
     assert whole.status_code in (200, 404)
+
+
+def test_a_search_by_views_becomes_a_version(client: httpx.Client, worker: Any, until: Any) -> None:
+    """The rows of its errors are the poses that the search took the views as; the job once ended there in an error."""
+    made = campaign(client, described(SCENE), "searched")
+    assert send(client, made, csv(columns(seen(40)))).raise_for_status().json()["rows"] == 40
+    worker.start()
+    options = {"effects": ["axial_compliance"], "budget_s": 20}
+    asked = {"kind": "gap", "robot": "watched", "campaigns": [made], "validation": 0.25, "options": options}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    found = client.get(f"/v1/jobs/{job}").json()
+    assert found["state"] == "succeeded", found["error"]
+    metrics = client.get(f"/v1/versions/{found['result']['version_id']}").json()["metrics"]
+    assert (metrics["train"]["n"], metrics["validation"]["n"]) == (30, 10)
+    assert metrics["validation"]["identified"]["mean_mm"] < 0.2 * metrics["validation"]["registration_only"]["mean_mm"]

@@ -192,7 +192,7 @@ class _Run:
         prepared, problem = self.prepared, self.prepared.problem
         rows = prepared.visits.observations
         fit = adequacy(found.problem, prepared.visits.condition, found.columns)
-        kept = stored(found, self.begin, prepared.rows, self.options)
+        kept = stored(found, self.begin, prepared.rows, self.options, self.validation)
         left = misfit(found, fit, rows, self.options)
         held = HoldoutEvaluator(found, prepared, self.validation, kept.posterior)
         unseen = unseen_fit(held, floor_mm(rows, self.options))

@@ -88,7 +88,13 @@ def unknown_rig(model: RobotModel) -> PlacedRig | None:
 
 def rig_of(calibration: Calibration) -> PlacedRig | None:
     """Cameras and boards as a calibration has them, the fitted ones where it has an effect of them."""
-    for effect, at in calibration.model.placed:
+    fitted = rig_at(calibration.model, calibration.values)
+    return calibration.rig if fitted is None else fitted.settled()
+
+
+def rig_at(model: RobotModel, values: Floats) -> PlacedRig | None:
+    """Cameras and boards of an effect of a model, with the increments that ``values (P,)`` are; None where it has none."""
+    for effect, at in model.placed:
         if isinstance(effect, Cameras) and effect.rig is not None:
-            return effect.rig.at(calibration.values[at]).settled()
-    return calibration.rig
+            return effect.rig.at(values[at])
+    return None

@@ -52,6 +52,14 @@ class Place:
         _, ry, rz = (rotation_along(k, self.six[3 + k]) for k in range(3))
         return np.column_stack([rz.T @ ry.T[:, 0], rz.T[:, 1], np.eye(3)[:, 2]])
 
+    @property
+    def twist(self) -> Floats:
+        """Columns (6, 6): how it moves (v, w), in its own axes as they stand, with each of its six increments."""
+        out = np.zeros((6, 6))
+        out[:3, :3] = self.pose[:3, :3].T @ self.origin[:3, :3]
+        out[3:, 3:] = self.spin
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class PlacedRig:

@@ -59,12 +59,25 @@ def test_a_check_by_views_takes_each_view_as_certain_as_its_corners_make_it() ->
         seen = SCENE.observed(fresh + turned, rng, 0.1)
         crashed = check(made.calibration, replace(seen, q=fresh[seen.pose_id], pose_id=None), made.predictive)
         found.append(crashed.verdict == "moved" and crashed.causes[0].cause.name == "zero_3")
-    # Four checks share the errors of a version, and its covariance is never below what corners explain: a little cautious.
-    assert kstest(chances, "uniform").pvalue > 1e-3, np.quantile(chances, [0.05, 0.25, 0.5, 0.75, 0.95])
-    assert np.sum(np.array(alarms) <= 1e-3) <= 1
-    assert np.mean(np.array(alarms) < 0.05) < 0.07  # the chance of any cause is shared by all of them
+    # Four checks share the errors of a version, which are a tenth of their variance: nearly 200 independent ones.
+    assert kstest(chances, "uniform").pvalue > 0.01, np.quantile(chances, [0.05, 0.25, 0.5, 0.75, 0.95])
+    assert np.sum(np.array(alarms) <= 1e-3) <= 1  # of 200 with a chance of 0.001 each more than one has 2 %
+    assert np.sum(np.array(alarms) < 0.05) <= 18  # of 200 with a chance of 0.05 at most, more have 1 %
     assert np.quantile(alarms, 0.2) < 0.6  # and is not always one
     assert np.mean(found) == 1.0
+
+
+def test_what_only_camera_and_arm_together_know_does_not_blur_a_check() -> None:
+    """Some numbers of the arm are known with the board's place only: where an arm is, as a camera sees it, is known as well as
+    the views of its fit leave it. 28 numbers by 100 views make a check of 8 views 2.2 deviations² uncertain, of its 48.
+    """
+    rng = np.random.default_rng(501)
+    rows = SCENE.observed(SCENE.poses(100, rng), rng, 0.1)
+    made = identify(robot_from_document(SCENE.drawn.document()), rows, None, IdentifyOptions(fix=("beta_*",)))
+    fresh = SCENE.observed(SCENE.poses(8, rng), rng, 0.1)
+    certain = replace(made.predictive, covariance=1e-8 * made.predictive.covariance)
+    known, alone = (check(made.calibration, fresh, one).chi_square for one in (made.predictive, certain))
+    assert alone - known < 6.0  # at most 3 times that many; 31 were lost to directions that no view shows
 
 
 def test_a_stated_noise_takes_views_as_places() -> None:

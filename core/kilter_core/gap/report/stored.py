@@ -32,12 +32,16 @@ from kilter_core.types import Ints
 
 @dataclass(frozen=True)
 class Stored:
-    """A version made by a search. ``registered`` is the nominal robot in fitted frames, None where no tool was measured."""
+    """A version made by a search. ``registered`` is the nominal robot in fitted frames, None where no tool was measured.
+
+    ``shown`` are the rows that were searched and ``held`` those held out, views as poses of the tool.
+    """
 
     calibration: Calibration
     posterior: Posterior
     shown: Observations
     registered: Calibration | None = None
+    held: Observations | None = None
 
     def parameters(self) -> list[dict[str, Any]]:
         """Rows of the free parameters, as an identification has them."""
@@ -82,10 +86,13 @@ class Stored:
     def metrics(self, train: Observations, held: Observations | None, spikes: Ints) -> dict[str, Any]:
         """Metrics of an identification on these rows; none for joint data, for the tool was not measured.
 
-        Rows ``spikes (K,)`` of those held out are left out, as the search leaves them out of its own errors.
+        Rows ``spikes (K,)`` of those held out are left out, as the search leaves them out of its own errors. Of rows with
+        pixels alone the poses count that the search took them as: the version has no cameras to see them by.
         """
         if self.registered is None:
             return {}
+        if train.pixels is not None and train.position is None and train.markers is None:
+            train, held = self.shown, self.held
         stages = {
             "nominal": Calibration.nominal(self.calibration.robot),
             "registration_only": self.registered,
@@ -112,7 +119,9 @@ def _anchor(train: Observations) -> Measurement | None:
     return Measurement(train) if held_rows(train) else None
 
 
-def stored(found: SearchResult, begin: Calibration, rows: Observations, options: GapOptions) -> Stored:
+def stored(
+    found: SearchResult, begin: Calibration, rows: Observations, options: GapOptions, held: Observations | None = None
+) -> Stored:
     """What is stored of a search that started at ``begin``; the effects' configuration comes from ``rows``."""
     settings = found.problem.settings
     source = settings.source
@@ -126,7 +135,7 @@ def stored(found: SearchResult, begin: Calibration, rows: Observations, options:
     asked = IdentifyOptions(base=options.base, tool=options.tool, reference=options.reference)
     base, tool = wanted_frames(begin, nominal, shown, asked)
     calibration = replace(calibration, wanted_base=base, wanted_tool=tool)
-    return Stored(calibration, wide, shown.observations, nominal)
+    return Stored(calibration, wide, shown.observations, nominal, held)
 
 
 def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:

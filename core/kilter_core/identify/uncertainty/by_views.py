@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from kilter_core.identify.cameras import rig_of, unknown_rig
+from kilter_core.identify.cameras import rig_at, unknown_rig
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
@@ -54,7 +54,7 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     That the tool is rotated beyond what the model explains counts where views scatter by more than chance: the likeliest width
     of something that is not there is above 0, and tilts of views are so noisy that it would hide a part of every change.
     """
-    rig, views = rig_of(fit.calibration()), fit.problem.measurement.pixels
+    rig, views = rig_at(fit.problem.model, fit.values), fit.problem.measurement.pixels
     assert rig is not None
     assert views is not None
     seen, frames = {p.name for _, p in _unknowns(fit)}, _frames(rig, fit)
@@ -67,7 +67,11 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
 
 
 def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
-    """How base and tool (6, F) follow the places of the first camera and board that the rows have, as cameras see the arm."""
+    """How base and tool (6, F) follow the places of the first camera and board that the rows have, as cameras see the arm.
+
+    ``rig`` has the increments that were fitted: a first camera's place is 0.1 rad off, and the covariance is of these. What is
+    known of d_6 and of the board only together would else be a hundredth of a prior, which is more than pixels leave.
+    """
     views = fit.problem.measurement.observations
     assert views.camera is not None
     assert views.board is not None
@@ -78,9 +82,9 @@ def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
     room, tool = (places[True], places[False]) if outside else (places[False], places[True])
     ball = any(name.startswith("tool_") for name in fit.names)  # told by contacts, and a parameter like any other
     T = inverse(fit.calibration().model.T_base)
-    poses = {key: (rig.cameras if key[0] else rig.boards)[key[1]].pose for key in (room, tool)}
-    base = ("base", -_adjoint(T @ poses[room]) @ _selected(fit, *room))
-    return [base] if ball else [base, ("tool", _adjoint(poses[tool]) @ _selected(fit, *tool))]
+    at = {key: (rig.cameras if key[0] else rig.boards)[key[1]] for key in (room, tool)}
+    base = ("base", -_adjoint(T @ at[room].pose) @ at[room].twist @ _selected(fit, *room))
+    return [base] if ball else [base, ("tool", _adjoint(at[tool].pose) @ at[tool].twist @ _selected(fit, *tool))]
 
 
 def _selected(fit: Fit, camera: bool, place: int) -> Floats:

@@ -14,6 +14,7 @@ REMEDIES = {
     "dictionary_differs": 'Write the "dictionary" that was printed into the board\'s JSON with kilter board.',
     "markers_unknown": "Give the JSON of the board that was printed (kilter board --first-id).",
     "columns_rows_swapped": "Write the board's JSON anew with kilter board: --columns is the count from left to right.",
+    "board_size_differs": "Count its squares from left to right (--columns) and down (--rows), and write its JSON anew.",
     "legacy_pattern": 'Set "legacy_pattern" in the board\'s JSON as the board was printed.',
     "print_mirrored": "Print the board without mirroring, or switch off the camera's mirror.",
     "board_twice": "Cover one of the boards, or print one with other numbers (kilter board --first-id).",

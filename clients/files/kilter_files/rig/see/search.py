@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_files.rig.board.layout import DICTIONARIES, family_of
+from kilter_files.rig.see.board_size import differing
 from kilter_files.rig.see.finder import Finder, Markers
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.refusals import Refusal
@@ -22,6 +23,7 @@ def why_not(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
     own = markers.of(set(target.marker_numbers))
     if len(own.numbers) >= 2:
         found = _other_pattern(finder, grey, own, target, picture)
+        found = found or differing(_from(markers, target), target, picture)
         if found is not None:
             return found
         what = f"{len(own.numbers)} markers of {target.name} are seen, and no corner between two of them"
@@ -32,6 +34,11 @@ def why_not(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
         what = f"markers {low} to {high} are seen, and {target.name} has {first} to {last}"
         return Refusal(picture, "markers_unknown", what, board=target.name)
     return _nothing(finder, grey, target, picture)
+
+
+def _from(markers: Markers, target: Target) -> Markers:
+    """Markers from the board's first on: one that was printed larger has more than its JSON."""
+    return markers.of({number for number in markers.numbers if number >= target.board.first_id})
 
 
 def _nothing(finder: Finder, grey: Grey, target: Target, picture: str) -> Refusal:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.see import chess_corners, tag_corners
+from kilter_files.rig.see import board_size, chess_corners, tag_corners
 from kilter_files.rig.see.edges import usual_blur
 from kilter_files.rig.see.finder import Finder, Markers
 from kilter_files.rig.see.noise import noise_of
@@ -45,6 +45,8 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
         return Refusal(picture, "board_twice", what, board=target.name)
     if not own.numbers:
         return None
+    if target.board.kind == "apriltag" and (wrong := board_size.differing(own, target, picture)):
+        return wrong
     numbers, pixels, covariances, blur = _corners(finder, grey, own, target)
     if not numbers:
         return None
@@ -54,6 +56,8 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
     sure = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(pixels).all(axis=1)
     if sure.sum() < LEAST_CORNERS:
         what = f"{int(sure.sum())} corners of {target.name} are seen"
+        if not sure.any() and len(numbers) >= LEAST_CORNERS:
+            what = f"no corner of {target.name} is seen well enough, or {len(numbers)} on one line"
         return Refusal(picture, "too_few_corners", what, corner=numbers[0], board=target.name)
     column = target.column_of()
     order = sorted(np.flatnonzero(sure), key=lambda k: column[numbers[k]])
@@ -78,16 +82,21 @@ def _face(
     rough = finder.chessboard(grey, markers.of(set(board.markers())), board, target.legacy)
     numbers = sorted(rough)
     start = np.array([rough[number] for number in numbers]).reshape(-1, 2)
-    if len(start) < LEAST_CORNERS:
+    on_board = board.corners()
+    mm = np.array([on_board[number] for number in numbers]).reshape(-1, 2)
+    if len(start) < LEAST_CORNERS or _on_a_line(mm):
         nothing = np.full((len(start), 2, 2), np.nan)
         return [first + number for number in numbers], start, nothing, np.full((len(start), 2), np.nan)
-    on_board = board.corners()
-    mm = np.array([on_board[number] for number in numbers])
     places, covariances, blur = chess_corners.corners_of(
         grey, start, mm, board.square_mm, board.marker_mm, noise_of(grey, start)
     )
     covariances[~(np.abs(places - start).max(axis=1) < MOST_MOVED_PX)] = np.nan
     return [first + number for number in numbers], places, covariances, blur
+
+
+def _on_a_line(mm: Floats) -> bool:
+    """Whether corners (n, 2) of a chessboard tell nothing of how it is tilted."""
+    return bool(np.linalg.matrix_rank(mm - mm[0], tol=1e-6 * np.abs(mm).max()) < 2)
 
 
 def _tags(grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floats, Floats, Floats]:

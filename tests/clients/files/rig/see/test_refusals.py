@@ -50,6 +50,36 @@ def test_another_board_than_was_printed(options: tuple[str, ...], code: str, sai
     assert REMEDIES[code] in found.sentence()
 
 
+@pytest.mark.parametrize(
+    ("printed", "size", "code", "said"),
+    [
+        (TAGS, ("4", "5"), "columns_rows_swapped", "it is a board of 5 x 4 squares, columns first"),
+        (TAGS, ("6", "4"), "board_size_differs", "5 columns with at least 4 rows, not 6 x 4"),
+        (CHARUCO, ("8", "5"), "board_size_differs", "7 columns with at least 5 rows, not 8 x 5"),
+        (CHARUCO, ("6", "5"), "board_size_differs", "7 columns with at least 5 rows, not 6 x 5"),
+        (EVEN, ("9", "6"), "board_size_differs", "7 columns with at least 6 rows, not 9 x 6"),
+    ],
+)
+def test_another_number_of_columns(printed: tuple[str, ...], size: tuple[str, str], code: str, said: str) -> None:
+    """Tags are all found then, at places that are wrong."""
+    at = printed.index("--columns")
+    other = (*printed[: at + 1], size[0], "--rows", size[1], *printed[at + 4 :])
+    shot = small(centre_mm=(0.0, 0.0, 360.0))
+    assert isinstance(Looker([target_of(*printed)]).boards(taken(printed, shot), "p")[0], View)
+    found = refusal(taken(printed, shot), *other)
+    assert (found.code, said in found.what) == (code, True), found.sentence()
+
+
+def test_corners_on_one_line_are_no_view() -> None:
+    """They say nothing of how the board is tilted; they once ended in an error of NumPy's."""
+    grey = taken(CHARUCO, small(rotation_deg=(0.0, 0.0, 0.0))).copy()
+    left = 241 - 560 / 330 * 25 * 7 / 2  # of the board, by the lens of the picture
+    grey[:, int(left + 560 / 330 * 25 * 1.9) :] = 90
+    found = refusal(grey, *CHARUCO)
+    assert found.code == "too_few_corners"
+    assert "4 on one line" in found.what
+
+
 def test_columns_and_rows_swapped_is_found_when_corners_would_be_too() -> None:
     looker = Looker([target_of(*CHARUCO)])
     assert isinstance(looker.boards(taken(CHARUCO, small()), "p")[0], View)
