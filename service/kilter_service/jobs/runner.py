@@ -27,6 +27,7 @@ from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
 from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.kind import JobInput, JobOutput
+from kilter_service.jobs.kinds.drift import FOREIGN
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.limits_of_version import with_limits
@@ -143,7 +144,7 @@ class Runner:
 
     def _asked_for(self, claim: Claim, outcome: Outcome) -> AbstractContextManager[None]:
         """Let the audit name who asked for a version that is stored, or a campaign that is retired; else no robot changes."""
-        retires = outcome.error is not None and outcome.error[0] == foreign_rows.FOREIGN
+        retires = outcome.error is not None and outcome.error[0] == FOREIGN
         if not retires and (outcome.output is None or outcome.output.version is None):
             return nullcontext()
         with self._database.reading() as session:
