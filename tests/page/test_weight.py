@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import gzip
 import re
+from pathlib import Path
 
 import httpx
 import pytest
 
-FIRST_KB, WITH_3D_KB = 400, 700
+from tests.service.conftest import Katana
+
+from .made import made
+
+FIRST_KB, WITH_3D_KB, PICTURE_KB = 400, 700, 700
 LINKED = re.compile(r'(?:src|href)="(/assets/[^"]+)"')
 
 
@@ -63,3 +68,21 @@ def test_all_scripts_and_styles_together_are_light(server: httpx.Client) -> None
 
     total = sum(sent(server, f"/assets/{name}") for name in manifest().files.values())
     assert sent(server, "/") + total <= WITH_3D_KB * 1024
+
+
+def test_the_picture_of_very_many_rows_is_light(tmp_path: Path, migrated: Path) -> None:
+    """The script that draws, the chain and the rows, as they are sent."""
+    from kilter_service.page.assets import hashed
+
+    rows = 12_000
+    with made(tmp_path, migrated, rows) as there:
+        address = f"/robots/{there.robot}/places.json?version={there.good}&campaign={there.campaign}"
+        found = there.client.get(address).raise_for_status().json()
+        measured = Katana().columns(rows, seed=3)
+        parts = [address, f"/robots/{there.robot}/arm.json", f"/assets/{hashed('arm.js')}"]
+        sizes = [sent(there.client, path) / 1024 for path in parts]
+    assert found["total"] == rows
+    assert len(found["row"]) >= 7000
+    joints = [name for name in measured if name.startswith("q")]
+    assert [round(float(measured[name][found["row"][5] - 1]), 4) for name in joints] == found["q"][5]
+    assert sum(sizes) <= PICTURE_KB, sizes

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Document = dict[str, Any]
 NAMES = ("TX", "TY", "TZ", "RX", "RY", "RZ")
 FREE = {"deg": 180.0, "mm": 500.0}  # range of a slider of a joint without limits
-PLACE, ERROR, ANGLE = 2, 5, 4  # decimals: 0.01 mm, 0.01 µm, 0.0001 degrees
+PLACE, ERROR, ANGLE = 2, 4, 4  # decimals: 0.01 mm, 0.1 µm, 0.0001 degrees
 
 
 def arm(database: Database, robot: str) -> Document:
@@ -93,8 +93,8 @@ def places(database: Database, version: str, campaign: str) -> Document:
         "at": np.round(to_mm(found.at), PLACE).tolist(),
         "left": {name: np.round(to_mm(left), ERROR).tolist() for name, left in found.left.items()},
         "columns": [[one.name, _label(one)] for one in looking.columns(database, campaign)],
-        "held_out": found.held_out.tolist(),
-        "set_aside": found.set_aside.tolist(),
+        "held_out": found.held_out.astype(int).tolist(),
+        "set_aside": found.set_aside.astype(int).tolist(),
     }
 
 
