@@ -39,11 +39,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-<<<<<<< HEAD
-MOST_ROWS, WORST = 8_000, 500  # rows that are shown, and of these those that are there because they are the worst
-=======
 MOST_ROWS, WORST = 8000, 500  # rows that are shown, and of these those that are there because they are the worst
->>>>>>> a111cd698005a23ad0849415d01a7ad857aa66c9
 SLICE, FITTED_ROWS = 50_000, 2000  # rows predicted at once, and those that registration is fitted to
 DRAWN = 3000
 STAGES = ("nominal", "registration_only", "identified")
