@@ -20,7 +20,7 @@ from kilter_service.paging import Page
 from kilter_service.versions import differences, service
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
-MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: about half a second
+MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: 0.15 s of processor
 SAME = 1e-9  # smaller differences are rounding
 STEPS = 200  # of a cumulative curve
 BARS = ("mean_mm", "p95_mm", "max_mm")
