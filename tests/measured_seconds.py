@@ -11,8 +11,8 @@ SECONDS = Path(__file__).with_name("seconds.txt")
 HEAD = """# Seconds of processor and clock of tests and, under its name, of a module's fixtures; written by make test-cpu.
 # What is long runs in the gate (make test-long) and not in make test.
 """
-LEAST_S, LEAST_CLOCK_S = 1.0, 4.0  # what takes less of both is not written down
-LONG_S = 1.5  # of the processor, of a test by itself
+LEAST_S, LEAST_CLOCK_S = 0.7, 4.0  # what takes less of both is not written down
+LONG_S = 0.8  # of the processor, of a test by itself
 LONG_FIXTURES_S = 8.0  # of a module before its first test and after its last: all its tests are long
 KEPT_S = 10.0  # where all tests of a module are long, the shortest of them stays if it takes no longer
 
