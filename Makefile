@@ -39,12 +39,12 @@ OTHER_CORE ?= Sandybridge
 OTHER_CORE_TESTS := tests/core/identify/test_identify.py tests/core/identify/test_identifiability.py tests/core/identify/test_valley.py \
 	tests/core/measurement/test_contacts.py tests/core/measurement/test_distances.py tests/core/procedures
 
-test: $(KERNELS) ## run the tests, the numeric part first under another kind of processor (OTHER_CORE=Sandybridge)
+test: $(KERNELS) ## run the tests, the numeric part first under another kind of processor (OTHER_CORE=Sandybridge, LONG=1 for all)
 	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(subst -n $(TESTERS),-n 2,$(SHARED)) $(OTHER_CORE_TESTS)
-	$(BIN)/python -m pytest $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
+	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
 
-test-long: $(KERNELS) ## run the tests of the gate that take longest, which make test leaves out (tests/seconds.txt)
-	$(BIN)/python -m pytest -m "long and not slow and not bench" $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
+test-long: $(KERNELS) ## run the tests that only the gate runs, by make test LONG=1: those that take longest (tests/seconds.txt)
+	$(BIN)/python -m pytest -m "long and not slow and not bench" $(SHARED)
 
 # While one area changes: its own tests. Each folder of tests is in one of these or in test-page.
 CORE_TESTS := tests/core tests/blind tests/frozen tests/thesis tests/mix_ups

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 SECONDS = Path(__file__).with_name("seconds.txt")
 HEAD = """# Seconds of processor and clock of tests and, under its name, of a module's fixtures; written by make test-cpu.
-# What is long runs in the gate (make test-long) and not in make test.
+# What is long runs in the gate (make test LONG=1) and not in make test.
 """
 LEAST_S, LEAST_CLOCK_S = 0.7, 4.0  # what takes less of both is not written down
 LONG_S = 0.8  # of the processor, of a test by itself
