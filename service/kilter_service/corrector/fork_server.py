@@ -248,8 +248,8 @@ class ForkedChild(Child):
                 if isinstance(self._spec, StreamSpec):  # after a restart it listens where its clients look for it
                     self._spec = replace(self._spec, again=endpoint)
                 return endpoint, bool(real_time)
-        except (EOFError, OSError):
-            pass
+        except (EOFError, OSError) as error:
+            log.warning("%s, process %s, ended before it listened (%r)", self.name, self.pid, error)
         self.stop()
         raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
 
@@ -259,9 +259,10 @@ class ForkedChild(Child):
             try:
                 if self._comes(stopped, lambda: self._fork_server.stop_if_frozen(self._asked_at)):
                     return int(self._receive())
-            except (EOFError, OSError):
+            except (EOFError, OSError) as error:
                 if not left:
                     raise
+                log.warning("%s was not forked (%r): it is ordered again", self.name, error)
                 self.stop()
                 self._fork_server.stop()  # nobody holds the other end, so it ends: it may not be known to have ended
                 self.start()
