@@ -15,7 +15,6 @@ from kilter_files.ground.text_layout import TextLayout, lines_in_cells, sniff
 from kilter_files.tables.source import Layout
 
 if TYPE_CHECKING:
-    from kilter_files.formats.unknown.understood import Understood
     from kilter_files.tables.recording import Recording
 
 Document = dict[str, Any]
@@ -71,6 +70,7 @@ class Head:
 
     path: Path
     hints: Hints = field(default_factory=Hints)
+    found: dict[str, Any] = field(default_factory=dict)  # by readers that took a closer look, for the next who asks
 
     @property
     def ending(self) -> str:
@@ -89,16 +89,6 @@ class Head:
             return None
         try:
             return sniff(self.path)
-        except FileError:
-            return None
-
-    @cached_property
-    def table(self) -> Understood | None:
-        """What names and ranges tell of an unknown table; None where there is none."""
-        from kilter_files.formats.unknown.understood import understand
-
-        try:
-            return understand(self.path)
         except FileError:
             return None
 

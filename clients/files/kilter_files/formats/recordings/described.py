@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from kilter_files.formats.reader import Document
 from kilter_files.tables.recording import Recording
 from kilter_files.tables.survey import SHOWN, survey
 
 
-def describe_recording(recording: Recording) -> Document:
+def describe_recording(recording: Recording) -> dict[str, Any]:
     """Describe a recording: its frames, each marker, and the places where it cannot be right."""
     found = survey(recording)
     markers = []

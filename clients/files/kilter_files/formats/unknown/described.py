@@ -5,7 +5,7 @@ from __future__ import annotations
 from shlex import quote
 
 from kilter_files.formats.reader import Document, Head
-from kilter_files.formats.unknown.understood import understand
+from kilter_files.formats.unknown.understood import table_of, understand
 
 
 def describe_table(head: Head) -> Document:
@@ -15,7 +15,7 @@ def describe_table(head: Head) -> Document:
         FileError: no table of numbers.
 
     """
-    found = head.table or understand(head.path)
+    found = table_of(head) or understand(head.path)
     shape, columns = found.shape, found.columns
     out = []
     for name in columns.names:

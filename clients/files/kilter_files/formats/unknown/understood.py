@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from kilter_files.formats.reader import Head
 from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, points, time
 from kilter_files.formats.unknown.table_shape import TableShape, shape_of
 from kilter_files.formats.unknown.turns import Turned, turned
+from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import SIZES, UNKNOWN
 
 
@@ -48,6 +50,17 @@ class Understood:
     def guessed(self) -> list[str]:
         """What was taken by names and ranges, and is to be checked."""
         return [f"{entry.target}: {entry.remark}" for entry in self.entries if entry.remark and not entry.open]
+
+
+def table_of(head: Head) -> Understood | None:
+    """What names and ranges tell of a file, None where it is no table of numbers; of one head it is found out once."""
+    if "table" not in head.found:
+        try:
+            head.found["table"] = understand(head.path)
+        except FileError:
+            head.found["table"] = None
+    found: Understood | None = head.found["table"]
+    return found
 
 
 def understand(path: Path) -> Understood:
