@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from kilter_core.types import Bools, Ints
-
-if TYPE_CHECKING:
-    from kilter_core.observations.rows import Observations
+from kilter_core.types import Bools, Floats, Ints
 
 RESTARTS = 0.02  # share of rows at which the time falls, up to which the clock was set back; above, rows are sorted
 PAUSE = 0.5  # of the usual time between poses, above which the arm may have left and come back: halfway to all of it
 RESTING = 10  # rows at rest that say how far joint readings wander there: one in ten is beyond by chance
 LEFT = 0.8  # share of the long pauses that must show a motion before any of them counts as one
+
+
+class Timed(Protocol):
+    """Rows as a clock sees them: joints ``q (N, n)``, times ``t (N,)`` s and sessions (N,), None where nobody said them."""
+
+    @property
+    def q(self) -> Floats:
+        """Joints."""
+        ...
+
+    @property
+    def t(self) -> Floats | None:
+        """Times."""
+        ...
+
+    @property
+    def session(self) -> Ints | None:
+        """Sessions."""
+        ...
+
+    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -30,7 +48,7 @@ class Clock:
     fell: int | None = None
 
 
-def clock_of(rows: Observations) -> Clock:
+def clock_of(rows: Timed) -> Clock:
     """Order of the rows by session and time; the order given where there is no clock, or one that was set back."""
     given = np.arange(len(rows), dtype=np.int64)
     if rows.t is None or len(rows) < 2:
@@ -45,7 +63,7 @@ def clock_of(rows: Observations) -> Clock:
     return Clock(np.lexsort((rows.t, session)).astype(np.int64), True, backwards)
 
 
-def came_back(rows: Observations, clock: Clock, condition: Ints) -> Bools:
+def came_back(rows: Timed, clock: Clock, condition: Ints) -> Bools:
     """Where (N - 1,), in the clock's order, the arm left a pose and came back to it with nothing measured in between.
 
     A pause alone proves nothing: the next shot may simply have come late. It counts when joint readings changed over
