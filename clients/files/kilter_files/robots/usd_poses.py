@@ -6,7 +6,6 @@ where its own joint and where the next one is, only the difference counts: one t
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from kilter_files.ground.later import need, np, transform
@@ -18,10 +17,7 @@ if TYPE_CHECKING:
 
 NOMINAL, TOOL = "kilter:nominalFrames", "kilter_tool"
 STEP_TABLE = "kilter:stepTable"
-_NEEDED = (
-    *(("usd-core", f"pxr.{part}") for part in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics")),
-    ("scipy", "scipy.spatial.transform"),
-)
+_PARTS = tuple(f"pxr.{part}" for part in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics"))
 
 
 def usd_package() -> Any:
@@ -31,9 +27,9 @@ def usd_package() -> Any:
         MissingPackageError: it is not installed.
 
     """
-    for package, module in _NEEDED:
-        need("USD needs", package, module)
-    return import_module("pxr")
+    usd = need("USD needs", "usd-core", *_PARTS, "pxr")
+    need("USD needs", "scipy", "scipy.spatial.transform")
+    return usd
 
 
 def matrix_of(place: Any, turn: Any) -> Floats:
