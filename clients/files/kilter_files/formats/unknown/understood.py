@@ -53,7 +53,7 @@ class Understood:
 
 
 def table_of(head: Head) -> Understood | None:
-    """What names and ranges tell of a file, None where it is no table of numbers; of one head it is found out once."""
+    """What names and ranges tell of a file, None where it holds no table of numbers; of one head it is found out once."""
     if "table" not in head.found:
         try:
             head.found["table"] = understand(head.path)
