@@ -2,8 +2,8 @@
 
 Writes pictures in ``docs/images`` and tables in ``docs/explanation/architecture.md``. A room stands one floor above the
 highest room that it imports; an arrow goes to what a room imports and does not reach through another room. In the core
-and in the readers of files each folder is a room. In the service a room has several folders and modules: those between
-two floors of the import contract that ``pyproject.toml`` names with what each room is for.
+and in the readers of files each folder is a room. In the service and in the client a room has several folders and
+modules: those between two floors of the import contract that ``pyproject.toml`` names with what each room is for.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class House:
 CORE = House("kilter_core", ROOT / "core" / "kilter_core", "core", "core-rooms")
 SERVICE = House("kilter_service", ROOT / "service" / "kilter_service", "service", "service-rooms")
 FILES = House("kilter_files", ROOT / "clients" / "files" / "kilter_files", "readers of files", "files-rooms")
-HOUSES = (CORE, SERVICE, FILES)
+CLIENT = House("kilter_client", ROOT / "clients" / "python" / "src" / "kilter_client", "client", "client-rooms")
+HOUSES = (CORE, SERVICE, FILES, CLIENT)
 
 
 @dataclass(frozen=True)

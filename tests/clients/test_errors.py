@@ -159,7 +159,7 @@ def test_what_is_exported() -> None:
 
 def test_a_busy_server_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("kilter_client.connection.time.sleep", waits.append)
+    monkeypatch.setattr("kilter_client.requests.connection.time.sleep", waits.append)
     bodies: list[bytes] = []
 
     def busy_twice(request: httpx.Request) -> httpx.Response:
@@ -178,7 +178,7 @@ def test_a_busy_server_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("code", "tries"), [("busy", 6), ("database_away", 1)])
 def test_what_may_have_been_done_is_not_sent_again(monkeypatch: pytest.MonkeyPatch, code: str, tries: int) -> None:
-    monkeypatch.setattr("kilter_client.connection.time.sleep", lambda seconds: None)
+    monkeypatch.setattr("kilter_client.requests.connection.time.sleep", lambda seconds: None)
     asked: list[str] = []
 
     def away(request: httpx.Request) -> httpx.Response:
@@ -191,7 +191,7 @@ def test_what_may_have_been_done_is_not_sent_again(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_server_that_stays_busy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kilter_client.connection.time.sleep", lambda seconds: None)
+    monkeypatch.setattr("kilter_client.requests.connection.time.sleep", lambda seconds: None)
     always = httpx.Response(503, headers={"Retry-After": "1"}, json={"code": "busy", "detail": "Later."})
     with pytest.raises(ApiError, match="Later"):
         client(lambda request: always).robots.list()

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from kilter_client import FileError, Kilter, plots
+from kilter_client import FileError, Kilter
 from kilter_client.cli import run
+from kilter_client.results import plots
 from tests.blind.generator import Case, Hidden, Options, generate
 
 EFFECTS = "backlash,friction_windup,eccentricity,encoder_scale,thermal_growth"

@@ -11,10 +11,10 @@ import httpx
 import pytest
 
 from kilter_client import AsyncKilter, Kilter, PayloadError, ServerUnreachableError
-from kilter_client.calls import jobs as waiting
-from kilter_client.calls.jobs import AWAY
-from kilter_client.steps import Pause, Relocate, Request, answer_of
-from kilter_client.wording import in_words
+from kilter_client.requests.calls import jobs as waiting
+from kilter_client.requests.calls.jobs import AWAY
+from kilter_client.requests.steps import Pause, Relocate, Request, answer_of
+from kilter_client.verbs.error_wording import in_words
 
 JOB = "job_" + "0" * 16
 Answer = Callable[[httpx.Request], httpx.Response]
@@ -126,7 +126,7 @@ def test_a_progress_that_raises_lets_go_of_the_call() -> None:
     def stop(fraction: float, stage: str) -> None:
         raise KeyboardInterrupt
 
-    from kilter_client.calls.jobs import wait
+    from kilter_client.requests.calls.jobs import wait
 
     def call() -> Any:
         try:

@@ -23,7 +23,7 @@ from kilter_client import (
     UsageError,
     connect,
 )
-from kilter_client.given import rows_of
+from kilter_client.verbs.inputs import rows_of
 
 Write = Callable[..., Path]
 
@@ -293,7 +293,7 @@ def test_a_bar_is_shown_where_somebody_watches(
 ) -> None:
     stored = k.upload(robot, write_campaign())
     assert capfd.readouterr() == ("", "")
-    monkeypatch.setattr("kilter_client.progress.somebody_watches", lambda: True)
+    monkeypatch.setattr("kilter_client.verbs.progress.somebody_watches", lambda: True)
     monkeypatch.setenv("FORCE_COLOR", "1")
     k.identify(robot, stored, level=1)
     out, err = capfd.readouterr()

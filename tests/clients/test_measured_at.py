@@ -7,7 +7,7 @@ from datetime import UTC, date, datetime, timedelta
 import pytest
 
 from kilter_client.errors import UsageError
-from kilter_client.given import moment_of
+from kilter_client.verbs.inputs import moment_of
 
 
 def test_a_time_is_sent_with_its_zone() -> None:

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from kilter_client import plots
 from kilter_client.cli.robot.arm_figure import arm_figure, save_arm
 from kilter_client.errors import FileError, MissingPackageError
+from kilter_client.results import plots
 
 SVG = "{http://www.w3.org/2000/svg}"
 

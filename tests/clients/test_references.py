@@ -12,7 +12,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.arguments import validation
+from kilter_client.cli.terminal.arguments import validation
 from kilter_client.errors import ConflictError, NotFoundError, UsageError
 
 Write = Callable[..., Path]

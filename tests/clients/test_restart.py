@@ -15,7 +15,7 @@ import httpx
 import pytest
 
 from kilter_client import Kilter, ServerUnreachableError
-from kilter_client.calls import jobs as waiting
+from kilter_client.requests.calls import jobs as waiting
 from tests.service.forked import ForkedPopen
 
 Write = Callable[..., Path]

@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 import kilter as library
 from kilter_client import Kilter
-from kilter_client.settled import registered
+from kilter_client.twin.settled import registered
 from tests.clients.test_cli import Command
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 

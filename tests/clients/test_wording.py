@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.wording import ROUTES, in_words, parameters_of
+from kilter_client.cli.terminal.wording import ROUTES, in_words, parameters_of
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from kilter_client.plots import save_figures
+from kilter_client.results.plots import save_figures
 from kilter_service.contract.figures import Figure, GapFigures, IdentifyFigures
 from kilter_service.jobs.plotly_figures.arrows import _from_three_sides, _in_space, _sides, _space
 from kilter_service.jobs.plotly_figures.gap import gap_figures

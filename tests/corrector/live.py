@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import zenoh
 
-from kilter_client.setpoint import Setpoint
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming.setpoint import Setpoint
 from kilter_service.corrector import wire
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 import zenoh
 
-from kilter_client.carried import LEAST_PAUSE_S
-from kilter_client.setpoint import Setpoint
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming.held_correction import LEAST_PAUSE_S
+from kilter_client.streaming.setpoint import Setpoint
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.process import Corrector

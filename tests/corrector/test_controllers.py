@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from kilter_client.corrector import StreamError
 from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming.corrector import StreamError
 from kilter_core.model import Calibration
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.process import Corrector

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kilter_client import frames as client
+from kilter_client.streaming import frames as client
 from kilter_service.corrector import wire
 from kilter_service.corrector.wire import Flag, Kind, Status
 

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import pytest
 
-from kilter_client import sessions
 from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming import sessions
 from kilter_service.corrector.process import Corrector
 from tests.corrector.live import ROBOT, Q, open_stream, until
 

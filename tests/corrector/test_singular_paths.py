@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kilter_client.setpoint import Setpoint, Statistics
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming.setpoint import Setpoint, Statistics
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
 from kilter_service.corrector.active import Active

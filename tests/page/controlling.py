@@ -10,8 +10,8 @@ import threading
 import time
 from pathlib import Path
 
-from kilter_client.setpoint import Setpoint
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming.setpoint import Setpoint
 from kilter_service.settings import Settings
 from tests.service.conftest import REPOSITORY, wait_for
 from tests.service.forked import ForkedPopen

@@ -17,9 +17,9 @@ import httpx
 import pytest
 
 from kilter_client import Kilter, NotAuthorisedError
-from kilter_client.calls.access import checked
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError
+from kilter_client.requests.calls.access import checked
 from kilter_service.settings import DATABASE_FILE, Settings
 from tests.service.forked import forked_command
 
@@ -77,7 +77,7 @@ def test_the_library_makes_and_ends_tokens(client: httpx.Client) -> None:
 
 
 def _frame() -> Any:
-    from kilter_client.steps import post
+    from kilter_client.requests.steps import post
 
     return post("/v1/frames", {})
 

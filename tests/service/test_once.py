@@ -12,8 +12,8 @@ import httpx
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.connection import Connection
-from kilter_client.steps import Request
+from kilter_client.requests.connection import Connection
+from kilter_client.requests.steps import Request
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database

@@ -13,7 +13,7 @@ import pytest
 from fastapi import FastAPI
 
 from kilter_client import Kilter
-from kilter_client.steps import post
+from kilter_client.requests.steps import post
 from kilter_service import connections
 from kilter_service.app import create_app
 from kilter_service.auth import slow_bodies

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.cli.correct import _show_status
+from kilter_client.cli.correction.correct import _show_status
 from kilter_client.cli.reports.activation_report import show_activations
 from kilter_client.cli.reports.results import show_job, show_version
 from kilter_client.cli.suspicious import show_suspicious

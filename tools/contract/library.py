@@ -85,8 +85,8 @@ BEHAVIOUR = {
 SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
 # What the signatures mean by these.
 GIVEN = {
-    "Thing": "a robot, campaign, version or job: its name, its id or the beginning of it, `latest`, or the result that made "
-    "it. Names and `latest` of campaigns, versions and jobs need `robot=` where no robot is named.",
+    "ResourceReference": "a robot, campaign, version or job: its name, its id or the beginning of it, `latest`, or the "
+    "result that made it. Names and `latest` of campaigns, versions and jobs need `robot=` where no robot is named.",
     "Data": "rows: a path, columns by name, a structured array, a pandas DataFrame, or an array of two dimensions with "
     "`columns=`. Names are the [columns of a measurement](columns.md), with their unit.",
     "HeldOut": 'a share of the poses (`0.3`), a campaign or several, `{"folds": 5}`, or None: nothing is held out.',

@@ -15,7 +15,7 @@ from kilter_client.bridges.egm import EgmWire
 from kilter_client.bridges.plan import Heard, Setpoints, Table, read_table
 from kilter_client.cli import run
 from kilter_client.errors import FileError
-from kilter_client.frames import encode
+from kilter_client.streaming.frames import encode
 from tests.clients.bridges.egm_peer import EgmPeer
 from tests.clients.bridges.running_bridge import bridging, off_mm, shared_arm
 from tests.clients.three_joint_arm import Floats

@@ -17,7 +17,7 @@ from kilter_client import Kilter
 from kilter_client.bridges.news import Kind
 from kilter_client.bridges.versions import Followed, look
 from kilter_client.cli import run
-from kilter_client.corrector import session_config
+from kilter_client.streaming.corrector import session_config
 from kilter_core.correct.file import from_bytes
 from tests.clients.answered import document
 from tests.clients.bridges.rsi_peer import RsiPeer

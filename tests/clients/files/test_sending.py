@@ -16,7 +16,7 @@ import pytest
 
 from kilter_client import ConflictError, Kilter, ObservationError, ServerUnreachableError
 from kilter_client.cli import run
-from kilter_client.parts import parts, send_whole
+from kilter_client.cli.files.parts import parts, send_whole
 from tests.clients.answered import document
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
 from tests.service.forked import ForkedPopen
@@ -143,7 +143,7 @@ def test_a_killed_client_leaves_nothing_to_see(kilter: Kilter, server: Path) -> 
     """The client dies by SIGKILL in the middle; what it began is finished by the next."""
     robot = three_joints(kilter, "killed-robot")
     code = (
-        "import os, signal\nfrom kilter_client import Kilter\nfrom kilter_client.parts import parts, send_whole\n"
+        "import os, signal\nfrom kilter_client import Kilter\nfrom kilter_client.cli.files.parts import parts, send_whole\n"
         "from tests.clients.files.test_sending import WANTED, blocks\n"
         "def stop(rows, there, seen=[]):\n    seen.append(rows)\n    len(seen) == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
         f"send_whole(Kilter(), {robot!r}, WANTED, lambda: parts(blocks(), 200), stop)\n"

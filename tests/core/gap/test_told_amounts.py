@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_client.cli.reports.gap_report import show_gap
-from kilter_client.cli.tables import number
+from kilter_client.cli.terminal.tables import number
 from kilter_core.gap import GapOptions, find, find_gap
 from kilter_core.gap.evidence import widened as module
 from kilter_core.gap.evidence.verdict import Judged

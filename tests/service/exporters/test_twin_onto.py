@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import kilter.twin
 from kilter_client.errors import FileError
-from kilter_client.twin_onto import lay_onto
+from kilter_client.twin.onto import lay_onto
 from kilter_core.arm.presets import preset_document
 from kilter_core.observations import Observations
 from tests.service.exporters.test_mjcf import BACKLASH, GEOMETRY, SAG, WINDUP, poses, twin

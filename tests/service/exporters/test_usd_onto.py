@@ -13,8 +13,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
 from kilter_client.errors import FileError, MissingPackageError
-from kilter_client.twin_onto import Laid
-from kilter_client.twin_usd import lay_over
+from kilter_client.twin.onto import Laid
+from kilter_client.twin.usd import lay_over
 from kilter_core.arm.presets import preset_document
 from kilter_core.observations import Observations
 from tests.service.exporters.test_mjcf import ALL, EVERYTHING, GEOMETRY, SAG

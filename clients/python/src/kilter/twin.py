@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from kilter_client.twin import apply as apply
+from kilter_client.twin.step import apply as apply
 
 __all__ = ["apply"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.calls import access, fleet, references, server
-from kilter_client.connection import AsyncConnection
-from kilter_client.locate import locate
-from kilter_client.running import awaited
-from kilter_client.steps import Steps
+from kilter_client.requests.calls import access, fleet, references, server
+from kilter_client.requests.connection import AsyncConnection
+from kilter_client.requests.methods import awaited
+from kilter_client.requests.server_address import locate
+from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
 from kilter_client.verbs import drifts, keeping, programs
 from kilter_client.verbs import dry_run as dry_runs
@@ -18,7 +18,7 @@ from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
-from kilter_client.wording import reworded
+from kilter_client.verbs.error_wording import reworded
 
 if TYPE_CHECKING:
     import httpx

@@ -5,17 +5,17 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.calls import access, fleet, references, server
-from kilter_client.connection import Connection, Reword
-from kilter_client.jobs import Jobs
-from kilter_client.locate import locate
-from kilter_client.resources import Campaigns, Robots, Versions
-from kilter_client.running import waiting
-from kilter_client.steps import Steps
+from kilter_client.requests.calls import access, fleet, references, server
+from kilter_client.requests.connection import Connection, Reword
+from kilter_client.requests.methods import waiting
+from kilter_client.requests.server_address import locate
+from kilter_client.requests.steps import Steps
+from kilter_client.resources.documents import Campaigns, Robots, Versions
+from kilter_client.resources.jobs import Jobs
 from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, programs, robots, versions
 from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import meshes as shapes
-from kilter_client.wording import reworded
+from kilter_client.verbs.error_wording import reworded
 
 if TYPE_CHECKING:
     import httpx

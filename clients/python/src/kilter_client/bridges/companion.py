@@ -21,7 +21,7 @@ from typing import Any
 from kilter_client.bridges.announced import Announcer
 from kilter_client.bridges.news import Kind, Line
 from kilter_client.bridges.versions import Followed, look
-from kilter_client.corrector import StreamError, find_corrector, root_of, session_config
+from kilter_client.streaming.corrector import StreamError, find_corrector, root_of, session_config
 
 POLL_S = 1.0
 SILENT_S = 5.0  # without an answer of the server, which is said then: a request may be repeated for longer

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from kilter_client.bridges.versions import Limits
 from kilter_client.errors import FileError, UsageError
-from kilter_client.frames import HEADER, MAGIC, POINT
+from kilter_client.streaming.frames import HEADER, MAGIC, POINT
 
 MOST_WAITING = 64
 EASE_S = 0.5

@@ -22,7 +22,7 @@ from kilter_client.bridges.loop import Loop, Wire
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints
 from kilter_client.errors import FileError, MissingPackageError, UsageError
-from kilter_client.given import signs_of
+from kilter_client.verbs.inputs import signs_of
 from kilter_core.correct.file import from_bytes
 from kilter_core.errors import OptionError
 

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from kilter_client.cli.groups import FirstLevel
-from kilter_client.cli.interrupt import CODE, UNKNOWN, InterruptedCommandError
-from kilter_client.cli.output import report_error, report_usage
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
+from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
+from kilter_client.cli.terminal.output import report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
 
 app = typer.Typer(
@@ -76,7 +76,7 @@ def run(arguments: Sequence[str]) -> int:
         report_error(error, as_json)
         return CODE
     except KilterError as error:
-        from kilter_client.cli.wording import reworded
+        from kilter_client.cli.terminal.wording import reworded
 
         report_error(reworded(error, arguments), as_json)
         return 1

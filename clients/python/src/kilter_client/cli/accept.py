@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.calls import robots as calls
-from kilter_client.cli.arguments import Json, Robot
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.references import resolved
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.arguments import Json, Robot
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.references import resolved
+from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.requests.calls import robots as calls
 
 CODES = {"accepted": 0, "rejected": 3, "not_proved": 4}
 

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json, Robot, split_names
 from kilter_client.cli.groups import Group
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal.arguments import Json, Robot, split_names
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.tables import show_rows
 
 token = typer.Typer(help="Make, list and revoke tokens.", rich_markup_mode=None, cls=Group)
 

@@ -10,8 +10,11 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import arguments
-from kilter_client.cli.arguments import (
+from kilter_client.cli.reports.job_check import finish_check
+from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import (
     CampaignIds,
     Check,
     ConfirmationIds,
@@ -23,16 +26,13 @@ from kilter_client.cli.arguments import (
     Robot,
     ValidationText,
 )
-from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.output import emit, note
-from kilter_client.cli.progress import job_bar
-from kilter_client.cli.references import resolved_all, resolved_options
-from kilter_client.cli.reports.job_check import finish_check
-from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.output import emit, note
+from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.references import resolved_all, resolved_options
 from kilter_client.cli.texts.option_texts import EVALUATE, GAP, IDENTIFY
-from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
-from kilter_client.plots import can_draw, save_figures
+from kilter_client.results.plots import can_draw, save_figures
 
 AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter effects` lists all.'
 Frame = Literal["free", "fixed"]

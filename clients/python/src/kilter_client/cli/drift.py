@@ -9,16 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import arguments
 from kilter_client.cli.analyse import run_job
-from kilter_client.cli.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, MeasuredAt, conditions_of, sent_file
-from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.output import emit, note
-from kilter_client.cli.progress import job_bar
-from kilter_client.cli.references import resolved, resolved_options
 from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.output import emit, note
+from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.references import resolved, resolved_options
 from kilter_client.cli.texts.option_texts import DRIFT, REZERO
 from kilter_client.errors import UsageError
 

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json, MoreOptions, NoWait, effects, options, split_names
 from kilter_client.cli.groups import Group
-from kilter_client.cli.interrupt import fleet_goes_on, on_interrupt
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.progress import job_bar
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal.arguments import Json, MoreOptions, NoWait, effects, options, split_names
+from kilter_client.cli.terminal.interrupt import fleet_goes_on, on_interrupt
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 
 fleet = typer.Typer(help="Identify many robots anew, and show what came out.", rich_markup_mode=None, cls=Group)

@@ -8,14 +8,14 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json
 from kilter_client.cli.groups import Group
-from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.output import emit, note
-from kilter_client.cli.progress import job_bar
-from kilter_client.cli.references import OfRobot, looked_up, resolved
 from kilter_client.cli.reports.results import show_job
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.output import emit, note
+from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.references import OfRobot, looked_up, resolved
+from kilter_client.cli.terminal.tables import show_rows
 
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)
 

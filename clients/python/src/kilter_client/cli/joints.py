@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from kilter_client.cli import arguments
 from kilter_client.cli.analyse import needs_result, run_job, write_poses
-from kilter_client.cli.arguments import (
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import (
     CampaignIds,
     JobName,
     Json,

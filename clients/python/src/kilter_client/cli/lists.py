@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 
 import typer
 
-from kilter_client.cli.arguments import Json
-from kilter_client.cli.output import Document, emit, note
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import Document, emit, note
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.cli.texts.effect_texts import EFFECTS
 from kilter_client.cli.texts.listed_texts import COLUMNS, EXPORTS, METHODS, PRESETS
 from kilter_files.formats.registry import list_formats

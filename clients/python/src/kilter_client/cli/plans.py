@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli import arguments
 from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_poses
-from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.groups import WithDefault
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.texts.option_texts import PLAN
 from kilter_client.errors import UsageError
 

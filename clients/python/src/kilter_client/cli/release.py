@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, version
 
-from kilter_client.cli.output import emit, say
-from kilter_client.connection import Connection
+from kilter_client.cli.terminal.output import emit, say
 from kilter_client.errors import KilterError
-from kilter_client.locate import locate
-from kilter_client.steps import Document, Request, read
+from kilter_client.requests.connection import Connection
+from kilter_client.requests.server_address import locate
+from kilter_client.requests.steps import Document, Request, read
 
 PATIENCE_S = 3.0
 SOURCE_TREE = "0.1.0+source"

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import CampaignIds, Json, VersionId, split_names
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.references import OfRobot, resolved, resolved_all
-from kilter_client.cli.versions import write
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal.arguments import CampaignIds, Json, VersionId, split_names
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.references import OfRobot, resolved, resolved_all
 from kilter_client.errors import UsageError
 
 

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.references import OfRobot, resolved
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.references import OfRobot, resolved
+from kilter_client.cli.terminal.tables import number, show_rows
 
 CampaignId = Annotated[str, typer.Argument(help="Campaign: id, name or `latest`.", show_default=False)]
 

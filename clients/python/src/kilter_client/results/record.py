@@ -8,8 +8,8 @@ from types import NoneType, UnionType
 from typing import Any, ClassVar, Generic, Self, TypeVar, get_args, get_origin, get_type_hints, overload
 
 from kilter_client.errors import UsageError
+from kilter_client.requests.steps import Steps
 from kilter_client.results.tables import Tabular
-from kilter_client.steps import Steps
 from kilter_files.ground.names import did_you_mean
 
 T = TypeVar("T", bound="Record")

@@ -9,9 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
-from kilter_client.calls import versions
 from kilter_client.errors import MissingPackageError, UsageError
-from kilter_client.plots import draw
+from kilter_client.requests.calls import versions
+from kilter_client.results.plots import draw
 from kilter_client.results.rows import Rows
 from kilter_client.results.tables import Tabular
 

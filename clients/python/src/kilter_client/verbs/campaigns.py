@@ -7,14 +7,14 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
 from kilter_client import typed
-from kilter_client.calls import campaigns as calls
 from kilter_client.errors import ApiError, ObservationError, UsageError
-from kilter_client.given import Data, moment_of, name_of, rows_of
-from kilter_client.naming import same
-from kilter_client.progress import Watching, watched
+from kilter_client.requests.calls import campaigns as calls
+from kilter_client.requests.steps import Document, Sent, Steps
+from kilter_client.resources.name_match import same
 from kilter_client.results.record import Records
-from kilter_client.steps import Document, Sent, Steps
-from kilter_client.verbs.things import Thing, reference
+from kilter_client.verbs.inputs import Data, moment_of, name_of, rows_of
+from kilter_client.verbs.progress import Watching, watched
+from kilter_client.verbs.references import ResourceReference, reference
 
 if TYPE_CHECKING:
     from datetime import date, datetime
@@ -25,13 +25,13 @@ MOST_LINES = 8  # of a file that are named in a refusal
 
 
 def upload(
-    robot: Thing, data: Data, *, columns: Sequence[str] | None = None, name: str | None = None,
+    robot: ResourceReference, data: Data, *, columns: Sequence[str] | None = None, name: str | None = None,
     role: Literal["train", "validation", "confirmation"] = "train", device: str | None = None,
     column_map: str | PathLike[str] | None = None, preset: str | None = None, euler: str | None = None,
     joints: str | PathLike[str] | None = None, payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None, temperature_c: float | None = None,
     tool_force_n: Sequence[float] | None = None, tool_moment_nm: Sequence[float] | None = None, notes: str = "",
-    measured_at: datetime | date | str | None = None, instrument: str | None = None, campaign: Thing | None = None,
+    measured_at: datetime | date | str | None = None, instrument: str | None = None, campaign: ResourceReference | None = None,
     progress: Watching = True,
 ) -> Steps[typed.campaigns.Uploaded]:  # fmt: skip
     """Upload measurements as a campaign of a robot; the same rows again change nothing.
@@ -141,7 +141,7 @@ def _placed(error: ObservationError, prepared: Prepared) -> ObservationError:
     return error
 
 
-def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[typed.campaigns.Campaign]:
+def campaign(campaign: ResourceReference, *, robot: str | None = None) -> Steps[typed.campaigns.Campaign]:
     """Return a campaign: its rows, role, conditions and uploads.
 
     Raises:
@@ -151,7 +151,7 @@ def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[typed.campai
     return typed.campaigns.Campaign.read((yield from calls.one(reference("campaign", campaign), robot)))
 
 
-def suspicious(campaign: Thing, *, robot: str | None = None) -> Steps[typed.others.SuspiciousRows]:
+def suspicious(campaign: ResourceReference, *, robot: str | None = None) -> Steps[typed.others.SuspiciousRows]:
     """Return the rows of a campaign that look wrong: by how many mm and standard deviations, and who says so.
 
     Raises:
@@ -161,7 +161,7 @@ def suspicious(campaign: Thing, *, robot: str | None = None) -> Steps[typed.othe
     return typed.others.SuspiciousRows.read((yield from calls.suspicious(reference("campaign", campaign), robot)))
 
 
-def campaigns(robot: Thing, *, retired: bool = False) -> Steps[Records[typed.campaigns.Campaign]]:
+def campaigns(robot: ResourceReference, *, retired: bool = False) -> Steps[Records[typed.campaigns.Campaign]]:
     """Return the campaigns of a robot, oldest first; with ``retired`` also those that are out of use."""
     found = yield from calls.list_campaigns(reference("robot", robot), retired=retired)
     return Records(typed.campaigns.Campaign, [typed.campaigns.Campaign.read(one) for one in found])

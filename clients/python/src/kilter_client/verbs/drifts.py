@@ -7,11 +7,11 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Unpack, cast
 
 from kilter_client.errors import UsageError
-from kilter_client.given import Data
-from kilter_client.progress import Watching
-from kilter_client.steps import Steps
+from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns, jobs
-from kilter_client.verbs.things import Thing, reference
+from kilter_client.verbs.inputs import Data
+from kilter_client.verbs.progress import Watching
+from kilter_client.verbs.references import ResourceReference, reference
 
 if TYPE_CHECKING:
     from datetime import date, datetime
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 def drift(
-    robot: Thing,
+    robot: ResourceReference,
     data: Data | None = None,
     *,
-    campaign: Thing | None = None,
+    campaign: ResourceReference | None = None,
     device: str | None = None,
     column_map: str | PathLike[str] | None = None,
     payload_kg: float | None = None,
@@ -80,8 +80,8 @@ def drift(
 
 
 def rezero(
-    robot: Thing,
-    campaign: Thing = "latest",
+    robot: ResourceReference,
+    campaign: ResourceReference = "latest",
     *,
     name: str = "",
     progress: Watching = True,

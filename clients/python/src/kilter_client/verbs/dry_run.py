@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.calls import campaigns, robots
 from kilter_client.errors import KilterError, ObservationError
 from kilter_client.files import files_refusals, files_summary
-from kilter_client.given import Data, rows_of
+from kilter_client.requests.calls import campaigns, robots
+from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.dry_run import DryRun
-from kilter_client.steps import Document, Steps
 from kilter_client.verbs.campaigns import conditions_of
-from kilter_client.verbs.things import Thing, reference
+from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.verbs.references import ResourceReference, reference
 
 if TYPE_CHECKING:
     from kilter_client.results.dry_run import DryRun
@@ -23,7 +23,7 @@ MIXED_UP = ("foreign_observations", "markers_swapped")
 
 
 def dry_run(
-    robot: Thing,
+    robot: ResourceReference,
     data: Data,
     *,
     columns: Sequence[str] | None = None,

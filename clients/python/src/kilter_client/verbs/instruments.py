@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from kilter_client import typed
-from kilter_client.calls import instruments as calls
-from kilter_client.given import day_of
+from kilter_client.requests.calls import instruments as calls
+from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.steps import Steps
+from kilter_client.verbs.inputs import day_of
 
 if TYPE_CHECKING:
     from datetime import date

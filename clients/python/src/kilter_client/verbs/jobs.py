@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any, TypeAlias, Unpack, cast
 
 from kilter_client import typed
-from kilter_client.calls import jobs as calls
 from kilter_client.files import readings
-from kilter_client.progress import Watching, watched
+from kilter_client.requests.calls import jobs as calls
+from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record, Records
-from kilter_client.steps import Document, Steps
 from kilter_client.typed.names import JOBS, MODULE_OF
-from kilter_client.verbs.things import Thing, reference, references
+from kilter_client.verbs.progress import Watching, watched
+from kilter_client.verbs.references import ResourceReference, reference, references
 
 # A share of the poses, campaigns, or {"folds": 5}.
-HeldOut: TypeAlias = "float | Thing | Sequence[Thing] | Mapping[str, int] | None"
+HeldOut: TypeAlias = "float | ResourceReference | Sequence[ResourceReference] | Mapping[str, int] | None"
 LISTS = (
     "effects",
     "free",
@@ -32,8 +32,8 @@ VERSIONS = ("start", "version")
 
 
 def identify(
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing],
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference],
     *,
     validation: HeldOut = None,
     name: str = "",
@@ -62,11 +62,11 @@ def identify(
 
 
 def gap(
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing],
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference],
     *,
     validation: HeldOut = None,
-    confirmation: Thing | Sequence[Thing] = (),
+    confirmation: ResourceReference | Sequence[ResourceReference] = (),
     name: str = "",
     progress: Watching = True,
     timeout_s: float | None = None,
@@ -87,8 +87,8 @@ def gap(
 
 
 def evaluate(
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing],
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference],
     *,
     name: str = "",
     progress: Watching = True,
@@ -109,8 +109,8 @@ def evaluate(
 
 
 def plan(
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing] = (),
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference] = (),
     *,
     name: str = "",
     progress: Watching = True,
@@ -129,10 +129,10 @@ def plan(
 
 
 def joint_parameters(
-    robot: Thing,
+    robot: ResourceReference,
     readings_file: str | PathLike[str] | None = None,
     *,
-    campaigns: Thing | Sequence[Thing] = (),
+    campaigns: ResourceReference | Sequence[ResourceReference] = (),
     validation: HeldOut = None,
     name: str = "",
     progress: Watching = True,
@@ -158,11 +158,11 @@ def joint_parameters(
 
 def submit(
     kind: str,
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing] = (),
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference] = (),
     *,
     validation: HeldOut = None,
-    confirmation: Thing | Sequence[Thing] = (),
+    confirmation: ResourceReference | Sequence[ResourceReference] = (),
     name: str = "",
     **options: Any,
 ) -> Steps[Record]:
@@ -180,11 +180,11 @@ def submit(
 
 def check(
     kind: str,
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing] = (),
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference] = (),
     *,
     validation: HeldOut = None,
-    confirmation: Thing | Sequence[Thing] = (),
+    confirmation: ResourceReference | Sequence[ResourceReference] = (),
     **options: Any,
 ) -> Steps[Record]:
     """Say at once what a job would do, and start nothing: what it uses and holds out, what is missing, how long it takes.
@@ -203,7 +203,7 @@ def check(
 
 
 def wait(
-    job: Thing, *, robot: str | None = None, progress: Watching = True, timeout_s: float | None = None
+    job: ResourceReference, *, robot: str | None = None, progress: Watching = True, timeout_s: float | None = None
 ) -> Steps[Record]:
     """Follow a job to its end and return its result, as the verb of its kind does.
 
@@ -214,7 +214,7 @@ def wait(
     return (yield from _waited(reference("job", job), robot, progress, timeout_s))
 
 
-def job(job: Thing, *, robot: str | None = None) -> Steps[Record]:
+def job(job: ResourceReference, *, robot: str | None = None) -> Steps[Record]:
     """Return a job: its state, its request, and its result if there is one.
 
     Raises:
@@ -224,13 +224,13 @@ def job(job: Thing, *, robot: str | None = None) -> Steps[Record]:
     return _read((yield from calls.one(reference("job", job), robot)))
 
 
-def jobs(robot: Thing | None = None, *, limit: int = 100) -> Steps[Records[typed.server.JobSummary]]:
+def jobs(robot: ResourceReference | None = None, *, limit: int = 100) -> Steps[Records[typed.server.JobSummary]]:
     """Return the newest jobs, of one robot or of all."""
     found = yield from calls.list_jobs(None if robot is None else reference("robot", robot), limit)
     return Records(typed.server.JobSummary, [typed.server.JobSummary.read(one) for one in found])
 
 
-def cancel(job: Thing, *, robot: str | None = None) -> Steps[Record]:
+def cancel(job: ResourceReference, *, robot: str | None = None) -> Steps[Record]:
     """Ask a job to stop.
 
     Raises:
@@ -242,12 +242,12 @@ def cancel(job: Thing, *, robot: str | None = None) -> Steps[Record]:
 
 def asked(
     kind: str,
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing],
+    robot: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference],
     options: Mapping[str, Any],
     validation: HeldOut,
     name: str,
-    confirmation: Thing | Sequence[Thing] = (),
+    confirmation: ResourceReference | Sequence[ResourceReference] = (),
 ) -> Document:
     """Return the request for a job."""
     held_out = references("campaign", validation) if _names_campaigns(validation) else validation  # type: ignore[arg-type]

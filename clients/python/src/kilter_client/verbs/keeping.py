@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import Any, cast
 
 from kilter_client import typed
-from kilter_client.calls import kept
-from kilter_client.calls import robots as robot_calls
-from kilter_client.calls.references import Kind
 from kilter_client.errors import UsageError
+from kilter_client.requests.calls import kept
+from kilter_client.requests.calls import robots as robot_calls
+from kilter_client.requests.calls.references import Kind
+from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record
-from kilter_client.steps import Document, Steps
-from kilter_client.verbs.things import Thing, What, kind_of, reference
+from kilter_client.verbs.references import ResourceReference, What, kind_of, reference
 
 
 def change(
-    thing: Thing,
+    thing: ResourceReference,
     *,
     name: str | None = None,
     notes: str | None = None,
@@ -38,7 +38,7 @@ def change(
     return _read(what, (yield from robot_calls.note(called, notes or "")))
 
 
-def retire(thing: Thing, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
+def retire(thing: ResourceReference, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
     """Take a campaign, a version or a robot out of use; what cites it does not change.
 
     Raises:
@@ -49,7 +49,7 @@ def retire(thing: Thing, *, kind: What | None = None, robot: str | None = None) 
     return (yield from _do("retire", thing, kind, robot))
 
 
-def restore(thing: Thing, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
+def restore(thing: ResourceReference, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
     """Bring a campaign, a version or a robot back into use.
 
     Raises:
@@ -59,7 +59,7 @@ def restore(thing: Thing, *, kind: What | None = None, robot: str | None = None)
     return (yield from _do("restore", thing, kind, robot))
 
 
-def purge(thing: Thing, *, kind: What | None = None) -> Steps[typed.comparisons.Tombstone]:
+def purge(thing: ResourceReference, *, kind: What | None = None) -> Steps[typed.comparisons.Tombstone]:
     """Delete a retired campaign, version or robot for good, by its full id; returns its tombstone: its hash, who, when.
 
     Raises:
@@ -72,7 +72,7 @@ def purge(thing: Thing, *, kind: What | None = None) -> Steps[typed.comparisons.
     return typed.comparisons.Tombstone.read(found)
 
 
-def _do(doing: str, thing: Thing, kind: What | None, robot: str | None) -> Steps[Record]:
+def _do(doing: str, thing: ResourceReference, kind: What | None, robot: str | None) -> Steps[Record]:
     what = kind_of(thing, kind)
     called = reference(what, thing)
     if what == "robot":

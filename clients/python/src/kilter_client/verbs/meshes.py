@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Literal
 
 from kilter_client import typed
-from kilter_client.calls import meshes as calls
 from kilter_client.errors import UsageError
 from kilter_client.files import files_link_meshes
+from kilter_client.requests.calls import meshes as calls
+from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.steps import Steps
-from kilter_client.verbs.things import Thing, reference
+from kilter_client.verbs.references import ResourceReference, reference
 
 FORMS: Mapping[str, calls.Form] = {".stl": "stl", ".obj": "obj"}
 
 
-def meshes(robot: Thing) -> Steps[Records[typed.robots.Mesh]]:
+def meshes(robot: ResourceReference) -> Steps[Records[typed.robots.Mesh]]:
     """Return the shapes of a robot's links, from base to tool.
 
     Raises:
@@ -30,7 +30,7 @@ def meshes(robot: Thing) -> Steps[Records[typed.robots.Mesh]]:
 
 
 def set_mesh(
-    robot: Thing, link: str, file: str | PathLike[str], *, unit: Literal["mm", "m"] = "mm"
+    robot: ResourceReference, link: str, file: str | PathLike[str], *, unit: Literal["mm", "m"] = "mm"
 ) -> Steps[typed.robots.Mesh]:
     """Give a link its shape, in place of the one it has. It is drawn only.
 
@@ -55,7 +55,7 @@ def set_mesh(
 
 
 def set_urdf_meshes(
-    robot: Thing, urdf: str | PathLike[str], *, packages: Mapping[str, str | PathLike[str]] | None = None
+    robot: ResourceReference, urdf: str | PathLike[str], *, packages: Mapping[str, str | PathLike[str]] | None = None
 ) -> Steps[Records[typed.robots.Mesh]]:
     """Give the links of a robot the shapes that its URDF names; needs trimesh.
 
@@ -79,7 +79,7 @@ def set_urdf_meshes(
     return Records(typed.robots.Mesh, made)
 
 
-def remove_mesh(robot: Thing, link: str) -> Steps[None]:
+def remove_mesh(robot: ResourceReference, link: str) -> Steps[None]:
     """Delete the shape of a link: it is drawn as cylinders again.
 
     Raises:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kilter_client.steps import Document
+from kilter_client.requests.steps import Document
 
 AT_LIMIT_DEG = 1e-6  # what is held stands at the limit, but for the last digits
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from kilter_client.calls import robots
 from kilter_client.errors import RobotError
 from kilter_client.files import files_found, files_postures, one_target, rigid
-from kilter_client.steps import Document, Steps
+from kilter_client.requests.calls import robots
+from kilter_client.requests.steps import Document, Steps
 
 if TYPE_CHECKING:
     from kilter_files.formats.programs.found import Program

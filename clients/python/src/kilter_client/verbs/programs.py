@@ -10,15 +10,15 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
-from kilter_client.calls import robots
 from kilter_client.errors import FileError, UsageError
 from kilter_client.files import files_found, files_reading, one_target
-from kilter_client.given import signs_of
+from kilter_client.requests.calls import robots
+from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
-from kilter_client.steps import Document, Steps
+from kilter_client.verbs.inputs import signs_of
 from kilter_client.verbs.program_limits import at_limits
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
-from kilter_client.verbs.things import Thing, reference
+from kilter_client.verbs.references import ResourceReference, reference
 from kilter_client.verbs.versions import correct
 
 if TYPE_CHECKING:
@@ -34,10 +34,10 @@ SHOWN = 20
 
 
 def filter(  # noqa: A001 - a verb, as the command is called
-    robot: Thing,
+    robot: ResourceReference,
     program: str | PathLike[str],
     *,
-    version: Thing | None = None,
+    version: ResourceReference | None = None,
     signs: Sequence[float] | str | None = None,
     fanuc_j3: str | None = None,
     bases: Frames | None = None,
@@ -171,7 +171,11 @@ class AllDone(list[Done]):
 
 
 def _done(
-    programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: Document, version: Thing | None
+    programs: Sequence[Program],
+    understood: Understood,
+    joints: ProgramJoints,
+    robot: Document,
+    version: ResourceReference | None,
 ) -> Steps[AllDone]:
     """Correct all targets in one call."""
     places = [

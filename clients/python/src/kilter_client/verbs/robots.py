@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from kilter_client import typed
-from kilter_client.calls import robots as calls
 from kilter_client.errors import UsageError
 from kilter_client.files import read
-from kilter_client.given import Data, rows_of
+from kilter_client.requests.calls import robots as calls
+from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.steps import Steps
-from kilter_client.verbs.things import Thing, reference
+from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.verbs.references import ResourceReference, reference
 
 Compensation = Literal["none", "factory", "kilter", "unknown"]
 
@@ -62,7 +62,9 @@ def add_robot(
     return typed.robots.RobotReport.read((yield from calls.add(document)))
 
 
-def set_controller_compensation(robot: Thing, compensation: Compensation) -> Steps[typed.robots.RobotReport]:
+def set_controller_compensation(
+    robot: ResourceReference, compensation: Compensation
+) -> Steps[typed.robots.RobotReport]:
     """Say whether the controller of a robot corrects by itself: nothing is corrected twice.
 
     Args:
@@ -115,7 +117,7 @@ def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> S
     return (yield from calls.convert(_document(source, None, None, _Described()), to))
 
 
-def today(robot: Thing) -> Steps[typed.server.Today]:
+def today(robot: ResourceReference) -> Steps[typed.server.Today]:
     """Return how good a robot is today: its newest error on rows that no fit used, and what is missing.
 
     Raises:
@@ -125,7 +127,7 @@ def today(robot: Thing) -> Steps[typed.server.Today]:
     return typed.server.Today.read((yield from calls.today(reference("robot", robot))))
 
 
-def bridges(robot: Thing) -> Steps[typed.server.BridgeList]:
+def bridges(robot: ResourceReference) -> Steps[typed.server.BridgeList]:
     """Return the bridges of a robot, those that run first: what each does, since when, and whether it is gone.
 
     Raises:
@@ -135,7 +137,7 @@ def bridges(robot: Thing) -> Steps[typed.server.BridgeList]:
     return typed.server.BridgeList.read((yield from calls.bridges(reference("robot", robot))))
 
 
-def drift_history(robot: Thing) -> Steps[typed.drifts.DriftHistory]:
+def drift_history(robot: ResourceReference) -> Steps[typed.drifts.DriftHistory]:
     """Return the checks of a robot, the control charts of its active version, and how it stands by them.
 
     Raises:
@@ -151,7 +153,7 @@ def drift_list() -> Steps[typed.drifts.DriftList]:
 
 
 def accept(
-    robot: Thing,
+    robot: ResourceReference,
     tolerance_mm: float,
     *,
     version: str | None = None,
@@ -256,7 +258,7 @@ def _document(
     return read.read_robot(Path(fspath(source or "")), described)
 
 
-def robot(name: Thing) -> Steps[typed.robots.RobotReport]:
+def robot(name: ResourceReference) -> Steps[typed.robots.RobotReport]:
     """Return a robot: joints with limits in deg or mm, names of its parameters, its active version.
 
     Raises:

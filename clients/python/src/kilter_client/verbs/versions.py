@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_client import typed
-from kilter_client.calls import versions as calls
-from kilter_client.given import Data, rows_of
+from kilter_client.requests.calls import versions as calls
+from kilter_client.requests.steps import Steps
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Records
 from kilter_client.results.rows import Rows, saved
-from kilter_client.steps import Steps
-from kilter_client.verbs.things import Thing, reference, references
+from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.verbs.references import ResourceReference, reference, references
 
 if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected
     from kilter_client.results.rows import Rows
 
 
-def version(version: Thing, *, robot: str | None = None) -> Steps[typed.versions.Version]:
+def version(version: ResourceReference, *, robot: str | None = None) -> Steps[typed.versions.Version]:
     """Return a version: its parameters with nominal, value and sigma, its errors in mm, what it was made from.
 
     Raises:
@@ -30,14 +30,14 @@ def version(version: Thing, *, robot: str | None = None) -> Steps[typed.versions
     return typed.versions.Version.read((yield from calls.one(reference("version", version), robot)))
 
 
-def versions(robot: Thing, *, retired: bool = False) -> Steps[Records[typed.versions.VersionSummary]]:
+def versions(robot: ResourceReference, *, retired: bool = False) -> Steps[Records[typed.versions.VersionSummary]]:
     """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
     found = yield from calls.list_versions(reference("robot", robot), retired)
     return Records(typed.versions.VersionSummary, [typed.versions.VersionSummary.read(one) for one in found])
 
 
 def activate(
-    version: Thing, *, robot: str | None = None, force: bool = False, reason: str = ""
+    version: ResourceReference, *, robot: str | None = None, force: bool = False, reason: str = ""
 ) -> Steps[typed.versions.ActivatedVersion]:
     """Make a version the one that corrects, unless it predicts worse than the active one.
 
@@ -53,7 +53,7 @@ def activate(
     )
 
 
-def rollback(robot: Thing) -> Steps[typed.versions.ActivatedVersion]:
+def rollback(robot: ResourceReference) -> Steps[typed.versions.ActivatedVersion]:
     """Return to the version that was active before.
 
     Raises:
@@ -63,18 +63,20 @@ def rollback(robot: Thing) -> Steps[typed.versions.ActivatedVersion]:
     return typed.versions.ActivatedVersion.read((yield from calls.rollback(reference("robot", robot))))
 
 
-def activations(robot: Thing) -> Steps[Records[typed.versions.Activation]]:
+def activations(robot: ResourceReference) -> Steps[Records[typed.versions.Activation]]:
     """Return who activated which version, when and why, newest first."""
     found = yield from calls.activations(reference("robot", robot))
     return Records(typed.versions.Activation, [typed.versions.Activation.read(one) for one in found])
 
 
-def preview(version: Thing, *, robot: str | None = None) -> Steps[typed.versions.VersionPreview]:
+def preview(version: ResourceReference, *, robot: str | None = None) -> Steps[typed.versions.VersionPreview]:
     """Return how a version would correct: the largest correction in mm and where, and which poses it would refuse."""
     return typed.versions.VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
 
 
-def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[typed.comparisons.VersionDiff]:
+def diff(
+    first: ResourceReference, second: ResourceReference, *, robot: str | None = None
+) -> Steps[typed.comparisons.VersionDiff]:
     """Compare two versions, parameter by parameter; ``"nominal"`` is the nominal robot.
 
     Raises:
@@ -85,7 +87,12 @@ def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[type
     return typed.comparisons.VersionDiff.read((yield from calls.diff(one, other, robot)))
 
 
-def residuals(version: Thing, campaigns: Thing | Sequence[Thing] = (), *, robot: str | None = None) -> Steps[Rows]:
+def residuals(
+    version: ResourceReference,
+    campaigns: ResourceReference | Sequence[ResourceReference] = (),
+    *,
+    robot: str | None = None,
+) -> Steps[Rows]:
     """Return the residuals of every row, mm: of these campaigns, or of all its own.
 
     Raises:
@@ -97,7 +104,7 @@ def residuals(version: Thing, campaigns: Thing | Sequence[Thing] = (), *, robot:
 
 
 def export(
-    version: Thing, form: str = "json", *, robot: str | None = None, path: str | Path | None = None
+    version: ResourceReference, form: str = "json", *, robot: str | None = None, path: str | Path | None = None
 ) -> Steps[bytes]:
     """Return a version as a file (``"json"``, ``"urdf"``, ``"dh-csv"``, ...), and write it to ``path`` if one is given.
 
@@ -112,11 +119,11 @@ def export(
 
 
 def correct(
-    robot: Thing,
+    robot: ResourceReference,
     trajectory: Data,
     *,
     columns: Sequence[str] | None = None,
-    version: Thing | None = None,
+    version: ResourceReference | None = None,
     form: str | None = None,
     payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None,

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.arguments import Json
-from kilter_client.cli.output import emit, say
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import emit, say
 from kilter_client.errors import UsageError
 from kilter_files.rig.board.cube import check_cube, save_cube
 from kilter_files.rig.board.drawing import save_board

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli import arguments
 from kilter_client.cli.analyse import needs_result, run_job
-from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, Robot, ValidationText
 from kilter_client.cli.camera.ros_files import write_ros_files
-from kilter_client.cli.output import note
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.terminal.output import note
 from kilter_client.errors import UsageError
 
 

@@ -12,13 +12,13 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import Json
 from kilter_client.cli.camera.rig_file import rig_conditions
 from kilter_client.cli.files.calibrated_rows import refuse_other_servos, servo_conditions
 from kilter_client.cli.files.sending import send
-from kilter_client.cli.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.progress import job_bar
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.errors import NotFoundError, UsageError
 from kilter_client.files import kit_coverage, kit_loads, kit_words
 from kilter_files import prepare

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
 from kilter_client.files import (
     files_feeds,

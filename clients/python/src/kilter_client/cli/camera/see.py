@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.progress import upload_bar
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.progress import upload_bar
 from kilter_client.errors import FileError, UsageError
 from kilter_client.files import (
     bag_pictures,

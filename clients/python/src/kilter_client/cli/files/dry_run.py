@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_client import Kilter
-from kilter_client.cli.output import say
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.errors import KilterError
 from kilter_client.verbs.dry_run import checked_here, checked_rows
 from kilter_files import Prepared

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from kilter_client.cli import arguments
-from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.inspect import Calibration, JointOrder, NormMode, check_numpy
-from kilter_client.cli.output import emit, say
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import emit, say
 from kilter_client.files import files_episodes, files_moved
 from kilter_files.formats.reader import LogHints
 

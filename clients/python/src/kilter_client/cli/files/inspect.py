@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli import arguments
-from kilter_client.cli.arguments import Json
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_files.formats.points.tracker_header import PRESETS
 from kilter_files.formats.reader import Hints, LogHints

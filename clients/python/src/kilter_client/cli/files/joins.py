@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot, three
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.files.match import joints_of
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.versions import write
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot, three
+from kilter_client.cli.terminal.output import emit, say
 from kilter_client.errors import UsageError
 from kilter_client.files import ballbar, dwells, files_ballbar_join, files_tilt_join
 from kilter_files import read_joints

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import arguments
-from kilter_client.cli.arguments import Json
 from kilter_client.cli.files.calibrated_rows import calibrated
 from kilter_client.cli.files.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
 from kilter_client.cli.files.inspect import (
@@ -23,9 +21,11 @@ from kilter_client.cli.files.inspect import (
     Zero,
     check_numpy,
 )
-from kilter_client.cli.interrupt import on_interrupt
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.progress import upload_bar
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.interrupt import on_interrupt
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.progress import upload_bar
 from kilter_client.errors import UsageError
 from kilter_client.files import dwells, frames_by_time, matching, rigid_body
 from kilter_files import read_joints
@@ -173,7 +173,7 @@ def _frames(
     found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, Any],
     as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    from kilter_client.parts import parts
+    from kilter_client.cli.files.parts import parts
 
     pieces, warnings = frames_by_time.match_frames(found, log, checks)
     report = {
@@ -189,7 +189,7 @@ def _frames(
 
 
 def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: bool) -> dict[str, Any]:
-    from kilter_client.parts import send_whole
+    from kilter_client.cli.files.parts import send_whole
 
     done = {"rows": 0}
     with Kilter() as kilter, upload_bar(wanted["name"], as_json) as bar:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client import Kilter
-from kilter_client.cli.interrupt import on_interrupt
-from kilter_client.cli.output import REMEDY_FOR_COLUMNS
-from kilter_client.cli.progress import upload_bar
-from kilter_client.cli.references import resolved
+from kilter_client.cli.terminal.interrupt import on_interrupt
+from kilter_client.cli.terminal.output import REMEDY_FOR_COLUMNS
+from kilter_client.cli.terminal.progress import upload_bar
+from kilter_client.cli.terminal.references import resolved
 from kilter_client.errors import ConflictError, KilterError, ObservationError
 from kilter_client.verbs.campaigns import send_rows
 from kilter_files import Prepared

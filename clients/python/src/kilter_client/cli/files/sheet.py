@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.arguments import File, Json
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.tables import show_rows
-from kilter_client.cli.versions import write
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal.arguments import File, Json
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.files import ballbar, drawn_circle, files_height, files_report
-from kilter_client.plots import draw
+from kilter_client.results.plots import draw
 from kilter_files import read_joints
 from kilter_files.ground.faults import head_of
 from kilter_files.ground.later import np

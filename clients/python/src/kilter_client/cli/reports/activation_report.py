@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.output import say
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import number, show_rows
 
 
 def show_active(document: Mapping[str, Any], state: str) -> None:

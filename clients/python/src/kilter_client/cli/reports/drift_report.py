@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.output import say
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import number, show_rows
 
 EXIT_CODES = {"ok": 0, "moved": 3, "cannot_tell": 4}
 LISTED = 6  # causes of a table, the best first

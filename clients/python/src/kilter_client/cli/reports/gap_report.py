@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.output import say
 from kilter_client.cli.reports.identify_report import corrected_in
 from kilter_client.cli.reports.load_model_report import show_load_model
 from kilter_client.cli.reports.unobservable_report import show_unobservable
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import number, show_rows
 
 MOST_PLACES = 12
 BAR = 40  # characters of the longest bar

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from kilter_client.cli.output import say
 from kilter_client.cli.reports.load_model_report import show_load_model
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.files import files_unusual
 from kilter_client.results.digits import decimals, ends, estimate
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import typer
 
-from kilter_client.cli.output import emit, say
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.tables import number, show_rows
 
 HOW = {
     "campaigns": "the campaigns named",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.output import say
 from kilter_client.cli.reports.drift_report import show_drift, show_smallest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
 from kilter_client.cli.reports.unobservable_report import show_unobservable
-from kilter_client.cli.tables import number, show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
 STAGES = ("nominal", "registration_only", "identified")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.output import say
+from kilter_client.cli.terminal.output import say
 
 
 def show_unobservable(directions: list[Any]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError
-from kilter_client.plots import draw
+from kilter_client.results.plots import draw
 
 Point = Sequence[float]
 Figure = dict[str, Any]

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import File, Json
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.tables import show_rows
-from kilter_client.cli.versions import write
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal.arguments import File, Json
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import FileError
 from kilter_files import prepare
 from kilter_files.robots.plain_name import checked_name, plain_name

@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-from kilter_client.cli.output import say
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import show_rows
 
 Document = dict[str, Any]
 Points = Sequence[tuple[float, float]]

@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.calls import meshes as calls
-from kilter_client.cli.arguments import Json, Robot
 from kilter_client.cli.groups import Group
-from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.tables import show_rows
+from kilter_client.cli.terminal.arguments import Json, Robot
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
+from kilter_client.requests.calls import meshes as calls
 from kilter_client.verbs.meshes import FORMS
 from kilter_files.robots.link_meshes import link_meshes
 

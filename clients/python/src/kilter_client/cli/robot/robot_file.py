@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from kilter_client.cli.arguments import PayloadCentre, three
+from kilter_client.cli.terminal.arguments import PayloadCentre, three
 from kilter_client.errors import UsageError
 from kilter_files.robots import Described, read_robot
 from kilter_files.robots.plain_name import checked_name, plain_name

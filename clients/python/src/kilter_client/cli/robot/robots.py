@@ -10,16 +10,16 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import keeping
-from kilter_client.cli.arguments import Json, Retired, Robot
 from kilter_client.cli.groups import Group
-from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.robot import circles
 from kilter_client.cli.robot.arm_figure import save_arm
 from kilter_client.cli.robot.drawing import show_check
 from kilter_client.cli.robot.robot_file import RobotSource, takes_a_robot
-from kilter_client.cli.tables import show_rows
-from kilter_client.cli.versions import write
+from kilter_client.cli.stored import keeping
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal.arguments import Json, Retired, Robot
+from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 
 

@@ -1,0 +1,1 @@
+"""Commands that use a version: paths, programs, controllers, servos and simulators."""

@@ -1,0 +1,1 @@
+"""Commands of what is stored: campaigns, versions, instruments, their names and their end."""

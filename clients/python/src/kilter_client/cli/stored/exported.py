@@ -1,0 +1,32 @@
+"""What an exported table says of itself, as tables for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.tables import show_rows
+
+STATES = {
+    "known": "known", "uncertain": "not told apart from 0", "held": "not told: shared with base or tool, or not identified",
+    "unstated": "nobody says how well it is known",
+}  # fmt: skip
+
+
+def show(document: dict[str, Any]) -> None:
+    """Print both as tables."""
+    if "numbers" not in document:
+        return
+    rows = [
+        (one["where"], one["name"], *(f"{one[key]:.6g}" for key in ("nominal", "exported", "difference")))
+        for one in document["numbers"]
+    ]
+    show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)
+    offsets = []
+    for one in document["zero_offsets"]:
+        unit = "deg" if "offset_deg" in one else "mm"
+        half = one[f"half_width_{unit}"]
+        within = "–" if half is None or one["state"] == "held" else f"± {half:.2g} {unit}"
+        offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}", within, STATES[one["state"]]))
+    show_rows(("joint", "zero offset", "95 %", "how well it is known"), offsets)
+    say(document["zero_offsets_sign"])

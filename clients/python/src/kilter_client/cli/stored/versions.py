@@ -1,0 +1,199 @@
+"""Parameter versions: list, show, activate, roll back, compare, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.reports.activation_report import show_activations, show_active, show_today
+from kilter_client.cli.reports.results import show_version
+from kilter_client.cli.stored import exported, keeping
+from kilter_client.cli.terminal.arguments import Json, Retired, Robot, VersionId
+from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.references import OfRobot, resolved
+from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.errors import UsageError
+from kilter_client.files import files_exported
+from kilter_client.requests.calls.versions import NOMINAL
+from kilter_client.results.digits import decimals, estimate
+from kilter_client.results.rows import saved
+
+group = typer.Typer(
+    help="List, name, retire and purge versions; without a command, list those of a robot.",
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    cls=keeping.ListsByDefault,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    keeping.register(group, "version")
+    app.add_typer(group, name="versions")
+    app.command(epilog="Example: kilter version ver_7c")(version)
+    app.command(epilog="Example: kilter activate ver_7c")(activate)
+    app.command(epilog="Example: kilter rollback ur10")(rollback)
+    app.command(epilog="Example: kilter today ur10")(today)
+    app.command(epilog="Example: kilter activations ur10")(activations)
+    app.command(epilog="Example: kilter diff ver_5a ver_7c")(diff)
+    app.command(epilog="Example: kilter export ver_7c --format json -o ur10.json")(export)
+
+
+@group.command("list", epilog="Example: kilter versions list ur10")
+def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None:
+    """List the versions of a robot."""
+    with Kilter() as kilter:
+        document = {"versions": kilter.versions.list(robot, retired)}
+    emit(document, as_json, _show_list)
+
+
+def version(version: VersionId, robot: OfRobot = None, as_json: Json = False) -> None:
+    """Show a version: where it comes from, and its parameters."""
+    with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
+        emit(kilter.versions.get(version), as_json, show_version)
+
+
+def activate(
+    version: VersionId,
+    force: Annotated[bool, typer.Option("--force", help="Even if it predicts worse; the log records it.")] = False,
+    reason: Annotated[str, typer.Option("--reason", help="Why, for the log.")] = "",
+    robot: OfRobot = None,
+    as_json: Json = False,
+) -> None:
+    """Make a version the one that corrects, unless it predicts worse than the active one."""
+    with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
+        document = kilter.versions.activate(version, force=force, reason=reason)
+    emit(document, as_json, lambda _: show_active(document, "active"))
+
+
+def rollback(robot: Robot, as_json: Json = False) -> None:
+    """Return to the version that was active before."""
+    with Kilter() as kilter:
+        document = kilter.versions.rollback(robot)
+    emit(document, as_json, lambda _: show_active(document, "active again"))
+
+
+def today(robot: Robot, as_json: Json = False) -> None:
+    """Show how good a robot is today, on rows that no fit used, and what is missing."""
+    with Kilter() as kilter:
+        emit(kilter.robots.today(robot), as_json, show_today)
+
+
+def activations(robot: Robot, as_json: Json = False) -> None:
+    """List who activated which version, when and why."""
+    with Kilter() as kilter:
+        document = {"activations": kilter.versions.activations(robot)}
+    emit(document, as_json, show_activations)
+
+
+def diff(
+    first: Annotated[
+        str,
+        typer.Argument(help="A version: id, name, `latest`, `nominal`, or the id of a search.", show_default=False),
+    ],
+    second: Annotated[str, typer.Argument(help="Another; `nominal` is the nominal robot.", show_default=False)],
+    robot: OfRobot = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the parameters of two versions, or of a version and the nominal robot."""
+    with Kilter() as kilter:
+        both = [_of_diff(kilter, one, robot, as_json) for one in (first, second)]
+        document = kilter.versions.diff(*both)
+    emit(document, as_json, _show_diff)
+
+
+def export(
+    version: VersionId,
+    form: Annotated[str, typer.Option("--format", help="json, urdf, mjcf, usd, dh-csv, ...")] = "json",
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
+    robot: OfRobot = None,
+    as_json: Json = False,
+) -> None:
+    """Write a version as a file for other programs."""
+    if as_json and output is None:
+        raise UsageError("--json reports what was written: name the file with -o.")
+    with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
+        content = kilter.versions.export(version, form)
+    if output is None:
+        typer.get_binary_stream("stdout").write(content)
+        return
+    write(output, content)
+    document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
+    emit(document | files_exported.lists_of_export(content), as_json, _show_written)
+
+
+def _show_written(document: dict[str, Any]) -> None:
+    exported.show(document)
+    say(f"{document['output']}: {document['bytes']} bytes")
+
+
+def write(output: Path, content: bytes) -> None:
+    """Write a file of the person's choice.
+
+    Raises:
+        FileError: it cannot be written.
+
+    """
+    saved(content, output)
+
+
+def _show_list(document: dict[str, Any]) -> None:
+    rows = [
+        (
+            "*" if v["active"] else "",
+            v["id"],
+            v["name"] + (" (retired)" if v["retired_at"] else ""),
+            ", ".join(v["effects"]) or "geometry",
+            _held_out(v["metrics"]),
+            v["parent_id"] or "",
+            str(v["created_at"])[:16].replace("T", " "),
+        )
+        for v in document["versions"]
+    ]
+    show_rows(("", "version", "name", "effects", "mean mm", "parent", "made"), rows)
+
+
+def _held_out(metrics: dict[str, Any]) -> str:
+    """The mean error of the identified model, on held-out rows where there were some."""
+    for name in ("validation", "train"):
+        stage = (metrics.get(name) or {}).get("identified")
+        if stage:
+            return f"{number(stage.get('mean_mm'))} {name}"
+    return ""
+
+
+def _of_diff(kilter: Kilter, one: str, robot: str | None, as_json: bool) -> str:
+    """The id of what is compared: a version, the job that made one, or the nominal robot."""
+    if one == NOMINAL:
+        return one
+    return resolved(kilter, "job" if one.startswith("job_") else "version", one, robot, as_json)
+
+
+def _show_diff(document: dict[str, Any]) -> None:
+    say((document.get("paired") or {}).get("sentence") or document.get("not_paired") or "")
+    for word in ("added", "removed"):
+        if document[f"effects_{word}"]:
+            say(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
+    sides = [NOMINAL if document[key] == NOMINAL else word for key, word in (("a", "first"), ("b", "second"))]
+    moved = [p for p in document["parameters"] if p.get("moved", True)]
+    if moved:
+        show_rows(("parameter", *sides, "change", "unit"), [_compared(p) for p in moved])
+    rest = len(document["parameters"]) - len(moved)
+    if rest:
+        say(f"{rest} more differ by less than their uncertainty or not at all; --json has them.")
+
+
+def _compared(p: dict[str, Any]) -> tuple[str, ...]:
+    """A row of a comparison; the change has the digits that the less certain of both allows."""
+    values = [
+        number(p[key], 7) if p.get(f"sigma_{key}") is None else estimate(p[key], decimals(p[f"sigma_{key}"]))
+        for key in ("a", "b")
+    ]
+    known = [sigma for sigma in (p.get("sigma_a"), p.get("sigma_b")) if sigma is not None]
+    return p["name"], *values, estimate(p["change"], decimals(max(known)) if known else None), p["unit"]

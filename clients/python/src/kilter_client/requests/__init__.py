@@ -1,0 +1,1 @@
+"""Requests to a server and what sends them: steps, connections, retries."""

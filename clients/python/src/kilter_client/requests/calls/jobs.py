@@ -1,0 +1,221 @@
+"""Calls about jobs: submit one, follow it to its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from kilter_client.errors import (
+    ApiError,
+    JobCancelledError,
+    JobFailedError,
+    JobTimeoutError,
+    NotAuthorisedError,
+    NotFoundError,
+    ServerUnreachableError,
+)
+from kilter_client.requests.calls.references import id_of, resolved_request
+from kilter_client.requests.steps import (
+    Document,
+    Follow,
+    Pause,
+    Relocate,
+    Request,
+    Steps,
+    address,
+    get,
+    idempotency_header,
+    post,
+    read,
+)
+
+Progress = Callable[[float, str], None]
+
+FINISHED = ("succeeded", "failed", "cancelled")
+POLL_S = (0.1, 0.2, 0.5, 1.0)
+MOST_BREAKS = 5  # of events, one after another without news: something on the way lets none through
+# How long a wait goes on without an answer: a server that is started again is ready within seconds, on a busy machine
+# that compiles its kernels within a minute or two.
+PATIENCE_S = 120.0
+LOOK_TIMEOUT_S = 10.0
+AWAY = f"the server does not answer, waiting up to {PATIENCE_S:.0f} s for it"
+
+
+def asked(
+    kind: str,
+    robot: str,
+    campaigns: Sequence[str],
+    validation: Any,
+    options: Mapping[str, Any] | None,
+    confirmation: Sequence[str] = (),
+    name: str = "",
+) -> Document:
+    """Return the request for a job; what is not given is not in it."""
+    body: Document = {"kind": kind, "robot": robot, "campaigns": list(campaigns), "options": dict(options or {})}
+    if validation is not None:
+        body["validation"] = validation
+    return body | ({"confirmation": list(confirmation)} if confirmation else {}) | ({"name": name} if name else {})
+
+
+def submit(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
+    """Ask for a job and return its document, still queued."""
+    request = yield from resolved_request(robot, body)
+    return (yield from post("/v1/jobs", request, idempotency_header()))
+
+
+def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
+    """Ask what a job would do; nothing is stored, nothing queued."""
+    request = yield from resolved_request(robot, body)
+    return (yield from post("/v1/jobs/check", request, again=True))
+
+
+def list_jobs(robot: str | None = None, limit: int = 100) -> Steps[list[Document]]:
+    """Return the newest jobs."""
+    wanted: Document = {"limit": limit} | ({"robot": robot} if robot else {})
+    found = yield from get("/v1/jobs", **wanted)
+    return list(found["jobs"])
+
+
+def one(job: str, robot: str | None = None) -> Steps[Document]:
+    """Return a job's document."""
+    found = yield from id_of("job", job, robot)
+    return (yield from get(address("jobs", found)))
+
+
+def cancel(job: str, robot: str | None = None) -> Steps[Document]:
+    """Ask a job to stop."""
+    found = yield from id_of("job", job, robot)
+    return (yield from post(address("jobs", found, "cancel")))
+
+
+def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: str | None = None) -> Steps[Document]:
+    """Follow a job to its end and return its document, through breaks and restarts of the server.
+
+    It is followed by its events; when they are refused, or break off before they say anything, by looking.
+    """
+    found = yield from id_of("job", job, robot)
+    watch = Watch(found, progress, timeout_s)
+    yield from _followed(found, watch)
+    if not watch.over:
+        yield from looked_at(address("jobs", found), watch)
+    return succeeded(watch.last if "result" in watch.last else (yield from one(found)))
+
+
+def _followed(job_id: str, watch: Watch) -> Steps[None]:
+    """Follow the events, each time from the last one that was heard, for as long as they bring news."""
+    follow, breaks = Follow(address("jobs", job_id, "events"), watch.told), 0
+    while True:
+        known = follow.events.last_id
+        try:
+            yield follow
+        except (ServerUnreachableError, ApiError) as error:
+            if isinstance(error, NotFoundError | NotAuthorisedError):
+                raise
+            if not _may_pass(error):
+                return
+        breaks = 0 if follow.events.last_id != known else breaks + 1
+        if watch.over or not follow.events.last_id or breaks > MOST_BREAKS:
+            return
+        yield from looked_at(address("jobs", job_id), watch, until_answered=True)
+        if watch.over:
+            return
+        yield Pause(POLL_S[min(breaks, len(POLL_S) - 1)])
+
+
+class Watch:
+    """What was last heard of a job, handed on to whoever wants to see its progress."""
+
+    def __init__(
+        self, job_id: str, progress: Progress | None, timeout_s: float | None, command: str = "kilter jobs watch"
+    ) -> None:
+        self.last: Document = {}
+        self._job_id, self._progress, self._timeout_s, self._command = job_id, progress, timeout_s, command
+        self._deadline = None if timeout_s is None else time.monotonic() + timeout_s
+
+    @property
+    def over(self) -> bool:
+        """Whether the job has ended, as far as was heard."""
+        return self.last.get("state") in FINISHED
+
+    def told(self, document: Document) -> bool:
+        """Take news of the job; whether it has ended."""
+        self.last = document
+        if self._progress is not None:
+            self._progress(*progress_of(document))
+        if self.over:
+            return True
+        self._in_time(str(document.get("state")))
+        return False
+
+    def away(self) -> None:
+        """Take that there was no answer."""
+        if self._progress is not None:
+            self._progress(progress_of(self.last)[0], AWAY)
+        self._in_time("without an answer")
+
+    def gone(self, request_id: str | None) -> ServerUnreachableError:
+        """Return what to raise when there was no answer for too long."""
+        error = ServerUnreachableError(
+            f"The server has not answered for {PATIENCE_S:.0f} s. Job {self._job_id} is stored there and continues when it "
+            f"is back: `{self._command} {self._job_id}` follows it.",
+            job_id=self._job_id,
+        )
+        error.request_id = request_id
+        return error
+
+    def _in_time(self, state: str) -> None:
+        if self._deadline is not None and time.monotonic() > self._deadline:
+            raise JobTimeoutError(
+                f"Job {self._job_id} is still {state} after {self._timeout_s:g} s.", job_id=self._job_id
+            )
+
+
+def looked_at(path: str, watch: Watch, until_answered: bool = False) -> Steps[None]:
+    """Look at the job's document until it has ended, through a restart of the server within ``PATIENCE_S``.
+
+    With ``until_answered`` only until the server is back: what a job that goes on does, its events tell.
+    """
+    looks, heard = 0, time.monotonic()
+    request = Request("GET", path, timeout_s=LOOK_TIMEOUT_S, patience_s=0.0)
+    while True:
+        try:
+            job = yield from read(request)
+        except (ServerUnreachableError, ApiError) as error:
+            if not _may_pass(error):
+                raise
+            if time.monotonic() - heard > PATIENCE_S:
+                raise watch.gone(error.request_id) from error
+            yield Relocate()
+            watch.away()
+        else:
+            heard = time.monotonic()
+            if until_answered and job.get("state") not in FINISHED:
+                return
+            if watch.told(job):
+                return
+        yield Pause(POLL_S[min(looks, len(POLL_S) - 1)])
+        looks += 1
+
+
+def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
+    """Whether an error is one of a server that starts, stops or is busy, so that asking again may help."""
+    return isinstance(error, ServerUnreachableError) or (error.status or 0) >= 500
+
+
+def succeeded(job: Document) -> Document:
+    """Return a finished job, or raise what it failed with."""
+    state = job.get("state")
+    if state == "succeeded":
+        return job
+    error = job.get("error") or {}
+    said = error.get("message") or error.get("detail")
+    if state == "cancelled":
+        raise JobCancelledError(str(said or f"Job {job.get('id')} was cancelled."), job=job)
+    raise JobFailedError(str(said or f"Job {job.get('id')} is {state}."), job=job, code=error.get("code"))
+
+
+def progress_of(job: Document) -> tuple[float, str]:
+    """Return the fraction that is done, and the stage."""
+    progress = job.get("progress") or job
+    return float(progress.get("fraction") or 0.0), str(progress.get("stage") or job.get("state") or "")

@@ -1,0 +1,65 @@
+"""Calls that find what a reference stands for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from kilter_client.requests.steps import Document, Steps, get
+
+Kind = Literal["campaign", "version", "job"]
+
+FULL: Mapping[str, re.Pattern[str]] = {
+    "campaign": re.compile("cmp_[0-9a-f]{16}"),
+    "version": re.compile("ver_[0-9a-f]{16}"),
+    "job": re.compile("job_[0-9a-f]{16}"),
+}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a reference stands for; ``by`` is "id", "prefix", "name" or "latest"."""
+
+    id: str
+    robot: str
+    name: str
+    by: str
+
+
+def is_full(kind: Kind, reference: str) -> bool:
+    """Whether a reference is a whole id already."""
+    return FULL[kind].fullmatch(reference) is not None
+
+
+def resolve(kind: Kind, reference: str, robot: str | None = None) -> Steps[Found]:
+    """Ask the server what a reference stands for, among those of a robot or of all."""
+    asked = {"kind": kind, "reference": reference} | ({"robot": robot} if robot else {})
+    document = yield from get("/v1/resolve", **asked)
+    return Found(document["id"], document["robot"], document["name"], document["by"])
+
+
+def id_of(kind: Kind, reference: str, robot: str | None = None) -> Steps[str]:
+    """Return the id that a reference stands for; a whole id is not asked for."""
+    if is_full(kind, reference):
+        return reference
+    found = yield from resolve(kind, reference, robot)
+    return found.id
+
+
+def resolved_request(robot: str, request: Mapping[str, Any]) -> Steps[Document]:
+    """Return a request for a job with ids instead of references, all of its robot."""
+    out = dict(request)
+    for key in ("campaigns", "validation", "confirmation"):
+        if isinstance(out.get(key), list | tuple):
+            ids = []
+            for given in out[key]:
+                found = yield from id_of("campaign", given, robot)
+                ids.append(found)
+            out[key] = ids
+    options = dict(out.get("options") or {})
+    for key in ("start", "version"):
+        if isinstance(options.get(key), str):
+            options[key] = yield from id_of("version", options[key], robot)
+    return out | {"options": options}

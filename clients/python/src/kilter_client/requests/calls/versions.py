@@ -1,0 +1,121 @@
+"""Calls about versions, and corrections by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from kilter_client.requests.calls.kept import place
+from kilter_client.requests.calls.references import id_of
+from kilter_client.requests.calls.robots import also
+from kilter_client.requests.steps import Answer, Document, Request, Steps, address, answer_of, get, post
+
+if TYPE_CHECKING:
+    from kilter_files import Prepared
+
+LONG_TIMEOUT_S = 600.0
+NOMINAL = "nominal"  # in a comparison: the nominal robot
+
+
+def list_versions(robot: str, retired: bool = False) -> Steps[list[Document]]:
+    """Return the versions of a robot, newest first."""
+    found = yield from get(address("robots", robot, "versions"), **also(retired))
+    return list(found["versions"])
+
+
+def one(version: str, robot: str | None = None) -> Steps[Document]:
+    """Return a version."""
+    path = yield from place("version", version, robot)
+    return (yield from get(path))
+
+
+def preview(version: str, robot: str | None = None) -> Steps[Document]:
+    """Return how a version would correct."""
+    path = yield from place("version", version, robot, "preview")
+    return (yield from get(path))
+
+
+def activate(version: str, force: bool, reason: str, robot: str | None, if_match: str | None = None) -> Steps[Document]:
+    """Make a version the one that corrects; with ``if_match`` only from the state of that ETag."""
+    path = yield from place("version", version, robot, "activate")
+    headers = {"If-Match": if_match} if if_match else {}
+    return (yield from post(path, {"force": force, "reason": reason}, headers))
+
+
+def rollback(robot: str) -> Steps[Document]:
+    """Return to the version before the one that is active now: sent twice, or beside another's, it goes back once."""
+    active = yield from answer_of(Request("GET", address("robots", robot, "activations"), params={"limit": 1}))
+    state = active.headers.get("etag")
+    return (yield from post(address("robots", robot, "rollback"), headers={"If-Match": state} if state else {}))
+
+
+def activations(robot: str) -> Steps[list[Document]]:
+    """Return who activated what, newest first."""
+    found = yield from get(address("robots", robot, "activations"))
+    return list(found["activations"])
+
+
+def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
+    """Compare two versions; ``nominal`` stands for the nominal robot, a job for the version that it made."""
+    one = first if first == NOMINAL else (yield from id_of(_kind(first), first, robot))
+    other = second if second == NOMINAL else (yield from id_of(_kind(second), second, robot))
+    return (yield from get(address("versions", one, "diff", other)))
+
+
+def residuals(version: str, campaigns: Sequence[str], form: str, robot: str | None) -> Steps[bytes]:
+    """Return what a version leaves of every row as a file."""
+    path = yield from place("version", version, robot, "residuals")
+    used = []
+    for campaign in campaigns:
+        found = yield from id_of("campaign", campaign, robot)
+        used.append(found)
+    asked = {"format": form, "campaign": used}
+    answer = yield from answer_of(Request("GET", path, params=asked, timeout_s=LONG_TIMEOUT_S))
+    return answer.content
+
+
+def export(version: str, form: str, robot: str | None = None) -> Steps[bytes]:
+    """Return a version as a file."""
+    path = yield from place("version", version, robot, "export")
+    answer = yield from answer_of(Request("GET", path, params={"format": form}))
+    return answer.content
+
+
+def correct(
+    robot: str,
+    trajectory: Prepared,
+    version: str | None,
+    form: str | None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+    *,
+    task: str | None = None,
+    strict: bool = False,
+    at_limit: str | None = None,
+) -> Steps[Answer]:
+    """Correct a trajectory; ``strict`` refuses it unless every row is corrected to within what is stated."""
+    chosen = None if not version else (yield from id_of("version", version, robot))
+    wanted = {
+        "version": chosen,
+        "format": form or None,
+        "task": task or None,
+        "strict": strict or None,
+        "at_limit": at_limit or None,
+        "payload_kg": payload_kg,
+        "payload_com_mm": None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm),
+    }
+    accepted = "*/*" if form else trajectory.content_type
+    request = Request(
+        "POST",
+        address("robots", robot, "correct"),
+        content=trajectory.content,
+        headers={"Content-Type": trajectory.content_type, "Accept": accepted},
+        params={name: value for name, value in wanted.items() if value is not None},
+        timeout_s=LONG_TIMEOUT_S,
+        again=True,
+    )
+    return (yield from answer_of(request))
+
+
+def _kind(reference: str) -> Literal["job", "version"]:
+    return "job" if reference.startswith("job_") else "version"

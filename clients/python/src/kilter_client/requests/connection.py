@@ -1,0 +1,252 @@
+"""Calls sent to a server over connections that stay open: with threads, or under asyncio."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
+from kilter_client.requests.server_address import Place, locate
+from kilter_client.requests.steps import Answer, Follow, Pause, Relocate, Request, Step, Steps, refuse
+from kilter_files.ground.later import Later
+
+if TYPE_CHECKING:
+    import httpx
+else:
+    httpx = Later("httpx")  # 0.2 s: not when the package is imported
+
+T = TypeVar("T")
+Reword = Callable[[KilterError], None]
+
+EVENTS_TIMEOUT_S = 90.0  # the server sends something at least every 15 s
+
+
+class Connection:
+    """One server, kept connected."""
+
+    def __init__(
+        self, place: Place, transport: httpx.BaseTransport | None = None, reword: Reword | None = None
+    ) -> None:
+        self.url, self._place, self._reword = place.url, place, reword
+        self._answered = False  # until then an address where nobody listens is a wrong one
+        self._client = httpx.Client(transport=transport, **_settings(place))
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._client.close()
+
+    def run(self, call: Steps[T]) -> T:
+        """Do what a call asks for, step by step, and return what it returns.
+
+        Raises:
+            ApiError: the server refuses; a subclass by the problem's code.
+            ServerUnreachableError: no answer.
+
+        """
+        with _in_words(self._reword):
+            return self._run(call)
+
+    def _run(self, call: Steps[T]) -> T:
+        answer: Answer | KilterError | None = None
+        while True:
+            try:
+                step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
+            except StopIteration as end:
+                found: T = end.value
+                return found
+            try:
+                answer = self._done(step)
+            except KilterError as error:
+                answer = error
+            except BaseException:  # Ctrl-C, or what the caller's progress raised: the call lets go of what it holds
+                call.close()
+                raise
+
+    def _done(self, step: Step) -> Answer | None:
+        if isinstance(step, Pause):
+            time.sleep(step.seconds)
+            return None
+        if isinstance(step, Relocate):
+            self.url, self._place = _moved(self._client, self._place)
+            return None
+        with reaching(self.url, self._answered):
+            if isinstance(step, Request):
+                answer = self._sent(step)
+                self._answered = True
+                return answer
+            self._followed(step)
+            return None
+
+    def _sent(self, step: Request) -> Answer:
+        content = None if step.content is None else step.pieces()
+        response = self._client.request(content=content, **_arguments(step))
+        return Answer(response.status_code, response.headers, response.content, str(response.url))
+
+    def _followed(self, step: Follow) -> None:
+        step.events.begin()
+        with self._client.stream("GET", step.path, headers=step.headers(), timeout=EVENTS_TIMEOUT_S) as response:
+            if response.status_code >= 400:
+                refuse(response.status_code, response.read())
+            for line in response.iter_lines():
+                if any(step.on_event(data) for data in step.events.take(line) if isinstance(data, dict)):
+                    return
+
+
+class AsyncConnection:
+    """One server, kept connected, under asyncio."""
+
+    def __init__(
+        self, place: Place, transport: httpx.AsyncBaseTransport | None = None, reword: Reword | None = None
+    ) -> None:
+        self.url, self._place, self._reword = place.url, place, reword
+        self._answered = False  # until then an address where nobody listens is a wrong one
+        self._client = httpx.AsyncClient(transport=transport, **_settings(place))
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._client.aclose()
+
+    async def run(self, call: Steps[T]) -> T:
+        """Do what a call asks for, step by step, and return what it returns; errors are those of ``Connection``."""
+        with _in_words(self._reword):
+            return await self._run(call)
+
+    async def _run(self, call: Steps[T]) -> T:
+        answer: Answer | KilterError | None = None
+        while True:
+            try:
+                step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
+            except StopIteration as end:
+                found: T = end.value
+                return found
+            try:
+                answer = await self._done(step)
+            except KilterError as error:
+                answer = error
+            except BaseException:  # a task that is cancelled waits here: what the call holds is let go at once
+                call.close()
+                raise
+
+    async def _done(self, step: Step) -> Answer | None:
+        if isinstance(step, Pause):
+            import asyncio  # brings ssl along: not when the package is imported
+
+            await asyncio.sleep(step.seconds)
+            return None
+        if isinstance(step, Relocate):
+            self.url, self._place = _moved(self._client, self._place)
+            return None
+        with reaching(self.url, self._answered):
+            answer = await (self._sent(step) if isinstance(step, Request) else self._followed(step))
+            self._answered = True
+            return answer
+
+    async def _sent(self, step: Request) -> Answer:
+        content = None if step.content is None else _one_by_one(step)
+        response = await self._client.request(content=content, **_arguments(step))
+        return Answer(response.status_code, response.headers, response.content, str(response.url))
+
+    async def _followed(self, step: Follow) -> None:
+        step.events.begin()
+        async with self._client.stream("GET", step.path, headers=step.headers(), timeout=EVENTS_TIMEOUT_S) as response:
+            if response.status_code >= 400:
+                refuse(response.status_code, await response.aread())
+            async for line in response.aiter_lines():
+                if any(step.on_event(data) for data in step.events.take(line) if isinstance(data, dict)):
+                    return
+
+
+def _settings(place: Place) -> dict[str, Any]:
+    headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
+    # Certificates are read, 0.03 s, where they are needed.
+    verify = _trusted() if place.url.lower().startswith("https:") else False
+    return {"base_url": place.url, "headers": headers, "verify": verify}
+
+
+def _trusted() -> Any:
+    """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts.
+
+    Raises:
+        UsageError: the file of KILTER_CA cannot be read as certificates.
+
+    """
+    file = os.environ.get("KILTER_CA")
+    if not file:
+        return True
+    import ssl
+
+    try:
+        return ssl.create_default_context(cafile=file)
+    except OSError as error:
+        raise UsageError(
+            f"KILTER_CA: {file} cannot be read as certificates ({error}): give the PEM file of the authority that signed "
+            "the server's certificate."
+        ) from error
+
+
+def _moved(client: httpx.Client | httpx.AsyncClient, place: Place) -> tuple[str, Place]:
+    """Let a client go on with the server that runs on this machine now, if it was found by its file there."""
+    if not place.by_file:
+        return place.url, place
+    try:
+        place = locate()
+    except ServerUnreachableError:  # it has not said yet where it is
+        return place.url, place
+    client.base_url = place.url
+    client.headers.update(_settings(place)["headers"])
+    return place.url, place
+
+
+def _arguments(step: Request) -> dict[str, Any]:
+    """What ``httpx`` is given of a request besides its content."""
+    length = {} if step.content is None else {"Content-Length": str(len(step.content))}
+    given: dict[str, Any] = {"json": step.body} if step.body is not None else {}
+    return given | {
+        "method": step.method,
+        "url": step.path,
+        "params": step.params,
+        "headers": {**step.headers, **length},
+        "timeout": step.timeout_s,
+    }
+
+
+async def _one_by_one(step: Request) -> AsyncIterator[bytes]:
+    for piece in step.pieces():
+        yield piece
+
+
+@contextmanager
+def _in_words(reword: Reword | None) -> Iterator[None]:
+    """Put errors that leave a call in the words of whoever called."""
+    try:
+        yield
+    except KilterError as error:
+        if reword is not None:
+            reword(error)
+        raise
+
+
+@contextmanager
+def reaching(url: str, answered: bool) -> Iterator[None]:
+    """Raise errors of the connection to a server as the client's own; ``answered`` says that it was there before."""
+    try:
+        yield
+    except httpx.TimeoutException as error:
+        raise ServerUnreachableError(f"{url} did not answer in time ({error}).", url=url) from error
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        if "CERTIFICATE_VERIFY_FAILED" in str(error):
+            raise ServerUnreachableError(
+                f"{url} has a certificate that this machine does not trust ({error}): set KILTER_CA to the PEM file of the "
+                "authority that signed it, and use a name that is in it.",
+                url=url,
+            ) from error
+        found = ServerUnreachableError(
+            f"{url} does not answer ({error}). Is the server running (`kilterd serve`), and KILTER_URL right?",
+            url=url,
+        )
+        found.unsent = isinstance(error, httpx.ConnectError)
+        found.lost = answered if found.unsent else isinstance(error, httpx.NetworkError | httpx.RemoteProtocolError)
+        raise found from error

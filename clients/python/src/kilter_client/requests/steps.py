@@ -1,0 +1,189 @@
+"""Requests to a server as steps, separate from sending them.
+
+A call is a generator: it yields a step, is given the answer, and returns what it read. Whoever runs it does the sending,
+``Connection`` with threads and ``AsyncConnection`` under asyncio, so that what is asked and how answers are read is
+written once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias, TypeVar
+from urllib.parse import quote
+
+from kilter_client.errors import ApiError, KilterError, ServerUnreachableError, from_problem
+from kilter_client.requests.messages import Answer as Answer
+from kilter_client.requests.messages import Request as Request
+from kilter_client.requests.messages import Sent as Sent
+from kilter_client.requests.retries import RetryPolicy
+
+T = TypeVar("T")
+
+Document = dict[str, Any]
+REQUEST_ID = "X-Request-ID"
+
+
+@dataclass(frozen=True)
+class Pause:
+    """Wait before the next step."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Relocate:
+    """Go on with the server that runs on this machine now, where it was found by its file there."""
+
+
+@dataclass(frozen=True)
+class Follow:
+    """Follow a stream of events; ``on_event`` is given the document of each and answers whether that was enough.
+
+    Done again after a break it goes on behind the last event that ``events`` has read.
+    """
+
+    path: str
+    on_event: Callable[[Document], bool]
+    events: Events = field(default_factory=lambda: Events())
+    request_id: str = field(default_factory=lambda: new_request_id())
+
+    def headers(self) -> dict[str, str]:
+        """Return what to send with the request."""
+        last = {"Last-Event-ID": self.events.last_id} if self.events.last_id else {}
+        return {"Accept": "text/event-stream", REQUEST_ID: self.request_id} | last
+
+
+Step = Request | Pause | Relocate | Follow
+Steps: TypeAlias = Generator[Step, Any, T]
+
+
+def address(*parts: str) -> str:
+    """Return the path of a resource; names are quoted, whatever they hold."""
+    return "/v1/" + "/".join(quote(part, safe="") for part in parts)
+
+
+def new_request_id() -> str:
+    """Return an identifier for a request, by which the server's log and an error name it."""
+    return os.urandom(8).hex()
+
+
+def answer_of(request: Request) -> Steps[Answer]:
+    """Send a request. It is sent again when the server is busy, or when its connection was lost and that does no harm.
+
+    All that is sent of one request has one ``X-Request-ID``, which errors name.
+
+    Raises:
+        ApiError: the server refuses; a subclass by the problem's code.
+        ServerUnreachableError: no answer.
+
+    """
+    request_id = request.headers.get(REQUEST_ID) or new_request_id()
+    request = replace(request, headers={**request.headers, REQUEST_ID: request_id})
+    waits = RetryPolicy(request.patience_s)
+    try:
+        while True:
+            try:
+                answer: Answer = yield request
+            except ServerUnreachableError as error:
+                wait_s = waits.after_loss(request, error)
+                if wait_s is None:
+                    raise
+            else:
+                wait_s = waits.after(request, answer)
+                if wait_s is None:
+                    refuse(answer.status, answer.content)
+                    return answer
+            yield Pause(wait_s)
+            yield Relocate()
+    except KilterError as error:
+        error.request_id = error.request_id or request_id
+        raise
+
+
+def get(path: str, **params: Any) -> Steps[Document]:
+    """Return the JSON document at ``path``."""
+    return read(Request("GET", path, params=params))
+
+
+def post(
+    path: str, body: Mapping[str, Any] | None = None, headers: Mapping[str, str] | None = None, again: bool = False
+) -> Steps[Document]:
+    """Send a JSON document and return the answer's; ``again`` as in ``Request``."""
+    return read(Request("POST", path, body=body, headers=headers or {}, again=again))
+
+
+def idempotency_header() -> dict[str, str]:
+    """Return a header by which the server knows a request that is sent again, and does it once."""
+    return {"Idempotency-Key": os.urandom(16).hex()}
+
+
+def patch(path: str, body: Mapping[str, Any]) -> Steps[Document]:
+    """Send what shall change as a JSON document and return the answer's."""
+    return read(Request("PATCH", path, body=body))
+
+
+def read(request: Request) -> Steps[Document]:
+    """Send a request and return the JSON object it is answered with.
+
+    Raises:
+        ApiError: it holds something else, so this is not a Kilter server.
+
+    """
+    answer = yield from answer_of(request)
+    try:
+        found = json.loads(answer.content)
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise ApiError(
+            f"{answer.url} answered something that is not a JSON object: is KILTER_URL a Kilter server?",
+            status=answer.status,
+        )
+    return found
+
+
+def refuse(status: int, content: bytes) -> None:
+    """Raise what an answer of this status says, if it refuses."""
+    if status < 400:
+        return
+    try:
+        problem = json.loads(content)
+    except ValueError:
+        problem = {}
+    raise from_problem(problem if isinstance(problem, dict) else {}, status)
+
+
+def event_data(lines: Iterator[str]) -> Iterator[Any]:
+    """Yield the JSON of each server-sent event; comments are passed over, an event without JSON is None."""
+    events = Events()
+    for line in lines:
+        yield from events.take(line)
+
+
+class Events:
+    """Server-sent events, line by line, and the id of the last one that was whole."""
+
+    def __init__(self) -> None:
+        self.last_id = ""
+        self._id = ""
+        self._data: list[str] = []
+
+    def begin(self) -> None:
+        """Forget the beginning of an event that a break has cut."""
+        self._id, self._data = self.last_id, []
+
+    def take(self, line: str) -> Iterator[Any]:
+        """Yield the JSON of the event that ends with this line, if one does."""
+        if line.startswith("data:"):
+            self._data.append(line[5:].removeprefix(" "))
+        elif line.startswith("id:"):
+            self._id = line[3:].removeprefix(" ")
+        elif not line and self._data:
+            text, self._data, self.last_id = "\n".join(self._data), [], self._id
+            try:
+                yield json.loads(text)
+            except ValueError:
+                yield None

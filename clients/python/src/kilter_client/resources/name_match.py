@@ -1,0 +1,40 @@
+"""Whether a campaign at the server is the one that a file wants to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from kilter_client.resources.references import is_called
+
+
+def same(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
+    """Whether a campaign is the wanted one: its name, perhaps with a number behind it, and all that is stated of its rows.
+
+    The same rows at another temperature, with another payload or by another instrument are another campaign: what is
+    stated of them is never dropped because they were sent before with less.
+    """
+    called = is_called(known["name"], wanted["name"]) if wanted.get("numbered") else known["name"] == wanted["name"]
+    alike = all((known.get(key) or "") == (wanted.get(key) or "") for key in ("device", "role", "notes", "instrument"))
+    there, asked = (_stated(one.get("conditions") or {}) for one in (known, wanted))
+    holds = there.keys() == asked.keys() and _agree(there, asked)
+    return called and alike and holds and _day(known.get("measured_at")) == _day(wanted.get("measured_at"))
+
+
+def _stated(conditions: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in conditions.items() if value is not None}
+
+
+def _agree(there: Any, asked: Any) -> bool:
+    """Whether what is asked stands there; the server adds what a document leaves to its defaults."""
+    if isinstance(asked, Mapping) and isinstance(there, Mapping):
+        return all(_agree(there.get(name), value) for name, value in _stated(asked).items())
+    if isinstance(asked, list | tuple) and isinstance(there, list | tuple):
+        return len(there) == len(asked) and all(_agree(a, b) for a, b in zip(there, asked, strict=True))
+    return bool(there == asked)
+
+
+def _day(moment: str | None) -> object:
+    """The day of a time: one that is given as today ends now, at each sending a little later."""
+    return None if moment is None else datetime.fromisoformat(moment).astimezone().date()

@@ -1,0 +1,49 @@
+"""What stands for an id: the beginning of it, a name, or ``latest``; and what people call, note, retire and purge."""
+
+from __future__ import annotations
+
+import re
+from typing import ClassVar
+
+from kilter_client.requests.calls import kept, references
+from kilter_client.requests.calls.references import Found, Kind, is_full
+from kilter_client.requests.connection import Connection
+from kilter_client.requests.steps import Document
+
+__all__ = ["Found", "Kept", "Kind", "is_called", "is_full"]
+
+
+def is_called(known: str, wanted: str) -> bool:
+    """Whether a name is the wanted one, or that with the number which the server put behind it."""
+    return known == wanted or re.fullmatch(re.escape(wanted) + r" \(\d+\)", known) is not None
+
+
+class Kept:
+    """What campaigns and versions have in common. An id may be its beginning, a name, or ``latest`` of a robot."""
+
+    kind: ClassVar[Kind]
+
+    def __init__(self, connection: Connection) -> None:
+        self._run = connection.run
+
+    def id_of(self, reference: str, robot: str | None = None) -> str:
+        """Return the id that a reference stands for."""
+        return self._run(references.id_of(self.kind, reference, robot))
+
+    def change(
+        self, reference: str, *, name: str | None = None, notes: str | None = None, robot: str | None = None
+    ) -> Document:
+        """Name it, or note something on it; what is left out stays."""
+        return self._run(kept.change(self.kind, reference, name, notes, robot))
+
+    def retire(self, reference: str, robot: str | None = None) -> Document:
+        """Take it out of use; what cites it does not change."""
+        return self._run(kept.do(self.kind, reference, "retire", robot))
+
+    def restore(self, reference: str, robot: str | None = None) -> Document:
+        """Bring it back into use."""
+        return self._run(kept.do(self.kind, reference, "restore", robot))
+
+    def purge(self, full_id: str) -> Document:
+        """Delete it for good, by its full id, if nothing cites it; returns what is left: its hash, who and when."""
+        return self._run(kept.purge(self.kind, full_id))

@@ -1,0 +1,1 @@
+"""What a stream stands on: frames, signatures, sessions, the link, and which answers it accepts."""

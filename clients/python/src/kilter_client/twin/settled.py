@@ -1,0 +1,278 @@
+"""How far anybody's model of MuJoCo is from measured poses: the arm is left to settle at each, from its own side.
+
+Base and tool point are fitted to the rows, as they are for the models of a server that it is compared with. SI inside.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from csv import DictReader
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.errors import FileError, MissingPackageError, UsageError
+from kilter_client.twin.step import apply
+from kilter_files.ground.later import mujoco, np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+UNITS = {"deg": 0.017453292519943295, "rad": 1.0, "mm": 1e-3, "m": 1.0}
+REACH = 0.02  # rad (m) before a pose from which its joints come
+MOVES_S, RESTS_S = 1.0, 1.0
+STEP_EVERY_S = 0.01  # how often what no element is is taken anew
+AT_REST = 1e-3  # rad/s (m/s)
+HINGE, SLIDE, JOINT = 3, 2, 0  # mjJNT_HINGE, mjJNT_SLIDE, mjTRN_JOINT
+FEWEST_POINTS, ROUNDS = 6, 40
+
+
+@dataclass(frozen=True)
+class MeasuredRows:
+    """Readings (N, n), sides (N, n) of the last motion (0: not known), tool points (N, 3) and payloads (N,) kg."""
+
+    readings: Floats
+    sides: Floats
+    points: Floats
+    payload_kg: Floats
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the model calls its ``joints``, its ``tool`` site and the body whose mass is the ``payload``; its step, s."""
+
+    joints: Sequence[str]
+    tool: str = "tool"
+    payload: str = "payload"
+    timestep_s: float | None = None
+
+
+def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: int) -> MeasuredRows:
+    """Read the rows of a campaign, at most so many of them, evenly chosen; rows without a point are left out.
+
+    Raises:
+        UsageError: the campaign has no tool point, or fewer rows than base and tool need.
+
+    """
+    table = list(DictReader(io.StringIO(content.decode())))
+    names = set(table[0]) if table else set()
+    readings = [_column(table, names, f"q{j + 1}", ("deg", "rad", "mm", "m")) for j in range(joints)]
+    points = [_column(table, names, axis, ("mm", "m")) for axis in "xyz"]
+    if any(column is None for column in (*readings, *points)):
+        raise UsageError(
+            "The campaign has no q1_deg ... and x_mm, y_mm, z_mm in every row: a model is compared with tool points."
+        )
+    sides = [_plain(table, f"dir{j + 1}") for j in range(joints)]
+    payload = (
+        _plain(table, "payload_kg") if "payload_kg" in names else [conditions.get("payload_kg") or 0.0] * len(table)
+    )
+    seen = np.array(points, dtype=np.float64).T
+    whole = np.flatnonzero(np.isfinite(seen).all(axis=1))
+    if len(whole) < FEWEST_POINTS:
+        raise UsageError(f"The campaign has {len(whole)} measured points: base and tool need {FEWEST_POINTS} or more.")
+    chosen = whole[np.unique(np.linspace(0, len(whole) - 1, min(most, len(whole))).round().astype(int))]
+    return MeasuredRows(
+        np.array(readings, dtype=np.float64).T[chosen], np.nan_to_num(np.array(sides, dtype=np.float64).T[chosen]),
+        seen[chosen], np.nan_to_num(np.array(payload, dtype=np.float64))[chosen],
+    )  # fmt: skip
+
+
+def _column(table: list[dict[str, str]], names: set[str], name: str, units: Sequence[str]) -> list[float] | None:
+    unit = next((unit for unit in units if f"{name}_{unit}" in names), None)
+    return None if unit is None else [UNITS[unit] * value for value in _plain(table, f"{name}_{unit}")]
+
+
+def _plain(table: list[dict[str, str]], name: str) -> list[float]:
+    return [float(row.get(name) or "nan") for row in table]
+
+
+def mujoco_package() -> Any:
+    """Return MuJoCo.
+
+    Raises:
+        MissingPackageError: it is not installed.
+
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingPackageError("Models of MuJoCo need it: pip install mujoco.", package="mujoco") from error
+    return mujoco
+
+
+def loaded(path: Path) -> Any:
+    """Load a model.
+
+    Raises:
+        FileError: MuJoCo refuses it: a file that it includes is missing or includes itself, a mesh is missing.
+        MissingPackageError: MuJoCo is not installed.
+
+    """
+    mujoco = mujoco_package()
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        said = " ".join(str(error).split())
+        raise FileError(f"{path}: MuJoCo cannot load it: {said}. {_remedy(said)}", file=str(path)) from error
+
+
+def _remedy(said: str) -> str:
+    """What to do about a model, by what MuJoCo says of it."""
+    if "already included" in said:
+        return "Take out the <include> that names a file a second time: files that include each other have no end."
+    return "Put the files that it names beside it, or mend the place that is named."
+
+
+def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> Floats:
+    """Distance (N,) m of each measured point from the settled tool, base and tool point fitted.
+
+    Raises:
+        FileError: the model has not these joints or this site, or does not settle at its time step.
+
+    """
+    _hold_the_log()
+    places, turns = [], []
+    arm = _Arm.of(model, settings, path)
+    for k in range(len(rows.readings)):
+        place, turn = arm.settle(rows.readings[k], rows.sides[k], float(rows.payload_kg[k]))
+        places.append(place)
+        turns.append(turn)
+    return registered(np.array(places), np.array(turns), rows.points)
+
+
+def _hold_the_log() -> None:
+    """MuJoCo writes its warnings into a file where one stands; what they say is said by the refusal."""
+    mujoco.set_mju_user_warning(lambda _: None)
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """A model with the places of its joints, their drives (-1: none) and its tool."""
+
+    model: Any
+    joints: list[int]
+    drives: list[int]
+    site: int
+    payload: int
+    path: Path
+
+    @classmethod
+    def of(cls, model: Any, settings: Settings, path: Path) -> _Arm:
+        joints = [named(model, "joint", name, path) for name in settings.joints]
+        site = named(model, "site", settings.tool, path)
+        drives = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)
+                  if int(model.actuator_trntype[a]) == JOINT and model.actuator_biasprm[a, 1] < 0.0}  # fmt: skip
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+        if settings.timestep_s is not None:
+            model.opt.timestep = settings.timestep_s
+        payload = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, settings.payload)
+        return cls(model, joints, [drives.get(j, -1) for j in joints], site, payload, path)
+
+    def settle(self, reading: Floats, side: Floats, payload_kg: float) -> tuple[Floats, Floats]:
+        """Place (3,) and rotation (3, 3) of the tool's site after the joints came to ``reading`` from their sides."""
+        data = mujoco.MjData(self.model)
+        self._hang(data, payload_kg)
+        start = reading - REACH * side
+        for j, value in zip(self.joints, start, strict=True):
+            data.qpos[self.model.jnt_qposadr[j]] = value
+        every = max(1, round(STEP_EVERY_S / self.model.opt.timestep))
+        moves, rests = (round(s / self.model.opt.timestep) for s in (MOVES_S, RESTS_S))
+        if not any(drive >= 0 for drive in self.drives):  # nothing holds it: it is where its joints are
+            mujoco.mj_kinematics(self.model, data)
+            moves = rests = 0
+        for k in range(moves + rests):
+            self._command(data, start + (reading - start) * min(1.0, (k + 1) / moves))
+            if k % every == 0:
+                apply(self.model, data)
+            mujoco.mj_step(self.model, data)
+        self._refuse_motion(data)
+        mujoco.mj_kinematics(self.model, data)
+        return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
+
+    def _hang(self, data: Any, payload_kg: float) -> None:
+        if self.payload >= 0:
+            self.model.body_mass[self.payload] = payload_kg
+            mujoco.mj_setConst(self.model, data)
+            mujoco.mj_resetData(self.model, data)
+        elif payload_kg > 0.0:
+            raise FileError(
+                f"{self.path}: rows carry {payload_kg:g} kg, the model has no body for it: name one with --payload-body.",
+                file=str(self.path),
+            )
+
+    def _command(self, data: Any, target: Floats) -> None:
+        for joint, drive, value in zip(self.joints, self.drives, target, strict=True):
+            if drive >= 0:
+                data.ctrl[drive] = value
+            else:
+                data.qpos[self.model.jnt_qposadr[joint]] = value
+                data.qvel[self.model.jnt_dofadr[joint]] = 0.0
+
+    def _refuse_motion(self, data: Any) -> None:
+        speeds = [abs(float(data.qvel[self.model.jnt_dofadr[j]])) for j in self.joints]
+        kinds = mujoco.mjtWarning
+        bad = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
+        if np.isfinite(data.qpos).all() and max(speeds) < AT_REST and not any(data.warning[k].number for k in bad):
+            return
+        raise FileError(
+            f"{self.path}: the arm does not come to rest at steps of {self.model.opt.timestep * 1e3:g} ms: take smaller ones "
+            "with --step-ms, or integrator='discrete'.",
+            file=str(self.path),
+        )
+
+
+def named(model: Any, what: str, name: str, path: Path) -> int:
+    """Return the number of a joint or site (``what``) of a model.
+
+    Raises:
+        FileError: it has none of that name.
+
+    """
+    kind, count = {
+        "joint": (mujoco.mjtObj.mjOBJ_JOINT, model.njnt),
+        "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite),
+    }[what]
+    found = int(mujoco.mj_name2id(model, kind, name))
+    if found < 0:
+        has = [mujoco.mj_id2name(model, kind, k) for k in range(count)]
+        option = {"joint": "--joints A,B,C, in the robot's order", "site": "--site NAME"}[what]
+        listed = ", ".join(one for one in has if one) or "none with a name"
+        raise FileError(f"{path}: has no {what} {name!r}. It has: {listed}. Say which with {option}.", file=str(path))
+    return found
+
+
+def registered(places: Floats, turns: Floats, points: Floats) -> Floats:
+    """Distances (N,) of ``points (N, 3)`` from a tool point that hangs on the frames, base frame and tool point fitted."""
+    R, b, t = _aligned(places, points)[0], np.zeros(3), np.zeros(3)
+    for _ in range(ROUNDS):
+        own = places + turns @ t
+        seen = own @ R.T
+        left = points - seen - b
+        J = np.zeros((len(points), 3, 9))
+        J[:, 0, 1], J[:, 0, 2], J[:, 1, 2] = seen[:, 2], -seen[:, 1], seen[:, 0]
+        J[:, 1, 0], J[:, 2, 0], J[:, 2, 1] = -seen[:, 2], seen[:, 1], -seen[:, 0]
+        J[:, :, 3:6] = np.eye(3)
+        J[:, :, 6:] = R @ turns
+        step = np.linalg.lstsq(J.reshape(-1, 9), left.ravel(), rcond=1e-9)[0]
+        R, b, t = _rotated(step[:3].astype(np.float64)) @ R, b + step[3:6], t + step[6:]
+    return np.asarray(np.linalg.norm(points - (places + turns @ t) @ R.T - b, axis=1))
+
+
+def _aligned(own: Floats, seen: Floats) -> tuple[Floats, Floats]:
+    """Rotation and shift that bring points onto others at best (Kabsch)."""
+    a, b = own - own.mean(axis=0), seen - seen.mean(axis=0)
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return R, seen.mean(axis=0) - R @ own.mean(axis=0)
+
+
+def _rotated(w: Floats) -> Floats:
+    angle = float(np.linalg.norm(w))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = w / angle
+    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * W + (1.0 - np.cos(angle)) * (W @ W))
