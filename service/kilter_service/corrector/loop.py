@@ -192,7 +192,7 @@ class HousekeepingThread(threading.Thread):
         self._queries: deque[zenoh.Query] = deque(maxlen=64)
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._reported_s = 0.0
-        self._telemetry = Telemetry(loop)
+        self._telemetry = Telemetry(loop.session, loop.spec, loop.gate, loop.slots, loop.active, loop.turned_away)
         loop.session.declare_queryable(
             keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._asked, indirect=False)
         )

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Set
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Set
+from typing import Any
 
 import numpy as np
 import zenoh
 
 from kilter_service.corrector import keys
+from kilter_service.corrector.active import Active
 from kilter_service.corrector.fast_path import Answered
-
-if TYPE_CHECKING:
-    from kilter_service.corrector.loop import StreamLoop
-    from kilter_service.corrector.slots import Served
+from kilter_service.corrector.gate import Gate
+from kilter_service.corrector.slots import Served, Slots
+from kilter_service.corrector.specs import StreamSpec
 
 PERIOD_S = 0.1
 ALL_S = 1.0  # so often even what stands still is told, to whoever came later
@@ -64,8 +64,17 @@ class TurnedAway:
 class Telemetry:
     """Publishes on ``stream/{stream}/live`` of each stream, while somebody subscribes to it."""
 
-    def __init__(self, loop: StreamLoop) -> None:
-        self._loop = loop
+    def __init__(
+        self,
+        session: zenoh.Session,
+        spec: StreamSpec,
+        gate: Gate,
+        slots: Slots,
+        active: Mapping[str, Active],
+        turned_away: TurnedAway,
+    ) -> None:
+        self._session, self._spec, self._gate = session, spec, gate
+        self._slots, self._active, self._turned_away = slots, active, turned_away
         self._ways: dict[tuple[str, str], zenoh.Publisher] = {}
         self._told: dict[tuple[str, str], int] = {}  # the last setpoint of each that somebody was told
         self._all_s = 0.0
@@ -73,7 +82,7 @@ class Telemetry:
 
     def tell(self) -> None:
         """Publish what moved since the last time, and everything once a second, as far as somebody listens."""
-        away, served = self._loop.turned_away, self._loop.slots.served.values()
+        away, served = self._turned_away, self._slots.served.values()
         streams = {(one.robot, keys.stream_of(one.status_key)): one for one in list(served)}
         self._follow(away.counts.keys() | streams.keys())
         now = time.monotonic()
@@ -96,20 +105,20 @@ class Telemetry:
         for gone in self._ways.keys() - places:
             self._ways.pop(gone).undeclare()  # type: ignore[no-untyped-call]
         for robot, stream in places - self._ways.keys():
-            self._ways[robot, stream] = self._loop.session.declare_publisher(
-                keys.RobotKeys(self._loop.spec.site, robot).stream(stream, "live"),
+            self._ways[robot, stream] = self._session.declare_publisher(
+                keys.RobotKeys(self._spec.site, robot).stream(stream, "live"),
                 priority=zenoh.Priority.BACKGROUND, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
 
     def _signed(self, place: tuple[str, str], document: dict[str, Any]) -> bytes:
         """Sign a document as the corrector signs whatever it announces."""
-        told = {"instance": self._loop.spec.instance, "at_ns": time.time_ns(), "moment_ns": time.monotonic_ns()}
+        told = {"instance": self._spec.instance, "at_ns": time.time_ns(), "moment_ns": time.monotonic_ns()}
         body = json.dumps(told | document).encode()
-        site, masters = self._loop.spec.site, self._loop.gate.masters
+        site, masters = self._spec.site, self._gate.masters
         return masters.announced(keys.RobotKeys(site, place[0]).stream(place[1], "live"), site, place[0], body)
 
     def _document(self, served: Served) -> dict[str, Any]:
-        active = self._loop.active.get(served.robot)
+        active = self._active.get(served.robot)
         last, counters = served.stream.last, served.stream.counters
         return {
             "version_id": active.version_id if active else None,
