@@ -24,7 +24,7 @@ $(READY): pyproject.toml core/pyproject.toml clients/files/pyproject.toml client
 	sh tools/make_environment.sh "$(PYTHON)"
 	touch $@
 
-$(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/corrector/fast_path.py service/kilter_service/compiling.py
+$(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/stream/corrector/fast_path.py service/kilter_service/run/compiling.py
 	$(BIN)/kilterd compile
 	touch $@
 

@@ -27,9 +27,9 @@ from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.watch import Check, check, check_poses
 from kilter_service.contract.drift import ControlChart
-from kilter_service.drift import wire
-from kilter_service.drift.charts import charts_of
-from kilter_service.drift.records import StoredCheck
+from kilter_service.versions.drift import wire
+from kilter_service.versions.drift.charts import charts_of
+from kilter_service.versions.drift.records import StoredCheck
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions
 from kilter_core.identify.estimate import estimate, prepared
-from kilter_core.identify.least_squares import solve
+from kilter_core.identify.fit.least_squares import solve
 from kilter_core.identify.uncertainty.intervals import RESAMPLES, bootstrap
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel

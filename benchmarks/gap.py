@@ -24,7 +24,7 @@ from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.gap import GapReport, find_gap
-from kilter_core.gap.search.gram import Gram, by_eigenvalues
+from kilter_core.gap.search.linear.gram import Gram, by_eigenvalues
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 

@@ -21,7 +21,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from benchmarks.table import Line, show
-from kilter_files.formats.lerobot.log import blocks, opened
+from kilter_files.formats.joints.lerobot.log import blocks, opened
 from kilter_files.formats.reader import LogHints
 
 SERVOS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from kilter_service.auth.policy import PAGE_RULES
+from kilter_service.web.auth.policy import PAGE_RULES
 from tools.local_server import LocalServer, local_server
 
 ROBOT = {"name": "bench", "convention": "preset", "preset": "katana450-chapter5"}

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kilter_service.ros2 import cdr
+from kilter_service.stream.ros2 import cdr
 
 POINTS, JOINTS = 1000, 6
 

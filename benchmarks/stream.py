@@ -34,14 +34,14 @@ import zenoh
 from benchmarks.stream_arm import ROBOT, calibration, kernel_times, path
 from kilter_client.signing import Signer, on_this_machine
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active, version_number
-from kilter_service.corrector.loop import ask_for_real_time
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config, open_listening
-from kilter_service.corrector.wire import Flag
-from kilter_service.settings import Settings
-from kilter_service.zenoh_config.folders import authority_in, write_folders
+from kilter_service.ground.settings import Settings
+from kilter_service.run.zenoh_config.folders import authority_in, write_folders
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active, version_number
+from kilter_service.stream.corrector.loop import ask_for_real_time
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import config, open_listening
+from kilter_service.stream.corrector.wire import Flag
 
 SITE = "bench"
 BARE_SITE = "bare"

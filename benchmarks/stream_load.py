@@ -27,11 +27,11 @@ from benchmarks.stream import SITE, Fixed, Line, running
 from benchmarks.stream_arm import POSTURE, ROBOT, calibration, path
 from kilter_client.stream import CorrectedStream
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active, version_number
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.queries import encode_trajectory
-from kilter_service.corrector.session import config
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active, version_number
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.queries import encode_trajectory
+from kilter_service.stream.corrector.session import config
 
 GROWTH_MB = 5.0
 TICK = os.sysconf("SC_CLK_TCK")

@@ -30,8 +30,8 @@ from benchmarks.stream import (
     take_turns,
 )
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_service.corrector.active import Active, version_number
-from kilter_service.live.session import LiveSession, place_in
+from kilter_service.stream.corrector.active import Active, version_number
+from kilter_service.stream.live.session import LiveSession, place_in
 
 TURN_S = 2.0
 

@@ -18,11 +18,11 @@ import zenoh
 from benchmarks.stream import SITE, beside_an_echo
 from benchmarks.stream_arm import POSTURE, ROBOT, calibration
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active, version_number
-from kilter_service.corrector.keys import RobotKeys
-from kilter_service.corrector.queries import encode_trajectory
-from kilter_service.corrector.session import open_listening
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active, version_number
+from kilter_service.stream.corrector.keys import RobotKeys
+from kilter_service.stream.corrector.queries import encode_trajectory
+from kilter_service.stream.corrector.session import open_listening
 
 POINTS, JOINTS = 10_000, 6
 ECHO = "bench/echo"

@@ -7,12 +7,12 @@ from typing import Literal
 from alembic import context
 from sqlalchemy import inspect
 
-from kilter_service.db.database import open_engine
-from kilter_service.db.revision import HEAD
-from kilter_service.db.row import Instant, Row
-from kilter_service.db.sealed import complete
-from kilter_service.db.seals import sealer
-from kilter_service.settings import Settings
+from kilter_service.ground.db.database import open_engine
+from kilter_service.ground.db.revision import HEAD
+from kilter_service.ground.db.row import Instant, Row
+from kilter_service.ground.db.sealed import complete
+from kilter_service.ground.db.seals import sealer
+from kilter_service.ground.settings import Settings
 
 
 def render(kind: str, item: object, _autogen: object) -> str | Literal[False]:

@@ -1,9 +1,9 @@
 """Draw the rooms of the packages from their imports: ``python -m tools.draw_rooms [--check]``.
 
 Writes pictures in ``docs/images`` and tables in ``docs/explanation/architecture.md``. A room stands one floor above the
-highest room that it imports; an arrow goes to what a room imports and does not reach through another room. In the core
-and in the readers of files each folder is a room. In the service and in the client a room has several folders and
-modules: those between two floors of the import contract that ``pyproject.toml`` names with what each room is for.
+highest room that it imports; an arrow goes to what a room imports and does not reach through another room. Each folder
+is a room, which its docstring describes; in the client a room has several folders and modules: those between two
+floors of the import contract that ``pyproject.toml`` names with what each room is for.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from tools.draw_pictures import BLUE, IMAGES, INK, arrow, box, picture, text
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 WIDTH, BOX_WIDTH, BOX_HEIGHT, FLOOR_HEIGHT, MARGIN = 1080, 176, 74, 128, 40
+ENTRY = "__main__"  # where Python enters a package: it imports whatever the command asks for, and is no room
 LINE = 25  # characters of a line in a box
 CLEAR = 16  # between a box and an arrow that passes it
 
@@ -81,13 +82,25 @@ def settings() -> dict[str, Any]:
 
 def imports_of_units(house: House) -> Imports:
     """Which folders and modules each folder or module of a package imports, also inside functions and for types only."""
-    graph = grimp.build_graph(house.package, cache_dir=None)
-    units = sorted(child.removeprefix(f"{house.package}.") for child in graph.find_children(house.package))
-    out: dict[str, set[str]] = {unit: set() for unit in units}
-    for module in graph.modules - {house.package}:
-        for other in graph.find_modules_directly_imported_by(module) - {house.package}:
-            out[module.split(".")[1]].add(other.split(".")[1])
-    return {unit: frozenset(others - {unit}) for unit, others in out.items()}
+    imports = imports_in(graph_of(house), house.package)
+    return {unit: others for unit, others in imports.items() if unit != ENTRY}
+
+
+@cache
+def graph_of(house: House) -> grimp.ImportGraph:
+    """All imports between the modules of a package."""
+    return grimp.build_graph(house.package, cache_dir=None)
+
+
+def imports_in(graph: grimp.ImportGraph, package: str) -> Imports:
+    """Which folders and modules each folder or module directly inside a package, or a folder of one, imports of these."""
+    out: dict[str, set[str]] = {child.removeprefix(f"{package}."): set() for child in graph.find_children(package)}
+    depth = package.count(".") + 1
+    for module in graph.find_descendants(package):
+        for other in graph.find_modules_directly_imported_by(module):
+            if other.startswith(f"{package}."):
+                out[module.split(".")[depth]].add(other.split(".")[depth])
+    return {unit: frozenset(others - {unit}) for unit, others in sorted(out.items())}
 
 
 def floors_of_contract(house: House) -> list[str]:
@@ -107,7 +120,7 @@ def rooms_of(house: House) -> dict[str, Room]:
     floors = floors_of_contract(house)
     described = settings()["kilter"]["rooms"].get(house.package)
     if described is None:
-        units = [unit for floor in floors for unit in floor.split(" | ")]
+        units = [unit for floor in floors for unit in floor.split(" | ") if unit != ENTRY]
         return {unit: Room(purpose(house, unit), (unit,)) for unit in units}
     first = [floors.index(room["from"]) if room["from"] in floors else -1 for room in described.values()]
     if first != sorted(set(first)) or first[0] != 0:

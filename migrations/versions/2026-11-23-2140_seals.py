@@ -1,6 +1,7 @@
 """Seals: what every row was stored as, and how many rows of each table, so that a change past Kilter shows.
 
-They are filled by `kilter_service.db.sealed.complete` after the newest revision, from the columns that the tables have then.
+They are filled by `kilter_service.ground.db.sealed.complete` after the newest revision, from the columns that the tables
+have then.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except ImportError as error:
         print(ELSEWHERE.format(error.name or "fcntl"), file=sys.stderr)
         sys.exit(1)
-    from kilter_service.program import main as run
+    from kilter_service.run.program import main as run
 
     run(arguments)
 

@@ -18,8 +18,8 @@ from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
 from kilter_core.arm.presets import preset_names
 from kilter_core.effects import EFFECTS
 from kilter_core.identify.registry import METHODS
-from kilter_service.exporters.registry import FORMATS as EXPORTS
-from kilter_service.tables import columns as contract
+from kilter_service.ground.tables import columns as contract
+from kilter_service.robots.exporters.registry import FORMATS as EXPORTS
 
 Capture = pytest.CaptureFixture[str]
 

@@ -139,7 +139,7 @@ def test_names_are_quoted_in_addresses() -> None:
 
 def test_codes_of_the_service_have_their_class() -> None:
     from kilter_client.errors import BY_CODE, from_problem
-    from kilter_service.errors import PROBLEMS
+    from kilter_service.ground.errors import PROBLEMS
 
     assert set(BY_CODE) <= set(PROBLEMS)
     for code, (status, _) in PROBLEMS.items():

@@ -26,7 +26,7 @@ def test_the_running_server(data: Path) -> None:
 
 
 def test_the_default_data_folder(no_settings: None, tmp_path: Path) -> None:
-    from kilter_service.settings import default_data
+    from kilter_service.ground.settings import default_data
 
     folder = default_data()
     assert folder.is_relative_to(tmp_path)

@@ -15,7 +15,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_files.tables.table import CSV_TYPE, Prepared
-from kilter_service.exporters.registry import export
+from kilter_service.robots.exporters.registry import export
 from tests.blind.generator import Case, Hidden, Options, generate
 from tests.clients.test_gap_command import campaign
 from tests.service.exporters.test_exporters import ERRORS, calibrated, poses_of

@@ -103,7 +103,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kilter_core.identify.estimate import estimate
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
@@ -341,7 +341,7 @@ EXPORT = '''"""Export as a list of names, one a line."""
 
 from __future__ import annotations
 
-from kilter_service.exporters.exportable import Exportable, Written
+from kilter_service.robots.exporters.exportable import Exportable, Written
 
 
 def names_txt(version: Exportable) -> Written:
@@ -353,7 +353,7 @@ from types import SimpleNamespace
 from kilter_core.model import Calibration
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
-from kilter_service.exporters.registry import FORMATS, export
+from kilter_service.robots.exporters.registry import FORMATS, export
 
 about = SimpleNamespace(robot="arm", id="ver_1")
 nominal = Calibration.nominal(robot_from_document(preset_document("panda")))
@@ -370,8 +370,8 @@ from kilter_core.effects.base import Effect
 from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration
 from kilter_core.parameters import Parameter
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import read_columns
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import read_columns
 
 
 @dataclass(frozen=True)
@@ -419,7 +419,7 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
 METHODS, EFFECTS = "core/kilter_core/identify/registry.py", "core/kilter_core/effects/registry.py"
 MEASUREMENTS = "core/kilter_core/measurement/registry.py"
 READERS = "clients/files/kilter_files/formats/registry.py"
-KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"
+KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/robots/exporters/registry.py"
 JOBS = "service/kilter_service/contract/jobs/job.py"
 ROWS, UNITS = "core/kilter_core/observations/rows.py", "service/kilter_service/contract/columns.py"
 COLUMNS_PAGE = "docs/reference/columns.md"
@@ -463,7 +463,7 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         .replace("(IDENTIFY, GAP,", "(IDENTIFY, COUNT, GAP,"),
     }, USE_KIND),
     "export": (2, {
-        "service/kilter_service/exporters/names_txt.py": EXPORT,
+        "service/kilter_service/robots/exporters/names_txt.py": EXPORT,
         FORMATS: lined(FORMATS, ('    "matlab": Format', '    "names": Format("names_txt.names_txt", "text/plain", "txt"),\n')),
     }, USE_EXPORT),
 }  # fmt: skip

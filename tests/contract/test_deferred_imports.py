@@ -46,7 +46,7 @@ def test_an_import_inside_a_function_is_counted_once() -> None:
     assert {text for _, text in deferred(inside)} == {"import b", "from c import d"}
 
 
-GATES = ("kilter_files.ground.later", "kilter_service.core", "kilter_client.files")
+GATES = ("kilter_files.ground.later", "kilter_service.ground.core", "kilter_client.files")
 
 
 @pytest.mark.parametrize("name", GATES)

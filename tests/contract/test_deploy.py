@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from kilter_service.program import COMMANDS, parser
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run.program import COMMANDS, parser
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))

@@ -121,7 +121,7 @@ def test_the_guide_names_what_there_is() -> None:
 
 
 def test_every_setting_is_documented() -> None:
-    from kilter_service.settings import Settings
+    from kilter_service.ground.settings import Settings
 
     page = text_of("reference/settings.md")
     missing = [name for name in Settings.model_fields if f"| `KILTER_{name.upper()}` |" not in page]
@@ -131,7 +131,7 @@ def test_every_setting_is_documented() -> None:
 
 
 def test_default_port_is_documented() -> None:
-    from kilter_service.settings import Settings
+    from kilter_service.ground.settings import Settings
 
     port = Settings.model_fields["port"].default
     assert f"| `KILTER_PORT` | `{port}` |" in text_of("reference/settings.md")
@@ -157,7 +157,7 @@ def test_every_effect_is_documented() -> None:
 
 
 def test_every_error_code_is_documented() -> None:
-    from kilter_service.errors import PROBLEMS
+    from kilter_service.ground.errors import PROBLEMS
 
     page = text_of("reference/errors.md")
     documented = {code: int(status) for code, status in re.findall(r"^\| `(\w+)` \| (\d{3}) \|", page, re.MULTILINE)}
@@ -174,7 +174,7 @@ def test_every_error_of_the_client_is_documented() -> None:
 
 
 def test_statuses_and_flags_of_the_stream_are_documented() -> None:
-    from kilter_service.corrector.wire import Flag, Status
+    from kilter_service.stream.corrector.wire import Flag, Status
 
     page = text_of("reference/stream.md")
     statuses = re.findall(r"^\| `(\w+)` \| (\d+) \|", page, re.MULTILINE)

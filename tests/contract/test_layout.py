@@ -75,7 +75,7 @@ def test_only_kernels_and_the_fast_path_are_compiled() -> None:
     outside = [path for path in modules("core", "service") if path.parent.name != "kernels"]
     assert not [path for path in outside if "numba" in imported_packages(path)]
     compiled = [str(path.relative_to(REPOSITORY)) for path in outside if "kernels.compiled import" in path.read_text()]
-    assert compiled == ["service/kilter_service/corrector/fast_path.py"]  # docs/decisions/0010
+    assert compiled == ["service/kilter_service/stream/corrector/fast_path.py"]  # docs/decisions/0010
 
 
 def test_modules_are_short_and_say_what_they_are_for() -> None:

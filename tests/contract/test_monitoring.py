@@ -8,9 +8,9 @@ from pathlib import Path
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
-from kilter_service.db import Database, revision
-from kilter_service.metrics import service
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.settings import Settings
+from kilter_service.versions.metrics import service
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RULES = REPOSITORY / "examples" / "monitoring" / "alerts.yml"

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from kilter_service.app import create_app
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")
 PROMISED = {

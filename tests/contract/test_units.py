@@ -17,12 +17,12 @@ TABLES = {"MM", "DEG", "WIRE"}  # factors and tables of factors by name
 # What reads and writes files of mm and degrees, and the robot document, which people write in them.
 AT_THE_EDGE = (
     "service/kilter_service/**/wire.py",
-    "service/kilter_service/wire.py",
-    "service/kilter_service/importers/*.py",
-    "service/kilter_service/exporters/*.py",
-    "service/kilter_service/exporters/usd/*.py",
+    "service/kilter_service/ground/wire.py",
+    "service/kilter_service/robots/importers/*.py",
+    "service/kilter_service/robots/exporters/*.py",
+    "service/kilter_service/robots/exporters/usd/*.py",
     "service/kilter_service/contract/columns.py",
-    "service/kilter_service/tables/assemble.py",
+    "service/kilter_service/ground/tables/assemble.py",
     "service/kilter_service/campaigns/joint_limits.py",
     "service/kilter_service/campaigns/rules.py",
     "service/kilter_service/versions/values.py",
@@ -32,20 +32,20 @@ AT_THE_EDGE = (
 )
 # Times, in nanoseconds, microseconds and milliseconds.
 NO_LENGTHS = (
-    "service/kilter_service/corrector/fast_path.py",
+    "service/kilter_service/stream/corrector/fast_path.py",
     "core/kilter_core/identify/plausibility/timing.py",
 )
 # Where the core converts by itself: options whose names are promised, factors that data are tried with, and the simulated
 # arm's data. Number of lines; only ever fewer.
 STILL = {
-    "core/kilter_core/gap/evidence/held_out_errors.py": 1,
-    "core/kilter_core/gap/evidence/matters.py": 1,
+    "core/kilter_core/gap/evidence/held_out/held_out_errors.py": 1,
+    "core/kilter_core/gap/evidence/practical_size.py": 1,
     "core/kilter_core/gap/report/next_poses.py": 1,
     "core/kilter_core/gap/report/separation.py": 1,
-    "core/kilter_core/gap/search/rounding.py": 1,
-    "core/kilter_core/gap/search/row_warnings.py": 1,
-    "core/kilter_core/identify/load_model.py": 2,
-    "core/kilter_core/identify/model_comparison.py": 1,
+    "core/kilter_core/gap/search/sources/rounding.py": 1,
+    "core/kilter_core/gap/search/rows/row_warnings.py": 1,
+    "core/kilter_core/identify/identifiable/load_model.py": 2,
+    "core/kilter_core/identify/comparison/model_comparison.py": 1,
     "core/kilter_core/identify/options.py": 3,
     "core/kilter_core/identify/plausibility/link_columns.py": 1,
     "core/kilter_core/identify/plausibility/mix_ups.py": 3,

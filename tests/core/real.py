@@ -14,8 +14,8 @@ from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from kilter_files import prepare
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import read_columns
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import read_columns
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
 UR10 = "ipa-ur10-lasertracker"

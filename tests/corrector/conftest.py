@@ -13,10 +13,10 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
-from kilter_service.corrector.active import Active, version_number
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.specs import Rules
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.active import Active, version_number
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.specs import Rules
 from tests.corrector.live import open_stream
 from tests.service.forked import fork_those_of_correctors
 

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import httpx
 
 from kilter_core.model import Calibration
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
 from tests.corrector.conftest import calibration_of
 from tests.corrector.live import ROBOT, Q
 from tests.corrector.stored import descendants, store_active

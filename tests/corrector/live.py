@@ -10,10 +10,10 @@ import zenoh
 
 from kilter_client.stream import CorrectedStream
 from kilter_client.streaming.setpoint import Setpoint
-from kilter_service.corrector import wire
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config
-from kilter_service.corrector.wire import Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import config
+from kilter_service.stream.corrector.wire import Status
 
 ROBOT = "katana450-chapter4"
 ROOT = f"kilter/@v1/test/{ROBOT}"

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from kilter_core.model import Calibration
 from kilter_service.contract.versions import ActivationWish
-from kilter_service.db import Database, revision
-from kilter_service.db.tables import JobRow
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.tables import JobRow
+from kilter_service.ground.settings import Settings
 from kilter_service.robots import service as robots
 from kilter_service.robots.wire import DOCUMENT
-from kilter_service.settings import Settings
 from kilter_service.versions import activation, store
 from kilter_service.versions.store import NewVersion
 from tests.corrector.live import ROBOT

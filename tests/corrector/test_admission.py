@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from kilter_core.model import Calibration
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.stream import Stream
-from kilter_service.corrector.wire import Answer, Flag, Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.stream import Stream
+from kilter_service.stream.corrector.wire import Answer, Flag, Status
 
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 MS = 1_000_000

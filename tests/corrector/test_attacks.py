@@ -20,11 +20,11 @@ import zenoh
 from kilter_client.stream import CorrectedStream
 from kilter_client.streaming.held_correction import LEAST_PAUSE_S
 from kilter_client.streaming.setpoint import Setpoint
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config
-from kilter_service.corrector.wire import Flag, Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import config
+from kilter_service.stream.corrector.wire import Flag, Status
 from tests.corrector import forger, sealer
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 

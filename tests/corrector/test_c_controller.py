@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from kilter_client.signing import on_this_machine
 from kilter_core.correct.program import Track
 from kilter_core.model import Calibration
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.specs import Rules
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.specs import Rules
 from tests.corrector.conftest import MemorySource
 from tests.corrector.live import ROBOT, open_stream
 

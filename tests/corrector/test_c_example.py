@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_service.corrector import wire
-from kilter_service.corrector.wire import Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.wire import Status
 from tests.corrector import forger, sealer
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"

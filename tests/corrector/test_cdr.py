@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from kilter_service.ros2 import cdr
+from kilter_service.stream.ros2 import cdr
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"

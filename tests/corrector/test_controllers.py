@@ -19,13 +19,13 @@ from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
 from kilter_client.streaming.corrector import StreamError
 from kilter_core.model import Calibration
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import with_free_port
-from kilter_service.corrector.specs import Rules
-from kilter_service.settings import Settings
-from kilter_service.zenoh_config import authority
-from kilter_service.zenoh_config.folders import authority_in, write_folders
+from kilter_service.ground.settings import Settings
+from kilter_service.run.zenoh_config import authority
+from kilter_service.run.zenoh_config.folders import authority_in, write_folders
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import with_free_port
+from kilter_service.stream.corrector.specs import Rules
 from tests.corrector.conftest import MemorySource
 from tests.corrector.live import Q, until
 from tests.service.forked import forked_command

@@ -20,12 +20,12 @@ import zenoh
 
 from kilter_client.stream import CorrectedStream
 from kilter_core.model import Calibration
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config
-from kilter_service.corrector.wire import Flag, Status
-from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.ground.settings import DATABASE_FILE, Settings
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import config
+from kilter_service.stream.corrector.wire import Flag, Status
 from tests.corrector.live import ROBOT, ROOT, Line, Q, on_time, open_stream, point, until
 from tests.corrector.stored import descendants, store_active
 from tests.service.forked import ForkedPopen, children_of
@@ -224,7 +224,7 @@ def router() -> Iterator[Callable[[], str]]:
     endpoint = ["tcp/127.0.0.1:0"]
     script = (
         "import sys, zenoh\n"
-        "from kilter_service.corrector.session import config, with_free_port\n"
+        "from kilter_service.stream.corrector.session import config, with_free_port\n"
         "endpoint = with_free_port(sys.argv[1])\n"
         "made = config(endpoint)\n"
         "made.insert_json5('mode', '\"router\"')\n"

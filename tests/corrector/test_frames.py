@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kilter_client.streaming import frames as client
-from kilter_service.corrector import wire
-from kilter_service.corrector.wire import Flag, Kind, Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.wire import Flag, Kind, Status
 
 POINT = bytes.fromhex(
     "4b4c5431"  # KLT1

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.corrector.process import Corrector
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.process import Corrector
 from tests.corrector.kill_every import Pace, campaign
 from tests.corrector.live import ROBOT, Q, open_stream, until
 

@@ -12,8 +12,8 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector.active import Active, workspace_of
-from kilter_service.corrector.queries import describe
+from kilter_service.stream.corrector.active import Active, workspace_of
+from kilter_service.stream.corrector.queries import describe
 from tests.core.truth import Arm, Step
 
 

@@ -15,7 +15,7 @@ from types import ModuleType
 import pytest
 
 from kilter_client.stream import CorrectedStream, Setpoint
-from kilter_service.corrector.process import Corrector
+from kilter_service.stream.corrector.process import Corrector
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "controller.py"
 ROBOT = "katana450-chapter4"

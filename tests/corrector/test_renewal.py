@@ -12,7 +12,7 @@ import pytest
 from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
 from kilter_client.streaming import sessions
-from kilter_service.corrector.process import Corrector
+from kilter_service.stream.corrector.process import Corrector
 from tests.corrector.live import ROBOT, Q, open_stream, until
 
 PAUSE_S = 0.002

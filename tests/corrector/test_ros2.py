@@ -24,12 +24,12 @@ from rosbags.typesys import Stores, get_typestore
 
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector.session import config, with_free_port
-from kilter_service.db import Database, revision
-from kilter_service.errors import ServiceError
-from kilter_service.ros2 import names
-from kilter_service.ros2.process import follow, run
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.session import config, with_free_port
+from kilter_service.stream.ros2 import names
+from kilter_service.stream.ros2.process import follow, run
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"

@@ -16,13 +16,13 @@ import pytest
 
 from kilter_client.signing import Session, Signer
 from kilter_core.model import Calibration
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.gate import Address, Admitted, Gate
-from kilter_service.corrector.guard import Guard
-from kilter_service.corrector.stream import Stream
-from kilter_service.corrector.wire import Flag, Status
-from kilter_service.signing.masters import Master, Masters
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.gate import Address, Admitted, Gate
+from kilter_service.stream.corrector.guard import Guard
+from kilter_service.stream.corrector.stream import Stream
+from kilter_service.stream.corrector.wire import Flag, Status
+from kilter_service.stream.signing.masters import Master, Masters
 from tests.corrector import sealer
 
 SECRET = bytes(range(32))

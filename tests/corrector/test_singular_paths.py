@@ -20,8 +20,8 @@ from kilter_client.stream import CorrectedStream
 from kilter_client.streaming.setpoint import Setpoint, Statistics
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.process import Corrector
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.process import Corrector
 from tests.core.truth import Arm, ur10
 from tests.corrector.conftest import MemorySource
 from tests.corrector.live import until

@@ -13,12 +13,12 @@ import pytest
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.fast_path import PERIOD_BITS
-from kilter_service.corrector.specs import Rules
-from kilter_service.corrector.stream import Stream
-from kilter_service.corrector.wire import Answer, Flag, Kind, Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.fast_path import PERIOD_BITS
+from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.stream import Stream
+from kilter_service.stream.corrector.wire import Answer, Flag, Kind, Status
 
 Q = [0.1, 0.6, 0.4, 0.3, 0.2]
 MS = 1_000_000
@@ -123,7 +123,7 @@ def test_both_paths_say_what_is_left_in_the_same_bytes_through_a_singularity(
 def test_what_was_left_is_forgotten_after_two_periods(monkeypatch: pytest.MonkeyPatch) -> None:
     counters, period = Stream().counters, 1 << PERIOD_BITS
     now = [100 * period]
-    monkeypatch.setattr("kilter_service.corrector.fast_path.time.monotonic_ns", lambda: now[0])
+    monkeypatch.setattr("kilter_service.stream.corrector.fast_path.time.monotonic_ns", lambda: now[0])
     counters.count_made(0, 500, now[0])
     assert counters.most_left_nm == (500, 500)
     now[0] += period

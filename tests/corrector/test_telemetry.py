@@ -11,15 +11,15 @@ import numpy as np
 import zenoh
 
 from kilter_core.model import Calibration
-from kilter_service.corrector import wire
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.fast_path import bin_edges_us, bin_of
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config
-from kilter_service.corrector.specs import Rules
-from kilter_service.corrector.stream import Stream
-from kilter_service.corrector.telemetry import TurnedAway, shown
-from kilter_service.corrector.wire import Flag, Status
+from kilter_service.stream.corrector import wire
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.fast_path import bin_edges_us, bin_of
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import config
+from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.stream import Stream
+from kilter_service.stream.corrector.telemetry import TurnedAway, shown
+from kilter_service.stream.corrector.wire import Flag, Status
 from tests.corrector import sealer
 from tests.corrector.live import ROOT, Q, open_stream, until
 

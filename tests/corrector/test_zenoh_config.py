@@ -13,10 +13,10 @@ import pytest
 import zenoh
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config, with_free_port
-from kilter_service.corrector.specs import Rules
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.process import Corrector
+from kilter_service.stream.corrector.session import config, with_free_port
+from kilter_service.stream.corrector.specs import Rules
 from tests.corrector.live import ROBOT, ROOT, Q, until
 from tests.service.forked import forked_command
 

@@ -11,13 +11,13 @@ import httpx
 import numpy as np
 
 from kilter_core.twin import thesis_katana
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database, revision
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.settings import Settings
 from kilter_service.robots import store as robots
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import served
 
 ARM = {"name": "arm", "convention": "preset", "preset": "katana450-chapter5"}

@@ -11,9 +11,9 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import migrated, new_database, ready, served
 
 __all__ = ["migrated"]

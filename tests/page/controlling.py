@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kilter_client.stream import CorrectedStream
 from kilter_client.streaming.setpoint import Setpoint
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
 from tests.service.conftest import REPOSITORY, wait_for
 from tests.service.forked import ForkedPopen
 

@@ -13,13 +13,13 @@ from sqlalchemy import select
 
 from kilter_core.model import Calibration
 from kilter_core.twin import thesis_katana
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, RobotRow
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, new_database, ready, served
 
 SCRIPT = "<script>document.title = 'taken'</script>"

@@ -7,8 +7,8 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.audit import service as audit
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
+from kilter_service.web.audit import service as audit
 from tests.service.conftest import Katana
 
 from .conftest import opened

@@ -17,15 +17,15 @@ from pyarrow import parquet
 from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, RobotRow
+from kilter_service.ground.recent import Recent
+from kilter_service.ground.settings import Settings
 from kilter_service.page.campaign.series import thinned
-from kilter_service.recent import Recent
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, new_database, ready, served
 
 from .conftest import opened

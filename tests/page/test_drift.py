@@ -13,10 +13,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.core.watch.drifting import some_arm
 from tests.service.conftest import new_database, ready, served
 from tests.service.watched_robot import Watched

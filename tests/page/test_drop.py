@@ -14,9 +14,9 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.private_files import Scratch
 from kilter_service.page.drop import drafts
-from kilter_service.private_files import Scratch
 from tests.service.conftest import Katana
 
 from .conftest import opened

@@ -16,18 +16,18 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 from scipy.stats import t as student_t
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
 from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
 from kilter_service.page.gap.bins import Point, binned, branches, student
 from kilter_service.page.gap.claim import GATES
 from kilter_service.page.gap.curves import curves
 from kilter_service.page.shared.called import named
 from kilter_service.page.shared.own_curves import own_curves, without
 from kilter_service.page.words import mm, number, of_joints
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
 from tests.service.test_gap import FINAL, Arm
 

@@ -15,13 +15,13 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 from sqlalchemy import delete, insert, select
 
-from kilter_service.auth.policy import PAGE_RULES, RULES
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
+from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
 from kilter_service.page.audit.action_words import DONE
 from kilter_service.page.jobs.form import by_role
 from kilter_service.page.jobs.options import given
 from kilter_service.page.shared.lists import Asked, part
+from kilter_service.web.auth.policy import PAGE_RULES, RULES
 from tests.service.conftest import Katana
 
 from .conftest import opened

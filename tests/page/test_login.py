@@ -12,15 +12,15 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from kilter_service.app import create_app
-from kilter_service.auth.policy import PAGE_RULES
-from kilter_service.auth.token import admin_token
-from kilter_service.db.row import now
-from kilter_service.logins.service import COOKIE, CSRF_HEADER
+from kilter_service.ground.db.row import now
+from kilter_service.ground.settings import Settings
 from kilter_service.page.routes import ROUTERS
 from kilter_service.page.shell import POLICY
-from kilter_service.routing import GuardedRoute
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.policy import PAGE_RULES
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.logins.service import COOKIE, CSRF_HEADER
+from kilter_service.web.routing import GuardedRoute
 from tests.service.conftest import ready, served
 
 from .conftest import opened
@@ -123,7 +123,7 @@ def test_a_link_logs_in_once_in_the_role_of_whoever_made_it(server: httpx.Client
 def test_a_link_ends_with_its_minutes_and_with_its_token(server: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     secret = link_of(server, minutes=5)
     later = now() + timedelta(minutes=5, seconds=1)
-    monkeypatch.setattr("kilter_service.logins.store.now", lambda: later)
+    monkeypatch.setattr("kilter_service.web.logins.store.now", lambda: later)
     assert use(server, secret).status_code == 401
     monkeypatch.undo()
     made = token_of(server, "viewer", "gone")

@@ -11,8 +11,8 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Route, expect
 
-from kilter_service.db.row import now
-from kilter_service.db.tables import JobRow
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import JobRow
 
 from .conftest import log_in, opened
 from .made import Made, made

@@ -14,7 +14,7 @@ from playwright.sync_api import Browser
 from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.today import ErrorsToday, Today
-from kilter_service.db.row import now
+from kilter_service.ground.db.row import now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today
 from kilter_service.page.shared.correcting import Correcting, Corrector

@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from kilter_client import Kilter
-from kilter_service.auth.policy import PAGE_RULES
+from kilter_service.web.auth.policy import PAGE_RULES
 from tests.page.conftest import opened
 from tools.page_lab import Lab, lab, moving
 

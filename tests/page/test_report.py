@@ -15,20 +15,20 @@ from playwright.sync_api import Browser
 from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
-from kilter_service import sandbox
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow, VersionRow
-from kilter_service.errors import ServiceError
+from kilter_service.ground import sandbox
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, RobotRow, VersionRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.kind import VersionContent
 from kilter_service.page.report import pdf
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
 from kilter_service.versions import store as versions
 from kilter_service.versions.objections import objections_of
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, new_database, ready, served
 
 from .conftest import opened

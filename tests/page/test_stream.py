@@ -18,12 +18,12 @@ from axe_playwright_python.sync_playwright import Axe
 from fastapi import FastAPI
 from playwright.sync_api import Browser, Page
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.corrector.session import config
-from kilter_service.db import Database
-from kilter_service.live.followers import Viewers, viewers_of
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.stream.corrector.session import config
+from kilter_service.stream.live.followers import Viewers, viewers_of
+from kilter_service.web.auth.token import admin_token
 from tests.core.truth import Arm, Step
 from tests.corrector.live import Line, point
 from tests.page.conftest import opened

@@ -16,10 +16,10 @@ import httpx
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.page.controlling import HOME, CorrectorProcess
 from tests.service.conftest import REPOSITORY, ready, served, wait_for
 from tests.service.made_versions import store_version

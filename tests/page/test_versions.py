@@ -16,7 +16,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 from sqlalchemy import update
 
-from kilter_service.db.tables import ChunkRow
+from kilter_service.ground.db.tables import ChunkRow
 
 from .conftest import opened
 from .made import SCRIPT, Made, made

@@ -20,12 +20,12 @@ import uvicorn
 from fastapi import FastAPI
 from sqlalchemy import make_url
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database, revision
-from kilter_service.db.tables import HeartbeatRow
-from kilter_service.serving import KEEP_ALIVE_S
-from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.tables import HeartbeatRow
+from kilter_service.ground.settings import DATABASE_FILE, Settings
+from kilter_service.run.app import create_app
+from kilter_service.run.serving import KEEP_ALIVE_S
+from kilter_service.web.auth.token import admin_token
 from tests.service.forked import ForkedPopen, forked_worker
 from tests.service.postgresql import database_of, programs, running_postgresql
 from tests.service.prompt_server import PromptServer

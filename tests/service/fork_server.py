@@ -33,21 +33,21 @@ MOST_BYTES, MOST_FDS = 1 << 18, 32
 RESERVED = 64  # file descriptors below the limit, where received ones are put out of the way of their places
 ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 
-_COMMAND = ["kilter_service.program"]
+_COMMAND = ["kilter_service.run.program"]
 _JOBS = [
-    "kilter_service.serving",
+    "kilter_service.run.serving",
     "kilter_service.jobs.worker",
     "kilter_core.identify",
     "kilter_core.gap",
     "kilter_core.evaluate",
 ]
-_API = ["kilter_service.serving", "kilter_service.app", "kilter_service.connections", "uvicorn"]
-_CORRECTOR = ["kilter_service.corrector.process", "kilter_service.db"]
+_API = ["kilter_service.run.serving", "kilter_service.run.app", "kilter_service.web.connections", "uvicorn"]
+_CORRECTOR = ["kilter_service.stream.corrector.process", "kilter_service.ground.db"]
 _FORKED = [
     "kilter_core.correct.program",
-    *(f"kilter_service.corrector.{name}" for name in ("fast_path", "loop", "queries")),
+    *(f"kilter_service.stream.corrector.{name}" for name in ("fast_path", "loop", "queries")),
 ]
-_SERVE = ["kilter_service.supervisor", "kilter_service.backup.upgrade"]
+_SERVE = ["kilter_service.run.supervisor", "kilter_service.run.backup.upgrade"]
 IMPORTED: Mapping[str, Sequence[str]] = {
     "worker": [*_COMMAND, *_JOBS],
     "api": [*_COMMAND, *_API],
@@ -137,7 +137,7 @@ class Server:
                 self._imported.add(module)
         if not self._warm and set(_FORKED) <= self._imported:
             from kilter_core.correct.program import warm_up
-            from kilter_service.corrector import fast_path
+            from kilter_service.stream.corrector import fast_path
 
             warm_up()
             fast_path.warm_up()
@@ -208,7 +208,7 @@ def _place(fds: list[int], places: list[int]) -> None:
 
 def _run(name: str, arguments: list[str]) -> None:
     if name == forked.CORRECTOR_FORKS:
-        from kilter_service.corrector.fork_server import fork_server_main
+        from kilter_service.stream.corrector.fork_server import fork_server_main
 
         fork_server_main(Connection(ORDERS))
         return
@@ -217,7 +217,7 @@ def _run(name: str, arguments: list[str]) -> None:
     sys.argv = [str(__main__.__file__), *arguments]
     sys.modules["__main__"] = __main__  # what a spawned process imports again
     if name == "serve":
-        from kilter_service import supervisor
+        from kilter_service.run import supervisor
 
         own = {"Popen": forked.ForkedPopen}
         vars(supervisor)["subprocess"] = SimpleNamespace(**{**vars(supervisor.subprocess), **own})

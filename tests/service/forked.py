@@ -103,7 +103,7 @@ class _ForksOfCorrector:
 
 def fork_those_of_correctors() -> None:
     """Have correctors in this process fork theirs as forks of what has imported already."""
-    from kilter_service.corrector import fork_server
+    from kilter_service.stream.corrector import fork_server
 
     own = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=_ForksOfCorrector)
     vars(fork_server)["multiprocessing"] = SimpleNamespace(Pipe=multiprocessing.Pipe, get_context=lambda _: own)

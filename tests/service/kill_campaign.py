@@ -26,9 +26,9 @@ from typing import Any
 
 import httpx
 
-from kilter_service.auth.token import admin_token
-from kilter_service.backup.service import verify_stored
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run.backup.service import verify_stored
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana
 
 REPOSITORY = Path(__file__).resolve().parents[2]

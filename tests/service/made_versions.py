@@ -5,8 +5,8 @@ from __future__ import annotations
 from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.jobs import store
 
 

@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from tests.core.truth import some_pose, ur10
 from tests.service.test_activation_guard import Lab, codes
 

@@ -13,17 +13,17 @@ import pytest
 from sqlalchemy import text
 
 from kilter_core.twin import thesis_katana
-from kilter_service import app as application
-from kilter_service.app import create_app
-from kilter_service.auth.policy import RULES
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.row import now
-from kilter_service.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow
-from kilter_service.routing import GuardedRoute
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow
+from kilter_service.ground.settings import Settings
+from kilter_service.run import app as application
+from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.auth.policy import RULES
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.routing import GuardedRoute
 
 from .conftest import new_database, ready, served
 

@@ -20,7 +20,7 @@ from kilter_client import Kilter, NotAuthorisedError
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError
 from kilter_client.requests.calls.access import checked
-from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.ground.settings import DATABASE_FILE, Settings
 from tests.service.forked import forked_command
 
 from .conftest import REPOSITORY

@@ -17,8 +17,8 @@ from kilter_core.observations.repeats import rounded_poses
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.jobs.job import NewGapJob, NewIdentifyJob
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, VersionRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, VersionRow
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.runner import Runner

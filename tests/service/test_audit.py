@@ -18,19 +18,19 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 
 from kilter_core.twin import thesis_katana
-from kilter_service.app import create_app
-from kilter_service.audit import refusals, service
-from kilter_service.audit.service import Head
-from kilter_service.auth.token import admin_token
-from kilter_service.caller import CALLER, Caller
-from kilter_service.db import Database, revision
-from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
-from kilter_service.errors import ServiceError
+from kilter_service.ground.caller import CALLER, Caller
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.runner import Runner
-from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.audit import refusals, service
+from kilter_service.web.audit.service import Head
+from kilter_service.web.auth.token import admin_token
 
 from .postgresql import programs, running_postgresql
 

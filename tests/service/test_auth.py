@@ -7,10 +7,10 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from kilter_service.auth.listen_rules import check_binding
-from kilter_service.auth.token import admin_token
-from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.web.auth.listen_rules import check_binding
+from kilter_service.web.auth.token import admin_token
 
 Serve = Callable[[FastAPI], httpx.Client]
 

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from sqlalchemy import text
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.backup import manifest, service, store
-from kilter_service.db import Database, revision
-from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.run.backup import manifest, service, store
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, ready, served
 from tests.service.forked import forked_command
 from tests.service.made_versions import store_version

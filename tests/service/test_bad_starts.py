@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from kilter_service.db import Database, revision
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.settings import Settings
 from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -15,8 +15,8 @@ import pytest
 from pyarrow import parquet
 
 from kilter_core.errors import ObservationError
-from kilter_service.errors import ServiceError
-from kilter_service.tables import reading
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.tables import reading
 
 pytestmark = pytest.mark.timeout(60)  # only a backstop: what it replaces took minutes
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -134,7 +134,7 @@ def bomb(path: Path, rows: int, columns: int, **options: Any) -> None:
 PEAK = """
 import resource, sys
 from pathlib import Path
-from kilter_service.tables import reading
+from kilter_service.ground.tables import reading
 def peak():
     return int(next(l for l in open("/proc/self/status") if l.startswith("VmHWM")).split()[1]) / 1024
 import pyarrow, pyarrow.compute, pyarrow.parquet
@@ -256,7 +256,7 @@ def test_a_trajectory_is_not_read_further_than_it_may_go(tmp_path: Path, monkeyp
 FUZZ = """
 import random, sys
 from pathlib import Path
-from kilter_service.tables import reading
+from kilter_service.ground.tables import reading
 from kilter_core.errors import CoreError
 path, draw = Path(sys.argv[1]), random.Random(int(sys.argv[2]))
 kinds = {".parquet": reading.PARQUET, ".csv": reading.CSV, ".json": reading.JSON}

@@ -8,7 +8,7 @@ import pytest
 
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 
 from .conftest import Katana
 

@@ -23,10 +23,10 @@ import httpx
 import pytest
 
 from kilter_client import Kilter
-from kilter_service.auth.token import admin_token
-from kilter_service.backup import service as backups
-from kilter_service.health.clock import SetClock
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run.backup import service as backups
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.health.clock import SetClock
 from tests.service.conftest import Katana, ready
 from tests.service.preloaded import preloaded
 

@@ -9,12 +9,12 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from kilter_service.app import create_app
-from kilter_service.auth.policy import RULES
-from kilter_service.auth.token import admin_token
-from kilter_service.concurrency import ConcurrencyLimit, Slots
-from kilter_service.db import Database
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.policy import RULES
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.concurrency import ConcurrencyLimit, Slots
 from tests.service.conftest import Katana, Serve, wait_for
 
 LIMIT_S = 0.3

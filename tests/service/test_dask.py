@@ -21,8 +21,8 @@ import pytest
 from kilter_core.errors import CancelledError, CoreError, OptionError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.twin import thesis_katana
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.fan_out import cluster as engine
 from kilter_service.jobs.fan_out import fan_out, part
 from kilter_service.jobs.lease import store as lease

@@ -16,9 +16,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from kilter_service.db import Database
-from kilter_service.settings import Settings
-from kilter_service.supervisor import MOST_ENDS
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.supervisor import MOST_ENDS
 from tests.service.conftest import wait_for
 from tests.service.forked import ForkedPopen, children_of
 from tests.service.made_versions import store_version

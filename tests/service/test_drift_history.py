@@ -10,12 +10,12 @@ import httpx
 import numpy as np
 import pytest
 
-from kilter_service.db import Database
-from kilter_service.drift.charts import KeptCharts, charts_of
-from kilter_service.drift.records import StoredCheck
-from kilter_service.drift.store import of_all_causes
-from kilter_service.drift.wire import chance_words
+from kilter_service.ground.db import Database
 from kilter_service.jobs.retention import store as retention
+from kilter_service.versions.drift.charts import KeptCharts, charts_of
+from kilter_service.versions.drift.records import StoredCheck
+from kilter_service.versions.drift.store import of_all_causes
+from kilter_service.versions.drift.wire import chance_words
 from tests.core.watch.drifting import DriftingArm, some_arm
 from tests.service.conftest import WorkerProcess
 from tests.service.watched_robot import DAY, Until, Watched

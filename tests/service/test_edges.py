@@ -13,13 +13,13 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from kilter_service.app import create_app
-from kilter_service.auth import following
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow
-from kilter_service.logins.service import COOKIE, CSRF_HEADER
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, RobotRow
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth import following
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.logins.service import COOKIE, CSRF_HEADER
 from tests.service.conftest import Katana, served
 
 JOB = f"job_{1:016x}"

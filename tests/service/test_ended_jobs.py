@@ -10,16 +10,16 @@ import pytest
 from alembic import command
 from prometheus_client.parser import text_string_to_metric_families
 
-from kilter_service.db import Database, revision
-from kilter_service.db.row import now
-from kilter_service.db.tables import FleetJobRow, FleetRobotRow, HeartbeatRow, JobRow, RobotRow
-from kilter_service.ended_jobs.store import AT_MOST_MS
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, HeartbeatRow, JobRow, RobotRow
+from kilter_service.ground.ended_jobs.store import AT_MOST_MS
+from kilter_service.ground.settings import Settings
 from kilter_service.jobs import store
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.retention import service as retention
-from kilter_service.metrics import service as metrics
-from kilter_service.settings import Settings
+from kilter_service.versions.metrics import service as metrics
 from tests.service.conftest import Katana
 
 LONG_AGO = timedelta(days=40)

@@ -9,8 +9,8 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 
 from kilter_core.errors import NotConvergedError, TooFewPosesError
-from kilter_service import problems
-from kilter_service.errors import PROBLEMS
+from kilter_service.ground.errors import PROBLEMS
+from kilter_service.web import problems
 
 
 class Payload(BaseModel):

@@ -14,11 +14,11 @@ import pytest
 from fastapi import FastAPI
 from sqlalchemy import event, update
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 
 
 class Event(NamedTuple):

@@ -17,11 +17,11 @@ import httpx
 import pytest
 from sqlalchemy import event
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.failures import in_words
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, Serve, ready
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -25,12 +25,12 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_files.robots import Described, read_robot
-from kilter_service.corrector.database_source import DatabaseSource
-from kilter_service.corrector.process import Corrector
-from kilter_service.db import Database
-from kilter_service.importers.urdf import chain_document
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
 from kilter_service.robots.documents import core_document
-from kilter_service.settings import Settings
+from kilter_service.robots.importers.urdf import chain_document
+from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.process import Corrector
 from tests.core.soft_arm import NOISE_M, TOOL, Scene, scene
 from tests.core.truth import Arm
 

@@ -9,8 +9,8 @@ import httpx
 import pytest
 from sqlalchemy import func, select
 
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, VersionRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, VersionRow
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.runner import Runner
 from tests.service.conftest import Katana

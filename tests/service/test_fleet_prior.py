@@ -8,8 +8,8 @@ import httpx
 import numpy as np
 import pytest
 
-from kilter_service.caller import CALLER, Caller, as_document
-from kilter_service.db import Database
+from kilter_service.ground.caller import CALLER, Caller, as_document
+from kilter_service.ground.db import Database
 from kilter_service.jobs.fleet_versions import fleet_versions
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.runner import Runner

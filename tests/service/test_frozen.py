@@ -14,11 +14,11 @@ import httpx
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.auth.token import admin_token
-from kilter_service.backup.service import verify_stored
-from kilter_service.child import running, stopped
-from kilter_service.settings import Settings
-from kilter_service.supervisor import Program
+from kilter_service.ground.child import running, stopped
+from kilter_service.ground.settings import Settings
+from kilter_service.run.backup.service import verify_stored
+from kilter_service.run.supervisor import Program
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, ready
 from tests.service.test_read_only_disk import Q, asked, finished, made
 from tests.service.test_serve import children

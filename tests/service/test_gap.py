@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from tests.blind.generator import Case, Hidden, Options, generate
 from tests.service.stored_results import same_as_stored
 

@@ -15,12 +15,12 @@ from fastapi import FastAPI
 from pydantic import ValidationError
 
 from kilter_client import Kilter, ServerUnreachableError, UsageError
-from kilter_service.app import create_app
-from kilter_service.auth.listen_rules import check_binding
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.listen_rules import check_binding
+from kilter_service.web.auth.token import admin_token
 from tests.service.forked import ForkedPopen
 
 from .conftest import REPOSITORY, ready
@@ -111,7 +111,7 @@ def test_behind_a_proxy_everybody_needs_a_token_and_is_recorded_by_the_proxys_wo
 def test_past_the_proxy_nobody_is_answered(settings: Settings) -> None:
     import asyncio
 
-    from kilter_service.gate import Gate
+    from kilter_service.web.gate import Gate
 
     reached, sent = [], []
 

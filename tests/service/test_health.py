@@ -16,17 +16,17 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.child import running
-from kilter_service.db import Database, revision
-from kilter_service.db.row import now
-from kilter_service.db.tables import HeartbeatRow
-from kilter_service.errors import ServiceError
-from kilter_service.health import pulse as pulses
-from kilter_service.health import service, store
-from kilter_service.health.pulse import Pulse
-from kilter_service.settings import Settings
+from kilter_service.ground.child import running
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import HeartbeatRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.health import pulse as pulses
+from kilter_service.web.health import service, store
+from kilter_service.web.health.pulse import Pulse
 from tests.service.forked import ForkedPopen
 from tests.service.postgresql import own_postgresql, programs, running_postgresql
 

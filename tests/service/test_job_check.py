@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow
 
 Floats = NDArray[np.float64]
 Until = Callable[..., None]

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from sqlalchemy import event, insert, text
 
-from kilter_service.db import Database, Session
-from kilter_service.db.row import now
-from kilter_service.db.tables import JobRow, RobotRow
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import JobRow, RobotRow
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import store
 from kilter_service.jobs.lease import store as lease
-from kilter_service.paging import Page
 
 JOBS, ROBOTS, WAITING = 8_000, 40, 3
 

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.versions import store as versions
 from tests.service.stored_results import same_as_stored
 

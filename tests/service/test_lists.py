@@ -12,7 +12,7 @@ import httpx
 import pytest
 from sqlalchemy import Engine, event
 
-from kilter_service.db import Database, tables
+from kilter_service.ground.db import Database, tables
 from tests.service.made_versions import store_version
 
 ROWS = {**{f"q{j}_deg": [10.0, 20.0] for j in range(1, 6)}, "y_mm": [1.0, 2.0], "z_mm": [3.0, 4.0]}

@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-from kilter_service.corrector.fast_path import bin_edges_us
-from kilter_service.db import Database
-from kilter_service.live import followers
-from kilter_service.live.heard import WHY, Heard
-from kilter_service.live.heard import _edges_us as edges_us
-from kilter_service.live.session import Place
-from kilter_service.live.verdict import bypass
-from kilter_service.settings import Settings
-from kilter_service.signing.masters import masters_in
-from kilter_service.signing.sealed import opened_document
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.fast_path import bin_edges_us
+from kilter_service.stream.live import followers
+from kilter_service.stream.live.heard import WHY, Heard
+from kilter_service.stream.live.heard import _edges_us as edges_us
+from kilter_service.stream.live.session import Place
+from kilter_service.stream.live.verdict import bypass
+from kilter_service.stream.signing.masters import masters_in
+from kilter_service.stream.signing.sealed import opened_document
 
 KEY = "kilter/@v1/local/arm/stream/main/live"
 

@@ -13,8 +13,8 @@ import pytest
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.facts import meaning
 from kilter_service.correction.formats import read_trajectory
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import read_columns
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import read_columns
 from tests.core.arm.test_link_loads import TORSO
 
 KINDS = ["revolute"] * 4

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 import pytest
 from sqlalchemy import text
 
-from kilter_service.db import Database, database, revision
-from kilter_service.db.tables import HeartbeatRow
+from kilter_service.ground.db import Database, database, revision
+from kilter_service.ground.db.tables import HeartbeatRow
 from tests.service.postgresql import database_of
 
 

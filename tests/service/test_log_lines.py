@@ -19,9 +19,9 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service import child_output
-from kilter_service.auth.token import admin_token
-from kilter_service.settings import Settings
+from kilter_service.ground import child_output
+from kilter_service.ground.settings import Settings
+from kilter_service.web.auth.token import admin_token
 from tests.service.forked import ForkedPopen, children_of, forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -86,8 +86,8 @@ def test_a_command_that_cannot_go_on_says_so_in_json(settings: Settings, tmp_pat
 def test_warnings_and_what_nobody_caught_are_lines_too(tmp_path: Path) -> None:
     code = """
 import threading, warnings
-from kilter_service.observability import logs
-from kilter_service.settings import Settings
+from kilter_service.web.observability import logs
+from kilter_service.ground.settings import Settings
 from tests.service.forked import ForkedPopen, children_of, forked_command
 logs.configure(Settings(log_format="json"), "api")
 warnings.warn("kernels cannot be kept")

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import func, select, text
 
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, VersionRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, VersionRow
 from tests.service.conftest import Katana, wait_for
 from tests.service.postgresql import PostgreSql, own_postgresql, programs
 from tests.service.test_workers import Fleet
@@ -35,7 +35,7 @@ def fleet(server: PostgreSql, tmp_path: Path) -> Iterator[Fleet]:
 
 @pytest.fixture
 def server() -> Iterator[PostgreSql]:
-    from kilter_service.db import revision
+    from kilter_service.ground.db import revision
 
     if programs() is None:
         pytest.skip("no PostgreSQL server is installed: apt-get install postgresql")

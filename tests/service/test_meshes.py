@@ -9,9 +9,9 @@ import httpx
 import numpy as np
 import pytest
 
-from kilter_service.errors import ServiceError
-from kilter_service.limits import MAX_TRIANGLES
-from kilter_service.meshes.reading import triangles
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.limits import MAX_TRIANGLES
+from kilter_service.robots.meshes.reading import triangles
 
 from .conftest import Katana
 

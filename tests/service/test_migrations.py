@@ -9,8 +9,8 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
-from kilter_service.db import Database, revision
-from kilter_service.db.row import Row
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.row import Row
 from kilter_service.versions import store
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from tests.core.truth import Floats
 from tests.mix_ups.campaigns import Genuine, genuine
 from tests.mix_ups.columns import columns_of

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kilter_client.cli.reports.results import show_job
-from kilter_core.identify.model_comparison import PoseErrors
+from kilter_core.identify.comparison.model_comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.versions.objections import objections_of
 from tests.core.truth import ur10
 from tests.service.test_activation_guard import Lab, codes

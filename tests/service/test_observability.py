@@ -25,15 +25,15 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import text
 
-from kilter_service.auth.token import admin_token
-from kilter_service.corrector.fast_path import bin_edges_us
-from kilter_service.db import Database
-from kilter_service.health import store as health
-from kilter_service.metrics import service
-from kilter_service.metrics.service import HELD_BACK
-from kilter_service.observability import logs, tracing
-from kilter_service.observability.requests import UNKNOWN
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.corrector.fast_path import bin_edges_us
+from kilter_service.versions.metrics import service
+from kilter_service.versions.metrics.service import HELD_BACK
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.health import store as health
+from kilter_service.web.observability import logs, tracing
+from kilter_service.web.observability.requests import UNKNOWN
 from tests.service.forked import ForkedPopen
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"

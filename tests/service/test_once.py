@@ -14,10 +14,10 @@ import pytest
 from kilter_client import Kilter
 from kilter_client.requests.connection import Connection
 from kilter_client.requests.steps import Request
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, Serve
 from tests.service.made_versions import store_version
 

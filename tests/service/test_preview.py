@@ -13,8 +13,8 @@ import pytest
 
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
 from kilter_service.versions.preview import drawn

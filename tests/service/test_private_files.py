@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from kilter_service.corrector.endpoints import PrivateSocket
-from kilter_service.db import Database
-from kilter_service.private_files import Scratch, protect
+from kilter_service.ground.db import Database
+from kilter_service.ground.private_files import Scratch, protect
+from kilter_service.stream.corrector.endpoints import PrivateSocket
 from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HOLDER = """
 import sys, time
 from pathlib import Path
-from kilter_service.private_files import Scratch
+from kilter_service.ground.private_files import Scratch
 scratch = Scratch(Path(sys.argv[1]))
 (scratch.folder / "upload-x").mkdir()
 print(scratch.folder, flush=True)

@@ -14,19 +14,19 @@ from fastapi import FastAPI
 
 from kilter_client import Kilter
 from kilter_client.requests.steps import post
-from kilter_service import connections
-from kilter_service.app import create_app
-from kilter_service.auth import slow_bodies
-from kilter_service.auth.rates import MOST_SENDERS, Rates
-from kilter_service.auth.token import admin_token
-from kilter_service.connections import TimedConnection
 from kilter_service.contract.frames import Frame, NewFrame
 from kilter_service.contract.tokens import NewToken
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
-from kilter_service.frames import service as frames
-from kilter_service.settings import Settings
-from kilter_service.tokens import service as tokens
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.robots.frames import service as frames
+from kilter_service.run.app import create_app
+from kilter_service.web import connections
+from kilter_service.web.auth import slow_bodies
+from kilter_service.web.auth.rates import MOST_SENDERS, Rates
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.connections import TimedConnection
+from kilter_service.web.tokens import service as tokens
 
 from .conftest import served
 

@@ -18,9 +18,9 @@ import httpx
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.auth.token import admin_token
-from kilter_service.backup.service import verify_stored
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run.backup.service import verify_stored
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, ready
 from tests.service.preloaded import preloaded
 from tests.service.test_failing_disk import api

@@ -8,8 +8,8 @@ import httpx
 import pytest
 
 from kilter_core.twin import thesis_katana
-from kilter_service.db import Database
-from kilter_service.db.tables import CampaignRow, JobRow, VersionRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import CampaignRow, JobRow, VersionRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 from kilter_service.versions.unfitted_rows import Archive

@@ -15,14 +15,14 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from kilter_service import app as application
-from kilter_service import bodies
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.frames import service as frames
-from kilter_service.routing import GuardedRoute
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.robots.frames import service as frames
+from kilter_service.run import app as application
+from kilter_service.run.app import create_app
+from kilter_service.web import bodies
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.routing import GuardedRoute
 
 Serve = Callable[[FastAPI], httpx.Client]
 # Reads are what the contract calls so; each of them only looks up what is stored.
@@ -274,9 +274,9 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
 ) -> None:
     from kilter_service.campaigns import service as campaigns
     from kilter_service.correction import service as correction
+    from kilter_service.ground.tables import reading
     from kilter_service.robots import check, circles, convert
     from kilter_service.robots import service as robots
-    from kilter_service.tables import reading
 
     loops: set[int] = set()
     seen: dict[str, set[int]] = {}

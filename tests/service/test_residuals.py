@@ -14,7 +14,7 @@ from pyarrow import parquet
 
 from kilter_core.observations import Observations
 from kilter_service.contract.residuals import ResidualRows
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.versions import store
 
 Until = Callable[..., None]

@@ -21,16 +21,16 @@ from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.corrector.active import version_number
-from kilter_service.corrector.database_source import DatabaseSource
-from kilter_service.db import Database, revision
-from kilter_service.db.tables import JobRow
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.tables import JobRow
+from kilter_service.ground.settings import Settings
 from kilter_service.robots.documents import core_document
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.stream.corrector.active import version_number
+from kilter_service.stream.corrector.database_source import DatabaseSource
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
+from kilter_service.web.auth.token import admin_token
 
 URDF = """<robot name="r"><link name="base"/><link name="upper"><inertial><origin xyz="0.1 0 0.01"/><mass value="2.5"/>
 <inertia ixx="0.1" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="tip"/><link name="hand"/>

@@ -9,13 +9,13 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.backup import service as backup
-from kilter_service.db import Database
-from kilter_service.db.row import now
-from kilter_service.db.tables import FleetJobRow, FleetRobotRow, JobRow
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, JobRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
 from kilter_service.jobs.retention import service
-from kilter_service.settings import Settings
+from kilter_service.run.backup import service as backup
 from tests.service.conftest import Katana
 from tests.service.made_versions import store_version
 from tests.service.test_backup import kilterd

@@ -15,8 +15,8 @@ import pytest
 from kilter_core.errors import RobotError
 from kilter_core.procedures.circle_points import _alone
 from kilter_core.procedures.reference_frame import frame_of_features
-from kilter_service.importers import xml_text
-from kilter_service.importers.urdf import chain_document
+from kilter_service.robots.importers import xml_text
+from kilter_service.robots.importers.urdf import chain_document
 
 pytestmark = pytest.mark.timeout(60)  # only a backstop: a URDF of 3000 joints was never answered
 

@@ -5,8 +5,8 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.db import Database
-from kilter_service.db.tables import CampaignRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import CampaignRow
 
 pytestmark = pytest.mark.both_databases
 TWO_LINKS: dict[str, Any] = {

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from kilter_service import backup_folder
-from kilter_service.db import Database
-from kilter_service.doctor import checks
-from kilter_service.metrics import service as metrics
-from kilter_service.settings import Settings
+from kilter_service.ground import backup_folder
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
+from kilter_service.run.doctor import checks
+from kilter_service.versions.metrics import service as metrics
 from tests.service.conftest import ready
 from tests.service.forked import forked_command
 

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from sqlalchemy import text, update
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.backup import service
-from kilter_service.db import Database, seals
-from kilter_service.db.row import Row
-from kilter_service.db.tables import JobRow, RobotRow
-from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database, seals
+from kilter_service.ground.db.row import Row
+from kilter_service.ground.db.tables import JobRow, RobotRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.run.backup import service
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, WorkerProcess, ready, served
 from tests.service.made_versions import store_version
 from tests.service.test_backup import kilterd, plain

@@ -16,8 +16,8 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service import supervisor
-from kilter_service.settings import Settings
+from kilter_service.ground.settings import Settings
+from kilter_service.run import supervisor
 from tests.service.forked import forked_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -8,13 +8,13 @@ from pathlib import Path
 
 PROGRAM = """
 import gc
-from kilter_service.serving import lasting
+from kilter_service.run.serving import lasting
 collected = []
 gc.callbacks.append(lambda phase, info: collected.append(phase))
 try:
     with lasting():
         assert not gc.isenabled()
-        import kilter_service.app
+        import kilter_service.run.app
         raise OSError("as a taken port would")
 except OSError:
     pass
@@ -27,10 +27,10 @@ WORKER = """
 import gc, sys
 from argparse import Namespace
 from pathlib import Path
-from kilter_service.program import worker
-from kilter_service.settings import Settings
+from kilter_service.run.program import worker
+from kilter_service.ground.settings import Settings
 settings = Settings(data=Path(sys.argv[1]), database_url=None)
-import kilter_service.serving
+import kilter_service.run.serving
 collected = []
 gc.collect()
 gc.callbacks.append(lambda phase, info: collected.append(info["generation"]))
@@ -46,7 +46,7 @@ assert len(collected) < 20, len(collected)  # of what comes after the import
 
 SHORT = """
 import gc, weakref
-from kilter_service.memory import ShortPauses
+from kilter_service.ground.memory import ShortPauses
 class Thing: pass
 def cycle():
     one, other = Thing(), Thing()

@@ -19,10 +19,10 @@ import httpx
 import pytest
 from sqlalchemy import func, select
 
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database
-from kilter_service.db.tables import ActivationRow, FleetRobotRow, HeartbeatRow, JobRow, VersionRow
-from kilter_service.settings import Settings
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import ActivationRow, FleetRobotRow, HeartbeatRow, JobRow, VersionRow
+from kilter_service.ground.settings import Settings
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, WorkerProcess
 from tests.service.forked import ForkedPopen
 from tests.service.postgresql import database_of

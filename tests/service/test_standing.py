@@ -14,8 +14,8 @@ import pytest
 from sqlalchemy import update
 
 from kilter_service.contract.today import Today
-from kilter_service.db import Database
-from kilter_service.db.tables import HeartbeatRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import HeartbeatRow
 from kilter_service.page.shared.accuracy import Accuracy
 from kilter_service.page.shared.correcting import Corrector
 from kilter_service.page.shared.state import state_of

@@ -15,9 +15,9 @@ import httpx
 import pytest
 
 from kilter_client.signing import from_document, on_this_machine
-from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
-from kilter_service.signing.masters import changed, masters_in
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.stream.signing.masters import changed, masters_in
 from tests.corrector import sealer
 
 PRESET = {"name": "arm", "convention": "preset", "preset": "katana450-chapter4"}

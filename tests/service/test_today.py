@@ -16,9 +16,9 @@ from sqlalchemy import select
 
 from kilter_client import Kilter
 from kilter_client.cli.reports.activation_report import show_today
-from kilter_service.db import Database
-from kilter_service.db.row import now
-from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
 from tests.service.conftest import Katana, WorkerProcess
 
 Until = Callable[..., None]

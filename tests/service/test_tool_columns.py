@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import read_columns
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import read_columns
 
 ROBOT = {"name": "arm", "convention": "dh", "rows": [{"a_mm": 300, "alpha_deg": 90}, {"a_mm": 200}]}
 Q = {"q1_deg": [1.0, 2.0], "q2_deg": [3.0, 4.0]}

@@ -15,13 +15,13 @@ from pyarrow import parquet
 
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.twin import Twin, thesis_katana
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.queries import QueryError, correct_trajectory, decode_trajectory, encode_trajectory
-from kilter_service.corrector.stream import Stream
-from kilter_service.corrector.wire import Answer, Flag, Status, decode_answer, encode_setpoints
-from kilter_service.db import Database
-from kilter_service.ros2 import cdr
-from kilter_service.ros2.relay import TrajectoryRelay
+from kilter_service.ground.db import Database
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.queries import QueryError, correct_trajectory, decode_trajectory, encode_trajectory
+from kilter_service.stream.corrector.stream import Stream
+from kilter_service.stream.corrector.wire import Answer, Flag, Status, decode_answer, encode_setpoints
+from kilter_service.stream.ros2 import cdr
+from kilter_service.stream.ros2.relay import TrajectoryRelay
 from tests.service.test_versions import Versions
 
 STEP_NS = 20_000_000

@@ -16,13 +16,13 @@ import pytest
 from alembic import command
 
 from kilter_core.correct.program import Track
-from kilter_service.backup import upgrade
-from kilter_service.backup.service import verify
-from kilter_service.corrector.database_source import DatabaseSource
-from kilter_service.db import Database, revision
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.robots.resolved import sha256_of
-from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.run.backup import upgrade
+from kilter_service.run.backup.service import verify
+from kilter_service.stream.corrector.database_source import DatabaseSource
 from tests.corrector.conftest import calibration_of
 from tests.corrector.live import ROBOT, Q
 from tests.corrector.stored import store_active

@@ -17,7 +17,7 @@ from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_service.importers.urdf import UrdfImport, chain_document
+from kilter_service.robots.importers.urdf import UrdfImport, chain_document
 
 Floats = NDArray[np.float64]
 

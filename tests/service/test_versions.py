@@ -21,12 +21,12 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import last_motion
 from kilter_core.twin import Twin, thesis_katana
-from kilter_service.corrector.active import Active
-from kilter_service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
-from kilter_service.corrector.stream import Stream
-from kilter_service.corrector.wire import Answer, Flag, decode_answer, encode_setpoints
-from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, VersionRow
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow, VersionRow
+from kilter_service.stream.corrector.active import Active
+from kilter_service.stream.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
+from kilter_service.stream.corrector.stream import Stream
+from kilter_service.stream.corrector.wire import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 

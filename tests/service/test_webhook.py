@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
-from kilter_service.webhook import Webhook
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.ground.webhook import Webhook
 from tests.core.watch.drifting import some_arm
 from tests.service.conftest import WorkerProcess, wait_for
 from tests.service.watched_robot import Until, Watched

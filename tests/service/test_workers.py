@@ -16,17 +16,17 @@ import httpx
 import pytest
 from sqlalchemy import func, select
 
-from kilter_service.app import create_app
-from kilter_service.auth.token import admin_token
-from kilter_service.db import Database, revision
-from kilter_service.db.row import now
-from kilter_service.db.tables import HeartbeatRow, JobRow, VersionRow
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import HeartbeatRow, JobRow, VersionRow
+from kilter_service.ground.settings import Settings
 from kilter_service.jobs import worker as workers
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.lease.watch import Watch
 from kilter_service.jobs.runner import Runner
-from kilter_service.settings import Settings
+from kilter_service.run.app import create_app
+from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import WorkerProcess, served
 from tests.service.forked import forked_command
 from tests.service.postgresql import PostgreSql, own_postgresql, programs

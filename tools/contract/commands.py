@@ -64,7 +64,7 @@ def table_of_server() -> str:
 
 
 def _server_rows() -> Iterator[str]:
-    from kilter_service.program import parser
+    from kilter_service.run.program import parser
 
     for action in parser()._actions:
         if not isinstance(action, argparse._SubParsersAction):

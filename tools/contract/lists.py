@@ -11,7 +11,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.effects import EFFECTS, Effect
 from kilter_core.identify.registry import METHODS
-from kilter_service.exporters.registry import FORMATS
+from kilter_service.robots.exporters.registry import FORMATS
 
 COLUMNS_PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "columns.md"
 ROW = re.compile(r"^\| (?P<names>`.+?) \| (?P<meaning>.+) \|$", re.MULTILINE)

@@ -16,8 +16,8 @@ from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import prepared
-from kilter_core.identify.influence import relative_influence, step_of
 from kilter_core.identify.methods.per_pose import pose_solutions
+from kilter_core.identify.rows.influence import relative_influence, step_of
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

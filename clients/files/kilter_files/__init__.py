@@ -12,9 +12,8 @@ from kilter_files.ground.later import Later, np
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 if TYPE_CHECKING:
-    from kilter_files.formats import opening, reader, registry
+    from kilter_files.formats import opening, reader, registry, tracker_header
     from kilter_files.formats.joints import joint_log
-    from kilter_files.formats.points import tracker_header
     from kilter_files.formats.reader import LogHints
     from kilter_files.ground import units
     from kilter_files.look import draft as drafts
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 else:
     joint_log = Later("kilter_files.formats.joints.joint_log")
     opening = Later("kilter_files.formats.opening")
-    tracker_header = Later("kilter_files.formats.points.tracker_header")
+    tracker_header = Later("kilter_files.formats.tracker_header")
     reader = Later("kilter_files.formats.reader")
     registry = Later("kilter_files.formats.registry")
     units = Later("kilter_files.ground.units")

@@ -19,8 +19,8 @@ from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.guard import Guard
 from kilter_client.errors import ConflictError, UsageError
 from kilter_core.correct.kernels import layout
-from kilter_files.formats.lerobot.calibration import BY_RANGE, DEGREES, read_calibration, servo_of
-from kilter_files.formats.lerobot.homing import TICK_DEG
+from kilter_files.formats.joints.lerobot.calibration import BY_RANGE, DEGREES, read_calibration, servo_of
+from kilter_files.formats.joints.lerobot.homing import TICK_DEG
 from kilter_files.ground.arrays import Floats
 from lerobot_robot_kilter.version import Used, refuse_other_calibration
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.elsewhere import elsewhere
+from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors
+from kilter_core.identify.comparison.other_setups import elsewhere
 from kilter_core.identify.estimate import new_frames, refitted
-from kilter_core.identify.model_comparison import Difference, PoseErrors
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.measurement.metrics import Errors

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.gap.evidence.holding_out import parted
+from kilter_core.gap.evidence.held_out.holding_out import parted
 from kilter_core.gap.evidence.replication import refuse_unfit
-from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
+from kilter_core.gap.evidence.similarity.testability import Testability, Visible, testability, untestable, visible
 from kilter_core.gap.expected import probe, timed
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search.beginning import beginning
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.gap.search.prepare import Prepared, prepare_data
-from kilter_core.identify.compare import poses_of, thinned
+from kilter_core.gap.search.start_model import beginning
+from kilter_core.identify.comparison.compare import poses_of, thinned
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

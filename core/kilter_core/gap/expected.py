@@ -15,16 +15,16 @@ from typing import TypeVar
 
 import numpy as np
 
+from kilter_core.gap.evidence.fits.intervals import MOST_ROWS
 from kilter_core.gap.evidence.halves import half_of
-from kilter_core.gap.evidence.intervals import MOST_ROWS
+from kilter_core.gap.evidence.similarity.testability import Testability, to_search
 from kilter_core.gap.evidence.stability import FEW, MANY, reweighted
-from kilter_core.gap.evidence.testability import Testability, to_search
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
-from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.linearized import refit
-from kilter_core.gap.search.outliers import outliers
+from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import Prepared
+from kilter_core.gap.search.rows.outliers import outliers
 from kilter_core.gap.search.scan import Scorer, null_of
 from kilter_core.gap.search.select import HIDING, Selector
 

@@ -12,23 +12,26 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
 from kilter_core.gap.budget import MEASURING, PLANNING, RESAMPLING, SEARCHING, SHUFFLING, Budget
-from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
-from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
-from kilter_core.gap.evidence.by_kind import by_kind
 from kilter_core.gap.evidence.control import control_document, controls
+from kilter_core.gap.evidence.fits.intervals import Amplitude, amplitudes, seen_joints
+from kilter_core.gap.evidence.fits.sign_uncertainty import narrowed
+from kilter_core.gap.evidence.fits.widened import widened
 from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.halves import Sides, halves
-from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
-from kilter_core.gap.evidence.holding_out import held_out, parted
-from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
+from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
+from kilter_core.gap.evidence.held_out.by_kind import by_kind
+from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
+from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
+from kilter_core.gap.evidence.held_out.unseen import seen_only
+from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
+from kilter_core.gap.evidence.held_out.when import event_warnings, events, settled
 from kilter_core.gap.evidence.local_bump import local_bump_test
-from kilter_core.gap.evidence.matters import Misfit, floor_mm, misfit, moves_mm
-from kilter_core.gap.evidence.narrowed import narrowed
-from kilter_core.gap.evidence.refused import refused
+from kilter_core.gap.evidence.practical_size import Misfit, floor_mm, misfit, moves_mm
+from kilter_core.gap.evidence.rejected import refused
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
 from kilter_core.gap.evidence.separators import separated
-from kilter_core.gap.evidence.stability import inclusion
-from kilter_core.gap.evidence.testability import (
+from kilter_core.gap.evidence.similarity.aliases import SAME, Alias, aliases_of
+from kilter_core.gap.evidence.similarity.testability import (
     Testability,
     alias_matrix,
     smallest_rows,
@@ -37,11 +40,8 @@ from kilter_core.gap.evidence.testability import (
     to_search,
     untestable,
 )
-from kilter_core.gap.evidence.unseen import seen_only
-from kilter_core.gap.evidence.unseen_fit import unseen_fit
+from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
-from kilter_core.gap.evidence.when import event_warnings, events, settled
-from kilter_core.gap.evidence.widened import widened
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import rows_aside
 from kilter_core.gap.report.effect_curves import effect_curves
@@ -52,28 +52,34 @@ from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.report.told_apart import Proposed, told_apart
-from kilter_core.gap.search.beginning import beginning
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
-from kilter_core.gap.search.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
 from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
-from kilter_core.gap.search.in_space import fit_rms
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
+from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
-from kilter_core.gap.search.renewed_search import rejudged
-from kilter_core.gap.search.row_warnings import clock_warnings
+from kilter_core.gap.search.re_evaluated_search import rejudged
+from kilter_core.gap.search.requested import wanted
+from kilter_core.gap.search.rows.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
-from kilter_core.gap.search.wanted import wanted
-from kilter_core.identify.elsewhere import CONFIRM, elsewhere
-from kilter_core.identify.load_model import far_from_stated
-from kilter_core.identify.model_comparison import WORSE_THAN_GEOMETRY, Difference, PoseErrors, grown, worse_warning
-from kilter_core.identify.planned_views import PlannedViews
+from kilter_core.gap.search.start_model import beginning
+from kilter_core.identify.comparison.model_comparison import (
+    WORSE_THAN_GEOMETRY,
+    Difference,
+    PoseErrors,
+    grown,
+    worse_warning,
+)
+from kilter_core.identify.comparison.other_setups import CONFIRM, elsewhere
+from kilter_core.identify.identifiable.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.report import large_residual
+from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
+from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

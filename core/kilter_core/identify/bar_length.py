@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats

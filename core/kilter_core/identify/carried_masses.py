@@ -11,7 +11,7 @@ from kilter_core.arm.loads.slopes import EACH, weighed
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.effects.load_error import LoadError
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.model import RobotModel

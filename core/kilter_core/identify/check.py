@@ -13,22 +13,22 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.identify.begin import begin_with, refuse_missing_columns
-from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.carried_masses import beside_masses, of_masses
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
+from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, fit_at
 from kilter_core.identify.fleet.asked import of_its_type
 from kilter_core.identify.fleet.versions import FleetVersion
-from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
+from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
-from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
-from kilter_core.identify.measurement_of_rows import measurement_for
-from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.report import still_joints
+from kilter_core.identify.rows.measurement_of_rows import measurement_for
+from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
+from kilter_core.identify.start_model import begin_with, refuse_missing_columns
 from kilter_core.identify.uncertainty.workspace import MEASURED
 from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
+from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.identify.cameras import with_rig
 from kilter_core.identify.carried_masses import of_masses
-from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, freedom_by_group, solve
+from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, fit_at, freedom_by_group, solve
+from kilter_core.identify.fit.tukey import redescend
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.tukey import redescend
+from kilter_core.identify.views.cameras import with_rig
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.measurement.kind import POINTS, TURNS
 from kilter_core.measurement.registration import register

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_core.identify.cameras import with_cameras
-from kilter_core.identify.errors_by_kind import KindErrors, errors_of, pooled
+from kilter_core.identify.comparison.model_comparison import PoseErrors, geometry_alone
+from kilter_core.identify.fit.row_errors import RowErrors
 from kilter_core.identify.holdout import fold_splits
 from kilter_core.identify.learned import gated
-from kilter_core.identify.measurement_of_rows import between_rows, measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
-from kilter_core.identify.model_comparison import PoseErrors, geometry_alone
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import registered
 from kilter_core.identify.registry import METHODS
-from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.rows.errors_by_kind import KindErrors, errors_of, pooled
+from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
+from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration

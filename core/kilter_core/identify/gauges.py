@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.chain import Element
-from kilter_core.identify.cameras import unknown_rig
-from kilter_core.identify.identifiability import identifiable
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.identify.scale_gauge import free_scale
 from kilter_core.identify.setups import of_the_arm
+from kilter_core.identify.views.cameras import unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 
 TRACKER = "a few points that a tracker or a measuring arm takes in the robot's own base"

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.said import resting
-from kilter_core.identify.identifiability import NullDirection, identifiable
-from kilter_core.identify.identifiable_sums import Known
-from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.noise import Repeats
+from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable
+from kilter_core.identify.identifiable.identifiable_sums import Known
+from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.uncertainty.intervals import Intervals
 from kilter_core.identify.uncertainty.workspace_uncertainty import workspace_uncertainty
 from kilter_core.measurement.marker_checks import bending

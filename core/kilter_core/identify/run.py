@@ -10,10 +10,11 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
-from kilter_core.identify.begin import begin_with, refuse_missing_columns
-from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said
-from kilter_core.identify.errors_by_kind import KindErrors, Shares, errors_of
+from kilter_core.identify.comparison.model_comparison import PoseErrors, geometry_alone
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fit.row_errors import RowErrors
+from kilter_core.identify.fit.tukey import set_aside
 from kilter_core.identify.fleet.asked import of_its_type
 from kilter_core.identify.fleet.prior import FleetPrior
 from kilter_core.identify.fleet.said import prior_document, prior_warnings
@@ -21,30 +22,28 @@ from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
 from kilter_core.identify.gauges import gauges
 from kilter_core.identify.holdout import Folds, split
-from kilter_core.identify.identifiability import NullDirection, null_directions
-from kilter_core.identify.influence import influence_of
+from kilter_core.identify.identifiable.identifiability import NullDirection, null_directions
+from kilter_core.identify.identifiable.load_model import far_from_stated, load_rows
+from kilter_core.identify.identifiable.observability import correlated_groups, observability
 from kilter_core.identify.learned import Learned, gated
-from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.load_model import far_from_stated, load_rows
-from kilter_core.identify.measurement_of_rows import between_rows, measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
-from kilter_core.identify.model_comparison import PoseErrors, geometry_alone
-from kilter_core.identify.noise import Repeats
-from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.plausibility.flat_boards import bent_boards
 from kilter_core.identify.plausibility.timing import bad_timing
-from kilter_core.identify.read_tilt import as_inputs
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.registry import METHODS
 from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows, warnings_of
-from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.rows.errors_by_kind import KindErrors, Shares, errors_of
+from kilter_core.identify.rows.influence import influence_of
+from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
+from kilter_core.identify.rows.noise import Repeats
+from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
-from kilter_core.identify.tukey import set_aside
+from kilter_core.identify.start_model import begin_with, refuse_missing_columns
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
@@ -58,6 +57,7 @@ from kilter_core.identify.view_report import (
     with_held,
     with_own_scatter,
 )
+from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration

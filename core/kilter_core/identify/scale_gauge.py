@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.cameras import Cameras, rig_of, unknown_rig
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.views.cameras import Cameras, rig_of, unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse
 from kilter_core.types import Floats

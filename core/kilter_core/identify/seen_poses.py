@@ -13,8 +13,8 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.planned_views import PlannedViews
 from kilter_core.identify.run import identify
+from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
 from kilter_core.measurement.pose_weights import DEVIATIONS, scale_of, weights

@@ -18,15 +18,15 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.identify.cameras import Cameras, rig_of
-from kilter_core.identify.elsewhere import elsewhere
-from kilter_core.identify.errors_by_kind import KindErrors, errors_of, pooled
+from kilter_core.identify.comparison.model_comparison import PoseErrors
+from kilter_core.identify.comparison.other_setups import elsewhere
 from kilter_core.identify.estimate import bounded, frames_alone
-from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.measurement_of_rows import measurement_for
-from kilter_core.identify.model_comparison import PoseErrors
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fit.row_errors import RowErrors
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
-from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.rows.errors_by_kind import KindErrors, errors_of, pooled
+from kilter_core.identify.rows.measurement_of_rows import measurement_for
+from kilter_core.identify.views.cameras import Cameras, rig_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.measurement.metrics import Errors

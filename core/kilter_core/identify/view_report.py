@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from kilter_core.identify.camera_report import cameras_document, pixels_document, tool_document
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.views import shuffled_control
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model import Calibration

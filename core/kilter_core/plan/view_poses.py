@@ -10,9 +10,9 @@ import numpy as np
 from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.effects import Effect
 from kilter_core.errors import ObservationError, RobotError
-from kilter_core.identify.cameras import Cameras, with_cameras
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.setups import without_frames
+from kilter_core.identify.views.cameras import Cameras, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.pixels import Pixels
 from kilter_core.model import Calibration, RobotModel

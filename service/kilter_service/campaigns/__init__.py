@@ -1,1 +1,1 @@
-"""Measurement campaigns and their observations."""
+"""Measurement campaigns: uploads and their checks, what the rows say, rows that look wrong."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
 from kilter_files.ground.later import pa
-from kilter_service.core import belonging, compare, core_model
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import Column, has
+from kilter_service.ground.core import belonging, compare, core_model
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import Column, has
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.ground.later import parquet
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -15,13 +15,13 @@ from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.looking import Rows
 from kilter_service.campaigns.repeats import Repeats, repeats
 from kilter_service.campaigns.suspect_rows import Doubtful, doubtful
-from kilter_service.tables.assemble import observations
-from kilter_service.wire import to_deg, to_mm
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint
     from kilter_core.observations import Observations
-    from kilter_service.tables.columns import Column
+    from kilter_service.ground.tables.columns import Column
 
     Floats = NDArray[np.float64]
 

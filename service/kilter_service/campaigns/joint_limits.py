@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_service.tables.columns import Column
+from kilter_service.ground.tables.columns import Column
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint

@@ -8,12 +8,12 @@ from kilter_service.campaigns.service import shown
 from kilter_service.campaigns.servo_zeros import refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.db import Database, Session
-from kilter_service.db.row import now
-from kilter_service.errors import ServiceError
-from kilter_service.references import store as references
-from kilter_service.references.records import TombstoneRecord
-from kilter_service.references.wire import tombstone
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db.row import now
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.references import store as references
+from kilter_service.ground.references.records import TombstoneRecord
+from kilter_service.ground.references.wire import tombstone
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import sha256_of
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.db import Database
-from kilter_service.recent import Recent
+from kilter_service.ground.db import Database
+from kilter_service.ground.recent import Recent
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts

@@ -10,12 +10,12 @@ from kilter_core.errors import ObservationError
 from kilter_files.ground.later import pa, pc
 from kilter_service.campaigns import service, store
 from kilter_service.campaigns.belonging import MIXED_UP, Judged
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.tables import reading
+from kilter_service.ground.tables.columns import Column, read_columns
+from kilter_service.ground.tables.names import Names
+from kilter_service.ground.wire import joint_scale
 from kilter_service.robots import store as robots
-from kilter_service.tables import reading
-from kilter_service.tables.columns import Column, read_columns
-from kilter_service.tables.names import Names
-from kilter_service.wire import joint_scale
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

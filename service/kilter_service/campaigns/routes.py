@@ -7,18 +7,18 @@ from typing import Literal
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from kilter_service.auth.access import Admin
-from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import keeping, service
-from kilter_service.concurrency import compute
-from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.digests import check_digest
-from kilter_service.idempotency.key import OnceOnly
-from kilter_service.page_query import PageOfList
-from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
-from kilter_service.tables import reading
+from kilter_service.ground.digests import check_digest
+from kilter_service.ground.tables import reading
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.bodies import spool_upload
+from kilter_service.web.concurrency import compute
+from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.idempotency.key import OnceOnly
+from kilter_service.web.page_query import PageOfList
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 

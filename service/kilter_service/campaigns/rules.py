@@ -13,8 +13,8 @@ from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.campaigns.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
-from kilter_service.core import units
-from kilter_service.tables.columns import Column
+from kilter_service.ground.core import units
+from kilter_service.ground.tables.columns import Column
 
 if TYPE_CHECKING:
     import pyarrow as pa

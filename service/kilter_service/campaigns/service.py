@@ -20,18 +20,18 @@ from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.fits import Remark
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
-from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
-from kilter_service.instruments import store as instruments
-from kilter_service.paging import Page, in_time
-from kilter_service.references import retired
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page, in_time
+from kilter_service.ground.references import retired
+from kilter_service.ground.tables import reading
+from kilter_service.ground.tables.columns import has, read_columns
+from kilter_service.ground.tables.names import Names
+from kilter_service.ground.tables.views import rig_of
+from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
-from kilter_service.tables import reading
-from kilter_service.tables.columns import has, read_columns
-from kilter_service.tables.names import Names
-from kilter_service.tables.views import rig_of
-from kilter_service.tables.writing import write_table
+from kilter_service.robots.instruments import store as instruments
+from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_of
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_service.campaigns import store
-from kilter_service.db import Session
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Session
+from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 
 CONDITION = "calibration_sha256"

@@ -21,18 +21,18 @@ from kilter_service.contract.columns import CONTACTS
 from kilter_service.contract.fits import Remark
 from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.jobs.job import FINAL
-from kilter_service.db import Session
-from kilter_service.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
-from kilter_service.errors import ServiceError
-from kilter_service.instruments import store as gauges
-from kilter_service.instruments.validity import remarks
-from kilter_service.paging import Page
-from kilter_service.references import retired
-from kilter_service.references import store as references
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
+from kilter_service.ground.references import retired
+from kilter_service.ground.references import store as references
+from kilter_service.ground.tables.assemble import observations as assemble
+from kilter_service.ground.tables.assemble import with_default_load
+from kilter_service.ground.tables.columns import read_columns
 from kilter_service.robots import store as robots
-from kilter_service.tables.assemble import observations as assemble
-from kilter_service.tables.assemble import with_default_load
-from kilter_service.tables.columns import read_columns
+from kilter_service.robots.instruments import store as gauges
+from kilter_service.robots.instruments.validity import remarks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

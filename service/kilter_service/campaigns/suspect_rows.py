@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from kilter_core.observations import Observations as Seen
 from kilter_service.campaigns.repeats import MAD, Repeats
-from kilter_service.core import core_model, transforms
-from kilter_service.wire import to_deg, to_mm
+from kilter_service.ground.core import core_model, transforms
+from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_core.observations.rig import Rig
 from kilter_service.contract.columns import NAMED, PIXELS
-from kilter_service.tables.columns import Column, has
-from kilter_service.tables.views import rig_of
+from kilter_service.ground.tables.columns import Column, has
+from kilter_service.ground.tables.views import rig_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

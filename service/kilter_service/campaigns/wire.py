@@ -8,7 +8,7 @@ from typing import Any
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import Campaign, Conditions, Role, StoredFile, Upload, Uploaded
 from kilter_service.contract.instruments import Instrument
-from kilter_service.instruments.validity import remarks
+from kilter_service.robots.instruments.validity import remarks
 
 
 def campaign(

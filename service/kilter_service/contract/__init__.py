@@ -1,1 +1,1 @@
-"""What goes over the wire, written once: pydantic models of every request and answer. Knows pydantic and itself only."""
+"""The words of the interface: pydantic models of every request and answer, each field with meaning, unit and range."""

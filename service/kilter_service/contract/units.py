@@ -15,7 +15,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-# A serial arm; what a server may change is in its settings, what guards the reading of files in `kilter_service.limits`.
+# A serial arm; what a server may change is in its settings, what guards the reading of files in `kilter_service.ground.limits`.
 MAX_JOINTS = 32
 MAX_ELEMENTS = 512
 MAX_NAMED = 1000  # campaigns that one job names

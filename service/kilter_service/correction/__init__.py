@@ -1,1 +1,1 @@
-"""Corrected trajectories over HTTP."""
+"""Paths and points that are corrected in one answer."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from kilter_core.errors import ObservationError
 from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
-from kilter_service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
-from kilter_service.tables import reading
-from kilter_service.tables.columns import Column, read_columns
+from kilter_service.ground.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
+from kilter_service.ground.tables import reading
+from kilter_service.ground.tables.columns import Column, read_columns
 
 if TYPE_CHECKING:
     import pyarrow as pa

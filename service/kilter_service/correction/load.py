@@ -9,8 +9,8 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
-from kilter_service.tables.assemble import with_default_load
-from kilter_service.wire import to_metres, to_mm
+from kilter_service.ground.tables.assemble import with_default_load
+from kilter_service.ground.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_service.correction_outcome import OK
-from kilter_service.wire import to_mm
+from kilter_service.ground.correction_outcome import OK
+from kilter_service.ground.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_service.correction_outcome import Outcome
+    from kilter_service.ground.correction_outcome import Outcome
 
 NANO = 1_000_000_000
 

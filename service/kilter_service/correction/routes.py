@@ -12,14 +12,14 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from kilter_core.errors import OptionError
-from kilter_service.bodies import spool_upload
-from kilter_service.concurrency import compute
 from kilter_service.correction import service
 from kilter_service.correction.load import Carried
-from kilter_service.db import Database
-from kilter_service.routing import GuardedRoute
-from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
-from kilter_service.tables import reading
+from kilter_service.ground.db import Database
+from kilter_service.ground.tables import reading
+from kilter_service.web.bodies import spool_upload
+from kilter_service.web.concurrency import compute
+from kilter_service.web.routing import GuardedRoute
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1/robots", tags=["correction"], route_class=GuardedRoute)
 

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from kilter_service import correction_outcome as outcome
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction import load
 from kilter_service.correction.formats import read_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
 from kilter_service.correction.wire import cells, with_verdict
-from kilter_service.correction_limits import options_of
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
-from kilter_service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
+from kilter_service.ground import correction_outcome as outcome
+from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import Column
+from kilter_service.ground.tables.writing import write_table
+from kilter_service.ground.wire import to_mm
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import Column
-from kilter_service.tables.writing import write_table
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     import pyarrow as pa

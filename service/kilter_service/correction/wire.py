@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.later import pa
-from kilter_service.correction_outcome import flag_names
-from kilter_service.wire import to_deg, to_mm
+from kilter_service.ground.correction_outcome import flag_names
+from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
-    from kilter_service.correction_outcome import Outcome
+    from kilter_service.ground.correction_outcome import Outcome
 
 Floats = NDArray[np.float64]
 

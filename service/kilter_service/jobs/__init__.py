@@ -1,1 +1,1 @@
-"""Long computations, run durably in a worker process."""
+"""Long work: its queue in the database, the worker, the kinds of job, jobs of a fleet."""

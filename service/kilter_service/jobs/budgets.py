@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.spread import evenly
-from kilter_service.core import core_measurement, core_uncertainty
-from kilter_service.instruments.permissible import permissible
+from kilter_service.ground.core import core_measurement, core_uncertainty
+from kilter_service.robots.instruments.permissible import permissible
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification

@@ -6,7 +6,7 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_core.observations.spread import evenly
-from kilter_service.core import core_model
+from kilter_service.ground.core import core_model
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.versions import ability, preview
 

@@ -11,7 +11,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.unstated_load import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign, JobCheck
 from kilter_service.contract.jobs.job import NewJob
-from kilter_service.db import Database, Session
+from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store, wire
 from kilter_service.jobs.default_load import unstated
 from kilter_service.jobs.durations import PastRun, duration

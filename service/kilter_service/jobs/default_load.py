@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
-from kilter_service.core import core_effects
+from kilter_service.ground.core import core_effects
 from kilter_service.jobs.kind import JobInput, JobOutput
 
 READ = frozenset({"moments", "payload_kg"})

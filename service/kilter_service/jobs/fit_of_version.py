@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.db import Session
-from kilter_service.drift import store as drift
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Session
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.kind import Dates, FitOfVersion
 from kilter_service.versions import store as versions
+from kilter_service.versions.drift import store as drift
 from kilter_service.versions.unfitted_rows import Archive
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
-from kilter_service.core import core_versions
-from kilter_service.db import Session
+from kilter_service.ground.core import core_versions
+from kilter_service.ground.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord

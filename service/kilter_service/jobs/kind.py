@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.units import Asked
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.settings import Queue
+from kilter_service.ground.settings import Queue
 
 if TYPE_CHECKING:
     import numpy as np

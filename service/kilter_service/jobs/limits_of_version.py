@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from kilter_service.core import core_model, predictive
+from kilter_service.ground.core import core_model, predictive
 from kilter_service.jobs.plain import plain
 from kilter_service.versions.suggested import WORKSPACE, suggested
 

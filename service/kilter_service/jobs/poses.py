@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.wire import joint_scale, joint_units, to_mm
+from kilter_service.ground.wire import joint_scale, joint_units, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -6,8 +6,8 @@ import logging
 import threading
 from collections.abc import Sequence
 
-from kilter_service.db import Database, DatabaseAwayError
-from kilter_service.failure_log import log_failure
+from kilter_service.ground.db import Database, DatabaseAwayError
+from kilter_service.ground.failure_log import log_failure
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.runner import Runner

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.kind import JobKind
 from kilter_service.jobs.kinds.drift import DRIFT
 from kilter_service.jobs.kinds.evaluate import EVALUATE

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 
-from kilter_service.conditional import ConditionalRoute
 from kilter_service.jobs.refusals import refusal, without_kind
+from kilter_service.web.conditional import ConditionalRoute
 
 
 class JobRoute(ConditionalRoute):

@@ -8,17 +8,17 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
-from kilter_service.auth.access import Admin
-from kilter_service.auth.following import followed
-from kilter_service.conditional import FOR_GOOD
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
-from kilter_service.idempotency.key import OnceOnly
 from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import ended, followers_of
 from kilter_service.jobs.request import JobRoute
-from kilter_service.page_query import PageOfJobs
-from kilter_service.state import DatabaseOfApp
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.auth.following import followed
+from kilter_service.web.conditional import FOR_GOOD
+from kilter_service.web.idempotency.key import OnceOnly
+from kilter_service.web.page_query import PageOfJobs
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
 

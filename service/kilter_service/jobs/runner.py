@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from kilter_core.errors import CancelledError, CoreError
-from kilter_service.caller import on_behalf
-from kilter_service.db import Database, DatabaseAwayError, Session
-from kilter_service.db.failures import in_words
-from kilter_service.failure_log import log_failure
+from kilter_service.ground.caller import on_behalf
+from kilter_service.ground.db import Database, DatabaseAwayError, Session
+from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.failure_log import log_failure
+from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs import store
 from kilter_service.jobs.can_correct import with_ability_warning
 from kilter_service.jobs.certificates import with_certificate_warnings
@@ -34,9 +35,8 @@ from kilter_service.jobs.limits_of_version import with_limits
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.jobs.verdicts import verdict_message
-from kilter_service.observability import logs, tracing
 from kilter_service.versions.objections import objections_of
-from kilter_service.webhook import Webhook
+from kilter_service.web.observability import logs, tracing
 
 log = logging.getLogger("kilter.worker")
 

@@ -6,18 +6,18 @@ from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, JobSummary, NewJob
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
-from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page, in_time
+from kilter_service.ground.references import store as references
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
 from kilter_service.jobs.records import Asked, Place, WantedJobs
 from kilter_service.jobs.registry import kind_of
-from kilter_service.observability import logs, tracing
-from kilter_service.paging import Page, in_time
-from kilter_service.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
+from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.web.observability import logs, tracing
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)
 

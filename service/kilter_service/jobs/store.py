@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
 
-from kilter_service.caller import allowed_robots, as_document
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, NewJob
 from kilter_service.contract.versions import Objection
-from kilter_service.db import Session
-from kilter_service.db.row import now
-from kilter_service.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
-from kilter_service.ended_jobs import store as ended
-from kilter_service.errors import ServiceError
+from kilter_service.ground.caller import allowed_robots, as_document
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
+from kilter_service.ground.ended_jobs import store as ended
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
+from kilter_service.ground.version import code_version
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.fit_of_version import fit_of
 from kilter_service.jobs.fleet_versions import fleet_versions
@@ -36,9 +38,7 @@ from kilter_service.jobs.records import (
 )
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
-from kilter_service.paging import Page
 from kilter_service.robots import store as robots
-from kilter_service.version import code_version
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_service.db.row import now
+from kilter_service.ground.db.row import now
 from kilter_service.jobs.records import UsedRecord
 
 SAID = ("version_id", "verdict", "sentence", "remedy", "p_value", "false_alarm")

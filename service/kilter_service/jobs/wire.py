@@ -49,10 +49,10 @@ from kilter_service.contract.jobs.plan import PlanResult
 from kilter_service.contract.jobs.rezero import RezeroResult
 from kilter_service.contract.units import Asked
 from kilter_service.contract.written import as_written
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
 from kilter_service.jobs.registry import kind_of
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.gap.check import GapCheck as FoundByCheck

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from kilter_core.errors import CoreError
-from kilter_service.db import Database, DatabaseAwayError, revision
-from kilter_service.db.failures import in_words
-from kilter_service.errors import ServiceError
-from kilter_service.health import store as health
+from kilter_service.ground.db import Database, DatabaseAwayError, revision
+from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.single_worker_lock import single_worker_lock
@@ -26,8 +27,7 @@ from kilter_service.jobs.queue_consumer import QueueConsumer
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
 from kilter_service.jobs.runner import Runner
-from kilter_service.settings import Settings
-from kilter_service.webhook import Webhook
+from kilter_service.web.health import store as health
 
 log = logging.getLogger("kilter.worker")
 

@@ -1,1 +1,1 @@
-"""What is kept for people to find again: what a prefix, a name or `latest` refers to, and what was purged."""
+"""What a reference means: a prefix, a name or `latest`; and what was purged."""

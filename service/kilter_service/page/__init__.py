@@ -1,1 +1,1 @@
-"""The page that people look at: views of what the HTTP interface gives, drawn on the server."""
+"""Views of the page: a folder for each, drawn on the server; a view calls services, and no store."""

@@ -12,12 +12,12 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import RedirectResponse
 
 from kilter_core.errors import CoreError
-from kilter_service.audit import refusals
-from kilter_service.db.failures import in_words
-from kilter_service.errors import PROBLEMS, ServiceError
+from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.errors import PROBLEMS, ServiceError
 from kilter_service.page.packing import packed
 from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
-from kilter_service.routing import GuardedRoute
+from kilter_service.web.audit import refusals
+from kilter_service.web.routing import GuardedRoute
 
 log = logging.getLogger("kilter.page")
 

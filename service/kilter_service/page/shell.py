@@ -10,11 +10,11 @@ from fastapi import Request, Response
 from fastapi.responses import HTMLResponse, RedirectResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from kilter_service.caller import ANYBODY, CALLER, RANK
 from kilter_service.contract.tokens import Role
-from kilter_service.logins import service as logins
+from kilter_service.ground.caller import ANYBODY, CALLER, RANK
+from kilter_service.ground.version import code_version
 from kilter_service.page import assets, words
-from kilter_service.version import code_version
+from kilter_service.web.logins import service as logins
 
 # No inline script or style, no eval, nothing of another host; nobody may show the page within a page.
 POLICY = (

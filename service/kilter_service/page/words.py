@@ -13,8 +13,8 @@ from markupsafe import Markup, escape
 from kilter_files.look.unusual import why_unusual
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, stayed
-from kilter_service.db.row import now
-from kilter_service.texts import plural
+from kilter_service.ground.db.row import now
+from kilter_service.ground.texts import plural
 
 NONE = "–"
 WIDE = 2 * 1.96  # standard deviations of a 95 % interval

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
-from kilter_service.core import core_conversions, core_documents, core_geometry, core_model, transforms
+from kilter_service.ground.core import core_conversions, core_documents, core_geometry, core_model, transforms
+from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.plausibility import implausible
 from kilter_service.robots.wire import joint_summary
-from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.conversions import Screws

@@ -13,13 +13,13 @@ from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.robot_reports import CircleAxis, FoundRobot
 from kilter_service.contract.robots import Target
 from kilter_service.contract.units import MAX_JOINTS
-from kilter_service.core import circle_points
-from kilter_service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
+from kilter_service.ground.core import circle_points
+from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
+from kilter_service.ground.tables import reading
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.columns import read_columns
+from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots.wire import DOCUMENT
-from kilter_service.tables import reading
-from kilter_service.tables.assemble import observations
-from kilter_service.tables.columns import read_columns
-from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.procedures.circle_points import AxisFit

@@ -6,7 +6,7 @@ from typing import get_args
 
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.versions import Objection
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 
 TWICE, UNKNOWN = "corrected_twice", "compensation_unknown"
 VALUES: tuple[ControllerCompensation, ...] = get_args(ControllerCompensation)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import indent, tostring
 
 from kilter_service.contract.robots import RobotDocument
-from kilter_service.core import core_conversions, core_documents, core_model
-from kilter_service.exporters.urdf_new import new_urdf
+from kilter_service.ground.core import core_conversions, core_documents, core_model
 from kilter_service.robots.documents import SETTINGS, core_document
+from kilter_service.robots.exporters.urdf_new import new_urdf
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from kilter_core.errors import RobotError
-from kilter_service.importers.urdf import chain_document
+from kilter_service.robots.importers.urdf import chain_document
 
 SETTINGS = ("controller_compensation",)  # what a document says beside the arm
 KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma", "load")

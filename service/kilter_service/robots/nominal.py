@@ -7,10 +7,10 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
 from kilter_service.contract.units import Pose
-from kilter_service.core import closed_inverse, core_conversions, core_parts, general_inverse
-from kilter_service.db import Database
+from kilter_service.ground.core import closed_inverse, core_conversions, core_parts, general_inverse
+from kilter_service.ground.db import Database
+from kilter_service.ground.wire import to_deg, to_rad
 from kilter_service.robots import service
-from kilter_service.wire import to_deg, to_rad
 
 MOST_WITHOUT_FORM = 200  # poses of one request: some 0.05 s of processor time each
 

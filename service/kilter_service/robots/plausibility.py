@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.core import core_conventions
+from kilter_service.ground.core import core_conventions
+from kilter_service.ground.wire import to_deg, to_mm, to_rad
 from kilter_service.robots.drives import unsaid_drives
-from kilter_service.wire import to_deg, to_mm, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.arm.conversions import Screws

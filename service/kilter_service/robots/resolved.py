@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Any, NamedTuple
 
-from kilter_service.core import core_documents, core_resolved
+from kilter_service.ground.core import core_documents, core_resolved
 from kilter_service.robots.documents import core_document
 
 

@@ -7,23 +7,23 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
-from kilter_service.auth.access import Admin
-from kilter_service.bodies import spool_upload
-from kilter_service.concurrency import compute
-from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.kinematics import Flanges, JointRows, Postures
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument, Target
 from kilter_service.contract.units import MAX_JOINTS, Name
-from kilter_service.limits import MAX_CIRCLE_MB
-from kilter_service.page_query import PageOfList
+from kilter_service.ground.limits import MAX_CIRCLE_MB
+from kilter_service.ground.tables import reading
 from kilter_service.robots import check as checks
 from kilter_service.robots import circles, nominal, service
 from kilter_service.robots import convert as conversions
 from kilter_service.robots.wire import DOCUMENT
-from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
-from kilter_service.tables import reading
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.bodies import spool_upload
+from kilter_service.web.concurrency import compute
+from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.page_query import PageOfList
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
-from kilter_service.db import Database
-from kilter_service.db.row import now
-from kilter_service.paging import Page
-from kilter_service.references import store as references
-from kilter_service.references.records import TombstoneRecord
-from kilter_service.references.wire import tombstone
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.row import now
+from kilter_service.ground.paging import Page
+from kilter_service.ground.references import store as references
+from kilter_service.ground.references.records import TombstoneRecord
+from kilter_service.ground.references.wire import tombstone
 from kilter_service.robots import store, wire
 from kilter_service.robots.documents import without_settings
 from kilter_service.robots.resolved import resolve

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
 
-from kilter_service.caller import allowed_robots, may_see
-from kilter_service.core import core_resolved
-from kilter_service.db import Session
-from kilter_service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
-from kilter_service.errors import ServiceError
-from kilter_service.paging import Page
-from kilter_service.references import retired
+from kilter_service.ground.caller import allowed_robots, may_see
+from kilter_service.ground.core import core_resolved
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
+from kilter_service.ground.references import retired
 from kilter_service.robots.compensation import compensation_in
 from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved

@@ -9,10 +9,10 @@ from pydantic import TypeAdapter
 
 from kilter_service.contract.robot_reports import JointSummary, RobotReport, RobotSummary
 from kilter_service.contract.robots import RobotDocument
+from kilter_service.ground.wire import DEG, MM
 from kilter_service.robots.compensation import statement
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.records import RobotRecord
-from kilter_service.wire import DEG, MM
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint, Robot

@@ -1,1 +1,1 @@
-"""Immutable parameter versions and which one is active."""
+"""Parameter versions: stored, activated, compared, previewed; how good an arm is today, and since when."""

@@ -13,9 +13,9 @@ from kilter_core.errors import CoreError
 from kilter_core.observations.spread import evenly
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits, Objection
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions import preview, store, wire
-from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

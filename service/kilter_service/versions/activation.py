@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
-from kilter_service.core import program
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
+from kilter_service.ground.core import program
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire

@@ -15,11 +15,11 @@ from kilter_core.types import QUANTILE
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import predictive, transforms, walker
-from kilter_service.correction_limits import options_of
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
-from kilter_service.tables.assemble import with_default_load
+from kilter_service.ground.core import predictive, transforms, walker
+from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.versions import store
 
 if TYPE_CHECKING:

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kilter_service.core import closest_table
-from kilter_service.db import Database
+from kilter_service.ground.core import closest_table
+from kilter_service.ground.db import Database
+from kilter_service.ground.wire import to_mm
 from kilter_service.versions import store
-from kilter_service.wire import to_mm
 
 
 class Contribution(NamedTuple):

@@ -11,8 +11,8 @@ from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import ParameterChange, VersionDiff
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
 from kilter_service.versions.paired import NOTHING, Pairs, Side, judged, pairs
 from kilter_service.versions.values import Value, wire_values

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations.motions import is_trajectory, segments
-from kilter_service.core import contacts
+from kilter_service.ground.core import contacts
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """What speaks against activating a version: its own identification, and measurements that it was not fitted to.
 
 It is compared with the nominal robot in frames of its own (registration only) and with the version that is active. Worse is
-what `kilter_core.identify.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is
+what `kilter_core.identify.comparison.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is
 refused for it.
 """
 
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
-from kilter_service.core import compare, core_model
-from kilter_service.db import Database, Session
+from kilter_service.ground.core import compare, core_model
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
 from kilter_service.versions import own_errors, store, wire
 from kilter_service.versions.objections import objections_of, of_calibration
 from kilter_service.versions.store import Training
 from kilter_service.versions.unfitted_rows import Archive, Unseen
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

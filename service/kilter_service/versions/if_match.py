@@ -7,8 +7,8 @@ from typing import Annotated
 
 from fastapi import Depends, Header
 
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
 

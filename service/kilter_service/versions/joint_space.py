@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.core import core_frames
-from kilter_service.db import Database
+from kilter_service.ground.core import core_frames
+from kilter_service.ground.db import Database
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
 from kilter_service.versions.places import places

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import Version
-from kilter_service.db import Database
-from kilter_service.db.row import now
-from kilter_service.errors import ServiceError
-from kilter_service.references import store as references
-from kilter_service.references.records import TombstoneRecord
-from kilter_service.references.wire import tombstone
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.row import now
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.references import store as references
+from kilter_service.ground.references.records import TombstoneRecord
+from kilter_service.ground.references.wire import tombstone
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits, Objection
-from kilter_service.core import core_another_arm
+from kilter_service.ground.core import core_another_arm
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -24,7 +24,7 @@ HELD_OUT_CODES = CODES[:2]
 ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
     2.0,
     0.01,
-)  # as in kilter_core.identify.model_comparison: standard errors, and of the simpler model's error
+)  # as in kilter_core.identify.comparison.model_comparison: standard errors, and of the simpler model's error
 SIMPLER = {
     "registration_only": "base and tool alone",
     "geometry_only": "the geometry alone",

@@ -13,8 +13,8 @@ from kilter_files.ground.later import stats
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
 from kilter_service.contract.comparisons import PairedErrors
-from kilter_service.db import Database
-from kilter_service.tables.assemble import observations
+from kilter_service.ground.db import Database
+from kilter_service.ground.tables.assemble import observations
 from kilter_service.versions import residuals as left
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from kilter_core.types import QUANTILE
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import (
+from kilter_service.ground.core import (
     core_frames,
     core_measurement,
     core_model,
@@ -24,9 +24,9 @@ from kilter_service.core import (
     transforms,
     walker,
 )
-from kilter_service.correction_limits import options_of
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
 from kilter_service.versions.preview import drawn
 from kilter_service.versions.residuals import Part, frames_of, parts_of, refitted

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
-from kilter_service import correction_outcome as outcome
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction_limits import options_of
-from kilter_service.db import Database
+from kilter_service.ground import correction_outcome as outcome
+from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.db import Database
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import PreviewedPoses
 

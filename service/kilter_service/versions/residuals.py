@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.later import pa
 from kilter_service.campaigns import store as campaigns
-from kilter_service.core import core_evaluate, core_measurement, setups, tukey
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
-from kilter_service.tables.writing import write_table
+from kilter_service.ground.core import core_evaluate, core_measurement, setups, tukey
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.tables.writing import write_table
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 from kilter_service.versions.unfitted_rows import Archive

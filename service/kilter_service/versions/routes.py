@@ -6,8 +6,6 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from kilter_service.auth.access import Admin
-from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.residuals import ResidualRows
@@ -20,12 +18,14 @@ from kilter_service.contract.versions import (
     VersionDiff,
     VersionList,
 )
-from kilter_service.exporters.registry import FORMATS
-from kilter_service.page_query import PageOfList
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
-from kilter_service.tables.reading import CSV, JSON, PARQUET
+from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
+from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import activation, differences, keeping, service
 from kilter_service.versions.if_match import ExpectedState, tag_of_robot
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.page_query import PageOfList
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
-from kilter_service.db import Database
-from kilter_service.exporters.exportable import Exportable
-from kilter_service.exporters.registry import Exported, export
-from kilter_service.paging import Page, in_time
-from kilter_service.references import store as references
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page, in_time
+from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
+from kilter_service.robots.exporters.exportable import Exportable
+from kilter_service.robots.exporters.registry import Exported, export
 from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import at_pose as poses
 from kilter_service.versions import contributions as moves

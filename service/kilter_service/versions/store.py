@@ -11,14 +11,14 @@ from sqlalchemy import Select, and_, func, or_, select
 
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import core_model, predictive
-from kilter_service.db import Session
-from kilter_service.db.audited import note
-from kilter_service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
-from kilter_service.errors import ServiceError
-from kilter_service.paging import ALL, Page
-from kilter_service.references import retired
-from kilter_service.references import store as references
+from kilter_service.ground.core import core_model, predictive
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.audited import note
+from kilter_service.ground.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import ALL, Page
+from kilter_service.ground.references import retired
+from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import sha256_of
 from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord

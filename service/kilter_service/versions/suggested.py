@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import believable, core_needs
+from kilter_service.ground.core import believable, core_needs
+from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions.preview import at_poses, drawn
-from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -13,8 +13,8 @@ from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_poses, rounded_poses
 from kilter_service.campaigns import store as campaigns
-from kilter_service.core import holding_out, holdout
-from kilter_service.db import Session
+from kilter_service.ground.core import holding_out, holdout
+from kilter_service.ground.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
 from kilter_service.versions.earlier_splits import fitted_by_order

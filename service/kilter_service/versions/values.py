@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kilter_core.parameters import reported
-from kilter_service.core import transforms
+from kilter_service.ground.core import transforms
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

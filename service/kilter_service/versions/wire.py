@@ -23,13 +23,13 @@ from kilter_service.contract.versions import (
     VersionSummary,
 )
 from kilter_service.contract.written import as_written
+from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_of
 from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
-from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
-    from kilter_core.identify.compare import Difference
+    from kilter_core.identify.comparison.compare import Difference
 
 Floats = NDArray[np.float64]
 

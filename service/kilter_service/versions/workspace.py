@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import predictive
-from kilter_service.db import Database
+from kilter_service.ground.core import predictive
+from kilter_service.ground.db import Database
 from kilter_service.versions import store
 from kilter_service.versions.places import in_base
 from kilter_service.versions.preview import at_poses, drawn

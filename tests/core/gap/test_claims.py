@@ -12,15 +12,15 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.adequacy import Adequacy
-from kilter_core.gap.evidence.holding_out import held_out, parted, shared_rows
-from kilter_core.gap.evidence.matters import Misfit
+from kilter_core.gap.evidence.held_out.adequacy import Adequacy
+from kilter_core.gap.evidence.held_out.holding_out import held_out, parted, shared_rows
+from kilter_core.gap.evidence.practical_size import Misfit
 from kilter_core.gap.evidence.replication import Confirmation, replication
-from kilter_core.gap.evidence.testability import testability as judged
+from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.report.stored import stored
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import refit
+from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_of
 from kilter_core.gap.search.select import Selector

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.aliases import aliases_of
-from kilter_core.gap.evidence.cancelling import cancelling_members
-from kilter_core.gap.evidence.testability import testability as judged
-from kilter_core.gap.evidence.testability import untestable
+from kilter_core.gap.evidence.similarity.aliases import aliases_of
+from kilter_core.gap.evidence.similarity.cancelling import cancelling_members
+from kilter_core.gap.evidence.similarity.testability import testability as judged
+from kilter_core.gap.evidence.similarity.testability import untestable
 from kilter_core.gap.report.report import effect_row
 from kilter_core.gap.search.candidates import library_of, with_testable
 from kilter_core.gap.search.forward_selection import SearchResult, search
-from kilter_core.gap.search.linearized import refit
+from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.model import Calibration

@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.complete_form import incomplete_warnings, missing_directions
+from kilter_core.gap.search.linear.complete_form import incomplete_warnings, missing_directions
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kilter_core.gap.search.gram import VISIBLE, Gram, triangular
-from kilter_core.gap.search.recent import Recent
+from kilter_core.gap.search.linear.gram import VISIBLE, Gram, triangular
+from kilter_core.gap.search.linear.recent import Recent
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 from tests.core.gap.test_reach import world

@@ -12,7 +12,7 @@ from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.halves import _Searched, half_of
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
-from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.select import Selector

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.masses import blur_of
-from kilter_core.gap.search.tool_source import ToolSource
+from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from tests.core.gap.simulated import campaign, katana
 

@@ -8,7 +8,7 @@ import pytest
 from kilter_core.arm.robot import Payload
 from kilter_core.errors import OptionError
 from kilter_core.gap import find_gap, plan_separation
-from kilter_core.gap.evidence.testability import testability as judged
+from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
 from kilter_core.gap.report.separation import imagined, undecided

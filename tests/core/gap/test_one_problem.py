@@ -13,10 +13,10 @@ import kilter_core
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap.noise.from_repeats import stated_noise
 from kilter_core.gap.noise.visits import visits_of
-from kilter_core.gap.search.linearized import SearchProblem
-from kilter_core.gap.search.settings import ProblemSettings
-from kilter_core.gap.search.tool_source import ToolSource
-from kilter_core.identify.least_squares import Problem, Weights
+from kilter_core.gap.search.linear.linearized import SearchProblem
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.sources.tool_source import ToolSource
+from kilter_core.identify.fit.least_squares import Problem, Weights
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
 from tests.core.campaigns import joints, measured, table_errors

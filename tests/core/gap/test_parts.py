@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search import tool_source
-from kilter_core.gap.search.linearized import linearize_at
+from kilter_core.gap.search.linear.linearized import linearize_at
 from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.gap.search.sources import tool_source
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

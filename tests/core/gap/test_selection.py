@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT, WHOLE, Candidate
-from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.select import Selector
 

@@ -10,8 +10,8 @@ import numpy as np
 from kilter_core.effects.physical import Separator
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.claim import Claim
-from kilter_core.gap.evidence.likeness import Alias
 from kilter_core.gap.evidence.separators import Separated
+from kilter_core.gap.evidence.similarity.similarity import Alias
 from kilter_core.gap.report.report import effect_row
 from kilter_core.gap.search.candidates import library_of
 from kilter_core.observations import Observations

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.evidence.stability import FEW, inclusion, reweighted
-from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import SearchResult

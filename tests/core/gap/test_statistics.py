@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from kilter_core.gap.evidence.likeness import correlation, correlations
-from kilter_core.gap.evidence.testability import testability as judged
+from kilter_core.gap.evidence.similarity.similarity import correlation, correlations
+from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import search
-from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.linearized import fitted, refit
+from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.linearized import fitted, refit
+from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_of, residual_given
 from kilter_core.gap.search.select import Selector
-from kilter_core.gap.search.tails import tail
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

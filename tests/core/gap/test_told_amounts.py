@@ -10,13 +10,13 @@ import pytest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.terminal.tables import number
 from kilter_core.gap import GapOptions, find, find_gap
-from kilter_core.gap.evidence import widened as module
+from kilter_core.gap.evidence.fits import widened as module
+from kilter_core.gap.evidence.fits.widened import widened
 from kilter_core.gap.evidence.verdict import Judged
-from kilter_core.gap.evidence.widened import widened
 from kilter_core.gap.report.report import GapReport
-from kilter_core.gap.search import renewal
+from kilter_core.gap.search import re_evaluation as renewal
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import linearize_at
+from kilter_core.gap.search.linear.linearized import linearize_at
 from tests.core.gap.sized_twins import LARGE, SMALL, Sized, sized
 from tests.core.gap.time_twins import robot
 

@@ -12,11 +12,11 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, GapReport, find_gap
-from kilter_core.gap.evidence.unseen import _shown_members
+from kilter_core.gap.evidence.held_out.unseen import _shown_members
 from kilter_core.gap.search import candidates
 from kilter_core.gap.search.candidates import FAMILY
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import fitted
+from kilter_core.gap.search.linear.linearized import fitted
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.scan import Null, Scorer
 from kilter_core.gap.search.select import Selector

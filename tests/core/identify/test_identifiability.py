@@ -9,8 +9,8 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import identify
-from kilter_core.identify.identifiability import identifiable, null_directions
-from kilter_core.identify.identifiable_sums import Known
+from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
+from kilter_core.identify.identifiable.identifiable_sums import Known
 from kilter_core.observations import Observations
 from tests.core.soft_arm import scene
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.least_squares import Problem, Weights, solve
+from kilter_core.identify.fit.least_squares import Problem, Weights, solve
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
 from tests.core.campaigns import joints, measured, table_errors

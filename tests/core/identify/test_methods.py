@@ -13,11 +13,11 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, Prior, identify
-from kilter_core.identify.influence import influence_of
-from kilter_core.identify.least_squares import Problem, Weights
+from kilter_core.identify.fit.least_squares import Problem, Weights
 from kilter_core.identify.methods.kalman import filtered
 from kilter_core.identify.methods.per_pose import pose_solutions
 from kilter_core.identify.registry import METHODS
+from kilter_core.identify.rows.influence import influence_of
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

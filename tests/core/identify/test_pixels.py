@@ -11,9 +11,9 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.cameras import with_cameras
 from kilter_core.identify.estimate import prepared
 from kilter_core.identify.plausibility.views import refuse_unrelated_views
+from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.identify.robust import Loss, bulk_scale, covariance_factor, redescended, scale_of, tukey_limit
+from kilter_core.identify.fit.robust import Loss, bulk_scale, covariance_factor, redescended, scale_of, tukey_limit
 
 
 def plane(seed, rows=120, wrong=0.0, noise=0.02, clustered=True):

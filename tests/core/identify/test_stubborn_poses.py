@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate, prepared
-from kilter_core.identify.least_squares import Linearised, solve
+from kilter_core.identify.fit.least_squares import Linearised, solve
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

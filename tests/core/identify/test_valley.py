@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.identify.solver import BEND, minimise
+from kilter_core.identify.fit.solver import BEND, minimise
 
 Floats = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import ast
 from pathlib import Path
 
 import kilter_core
-from kilter_core.gap.search.link_source import LinkSource
-from kilter_core.gap.search.source import Source
-from kilter_core.gap.search.tool_source import ToolSource
+from kilter_core.gap.search.sources.link_source import LinkSource
+from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.kind import Kind
 from kilter_core.measurement.registry import KINDS

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.cameras import with_cameras
+from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera_model import normalised, project
 from kilter_core.measurement.hand_eye import solve_axxb, solve_axzb

@@ -10,7 +10,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.model import Calibration
 from kilter_core.twin import Twin
-from kilter_service.importers.urdf import chain_document
+from kilter_service.robots.importers.urdf import chain_document
 from tests.service.exporters.test_exporters import export, exportable, joints, poses_of
 
 

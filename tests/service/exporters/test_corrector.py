@@ -11,7 +11,7 @@ import pytest
 
 from kilter_core.correct.file import HEADER
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_service.exporters.registry import export
+from kilter_service.robots.exporters.registry import export
 from tests.core.correct.c_corrector import COMPILER, WARNINGS, Corrector, built
 from tests.service.exporters.test_exporters import ERRORS, calibrated
 

@@ -27,10 +27,10 @@ from kilter_core.observations import Observations
 from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.contract.versions import CorrectionLimits, Version
-from kilter_service.errors import ServiceError
-from kilter_service.exporters.exportable import Exportable
-from kilter_service.exporters.registry import Exported, export
-from kilter_service.importers.urdf import chain_document
+from kilter_service.ground.errors import ServiceError
+from kilter_service.robots.exporters.exportable import Exportable
+from kilter_service.robots.exporters.registry import Exported, export
+from kilter_service.robots.importers.urdf import chain_document
 from kilter_service.robots.resolved import resolve
 from kilter_service.robots.store import StoredRobot
 

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 from kilter_files.robots import Described, read_robot
-from kilter_service.exporters.registry import export
+from kilter_service.robots.exporters.registry import export
 from tests.service.exporters.test_exporters import calibrated
 
 NAMES = ["=1+1", "+SUM(A1)", "-j3", "@cmd", "'quoted", "j6"]

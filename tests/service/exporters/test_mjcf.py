@@ -24,7 +24,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.twin import Twin
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
-from kilter_service.exporters.registry import Exported, export
+from kilter_service.robots.exporters.registry import Exported, export
 from tests.service.exporters.test_exporters import exportable
 
 Floats = NDArray[np.float64]

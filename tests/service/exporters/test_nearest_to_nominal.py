@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.model import Calibration
-from kilter_service.exporters.registry import export
+from kilter_service.robots.exporters.registry import export
 from tests.service.exporters.test_exporters import exportable, poses_of
 
 Floats = NDArray[np.float64]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
 from kilter_files.robots import Described, read_robot
-from kilter_service.exporters.registry import export
-from kilter_service.importers.urdf import chain_document
 from kilter_service.robots.documents import core_document
+from kilter_service.robots.exporters.registry import export
+from kilter_service.robots.importers.urdf import chain_document
 from tests.service.exporters.test_exporters import calibrated, joints, poses_of
 
 NAMES = [

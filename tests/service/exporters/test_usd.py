@@ -18,8 +18,8 @@ from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.twin import Twin
-from kilter_service.errors import ServiceError
-from kilter_service.exporters.registry import Exported, export
+from kilter_service.ground.errors import ServiceError
+from kilter_service.robots.exporters.registry import Exported, export
 from tests.service.exporters.test_exporters import exportable
 from tests.service.exporters.test_mjcf import ALL, BACKLASH, EVERYTHING, GEOMETRY, MOUNT, SAG, WINDUP
 

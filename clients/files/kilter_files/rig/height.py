@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from kilter_files.formats.logs.inclinometer import TIME
-from kilter_files.formats.points.tracker_header import plain
 from kilter_files.formats.reader import Head
 from kilter_files.formats.registry import binary_reader
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
+from kilter_files.formats.tracker_header import plain
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault

@@ -59,16 +59,15 @@ __all__ = [
 
 if TYPE_CHECKING:
     from kilter_files.formats.joints import joint_log
-    from kilter_files.formats.lerobot import calibration as files_calibration
-    from kilter_files.formats.lerobot import episodes as files_episodes
-    from kilter_files.formats.lerobot import homing as files_homing
-    from kilter_files.formats.lerobot import moved as files_moved
+    from kilter_files.formats.joints.lerobot import calibration as files_calibration
+    from kilter_files.formats.joints.lerobot import episodes as files_episodes
+    from kilter_files.formats.joints.lerobot import homing as files_homing
+    from kilter_files.formats.joints.lerobot import moved as files_moved
     from kilter_files.formats.logs import ballbar
     from kilter_files.formats.programs import found as files_found
-    from kilter_files.formats.programs import one_target
+    from kilter_files.formats.programs import one_target, rigid
     from kilter_files.formats.programs import reading as files_reading
     from kilter_files.formats.programs.poses import postures as files_postures
-    from kilter_files.formats.programs.poses import rigid
     from kilter_files.look import refusals as files_refusals
     from kilter_files.look import summary as files_summary
     from kilter_files.look import unusual as files_unusual
@@ -99,15 +98,15 @@ if TYPE_CHECKING:
     from kilter_files.tables import cut_recording
 else:
     joint_log = Later("kilter_files.formats.joints.joint_log")
-    files_calibration = Later("kilter_files.formats.lerobot.calibration")
-    files_episodes = Later("kilter_files.formats.lerobot.episodes")
-    files_homing = Later("kilter_files.formats.lerobot.homing")
-    files_moved = Later("kilter_files.formats.lerobot.moved")
+    files_calibration = Later("kilter_files.formats.joints.lerobot.calibration")
+    files_episodes = Later("kilter_files.formats.joints.lerobot.episodes")
+    files_homing = Later("kilter_files.formats.joints.lerobot.homing")
+    files_moved = Later("kilter_files.formats.joints.lerobot.moved")
     ballbar = Later("kilter_files.formats.logs.ballbar")
     files_found = Later("kilter_files.formats.programs.found")
     one_target = Later("kilter_files.formats.programs.one_target")
     files_postures = Later("kilter_files.formats.programs.poses.postures")
-    rigid = Later("kilter_files.formats.programs.poses.rigid")
+    rigid = Later("kilter_files.formats.programs.rigid")
     files_reading = Later("kilter_files.formats.programs.reading")
     files_refusals = Later("kilter_files.look.refusals")
     files_summary = Later("kilter_files.look.summary")

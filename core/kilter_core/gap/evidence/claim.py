@@ -9,8 +9,8 @@ from typing import Any
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
 from kilter_core.effects.physical import STATION, PhysicalClass, Separator
-from kilter_core.gap.evidence.likeness import Alias
 from kilter_core.gap.evidence.separators import Separated
+from kilter_core.gap.evidence.similarity.similarity import Alias
 from kilter_core.gap.search.candidates import Candidate
 
 MEMBER, ONE_OF, CLASS = "member", "one_of", "class"

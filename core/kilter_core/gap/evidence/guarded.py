@@ -15,9 +15,9 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import solved
-from kilter_core.identify.compare import errors_by_pose, lacking
-from kilter_core.identify.model_comparison import Difference
+from kilter_core.gap.search.linear.linearized import solved
+from kilter_core.identify.comparison.compare import errors_by_pose, lacking
+from kilter_core.identify.comparison.model_comparison import Difference
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, norm
 
+from kilter_core.gap.evidence.fits.intervals import all_shown
 from kilter_core.gap.evidence.guarded import Guarded
-from kilter_core.gap.evidence.intervals import all_shown
-from kilter_core.gap.evidence.smooth import is_curve, own_curve
+from kilter_core.gap.evidence.similarity.smooth import is_curve, own_curve
 from kilter_core.gap.evidence.stability import SMALLEST, reweighted
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.select import Selector
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats

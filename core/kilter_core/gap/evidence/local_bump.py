@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.gap.search.source import Source
+from kilter_core.gap.search.sources.source import Source
 from kilter_core.types import Floats
 
 CENTRES = 12

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
-from kilter_core.gap.search.source import Source
+from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations.clock import clock_of
 from kilter_core.types import Bools, Floats
 

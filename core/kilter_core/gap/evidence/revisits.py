@@ -20,9 +20,9 @@ from scipy.stats import norm
 from scipy.stats import t as t_distribution
 
 from kilter_core.gap.evidence.amounts import amounts
-from kilter_core.gap.search.bases import orthonormal
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.bases import orthonormal
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_rows
 from kilter_core.types import Bools, Floats, Ints

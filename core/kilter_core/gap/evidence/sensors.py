@@ -16,7 +16,7 @@ from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL, joint_num
 from kilter_core.gap.evidence.amounts import amounts
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.parameters import reported
 from kilter_core.types import Floats

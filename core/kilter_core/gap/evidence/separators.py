@@ -16,10 +16,10 @@ from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.order import order_of
 from kilter_core.gap.evidence.revisits import revisits
 from kilter_core.gap.evidence.sensors import sensed, with_sigma
-from kilter_core.gap.evidence.smooth import TURN
-from kilter_core.gap.search.bases import orthonormal
+from kilter_core.gap.evidence.similarity.smooth import TURN
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.projection import Projection
+from kilter_core.gap.search.linear.bases import orthonormal
+from kilter_core.gap.search.linear.projection import Projection
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
 from kilter_core.parameters import reported

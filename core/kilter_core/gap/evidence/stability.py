@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import FEWEST_FLIPS, grouping, residual_given
 from kilter_core.types import Floats
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.effects.physical import Separator
-from kilter_core.gap.evidence.adequacy import Adequacy
-from kilter_core.gap.evidence.aliases import SAME, Alias, correlation
 from kilter_core.gap.evidence.claim import MEMBER, Claim
 from kilter_core.gap.evidence.control import Control
+from kilter_core.gap.evidence.fits.intervals import Amplitude
 from kilter_core.gap.evidence.halves import BESIDE, Halves
-from kilter_core.gap.evidence.intervals import Amplitude
-from kilter_core.gap.evidence.matters import Misfit
+from kilter_core.gap.evidence.held_out.adequacy import Adequacy
+from kilter_core.gap.evidence.practical_size import Misfit
 from kilter_core.gap.evidence.replication import Replication
 from kilter_core.gap.evidence.separators import Separated
+from kilter_core.gap.evidence.similarity.aliases import SAME, Alias, correlation
 from kilter_core.gap.evidence.stability import INCLUDED
 from kilter_core.gap.search.candidates import Candidate, Library
 from kilter_core.gap.search.forward_selection import SearchResult

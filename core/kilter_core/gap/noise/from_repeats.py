@@ -13,7 +13,7 @@ import numpy as np
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
 from kilter_core.gap.noise.visits import Visits, apart
-from kilter_core.identify.noise import pooled_columns
+from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.observations.groups import centred, unbiased
 from kilter_core.types import Bools, Floats, Ints
 

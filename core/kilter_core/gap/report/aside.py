@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.tukey import points_mm, sizes_of
+from kilter_core.identify.fit.tukey import points_mm, sizes_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration

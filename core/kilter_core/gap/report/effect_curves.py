@@ -16,8 +16,8 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.effects.batch import NOT_OF_ROWS
-from kilter_core.gap.evidence.final_fit import Amounts, amounts_of, widening
-from kilter_core.gap.evidence.intervals import interval_width
+from kilter_core.gap.evidence.fits.final_fit import Amounts, amounts_of, widening
+from kilter_core.gap.evidence.fits.intervals import interval_width
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.search.candidates import JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult

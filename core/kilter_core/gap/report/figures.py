@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator
+from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.in_space import moved_by
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.in_space import moved_by
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees, reported

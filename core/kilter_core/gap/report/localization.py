@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
-from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import flipped, residual_given
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees

@@ -16,9 +16,9 @@ import numpy as np
 from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.arm.robot import Robot
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.source import Source
-from kilter_core.identify.planned_views import PlannedViews
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
+from kilter_core.gap.search.sources.source import Source
+from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations

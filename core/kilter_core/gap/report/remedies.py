@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_core.gap.evidence.holding_out import POSES_TO_SPARE_SOME
+from kilter_core.gap.evidence.held_out.holding_out import POSES_TO_SPARE_SOME
 from kilter_core.gap.evidence.verdict import Judged
 
 REMEDIES = {

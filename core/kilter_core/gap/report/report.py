@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.evidence.adequacy import Adequacy
-from kilter_core.gap.evidence.aliases import Alias
 from kilter_core.gap.evidence.claim import CLASS
-from kilter_core.gap.evidence.matters import Misfit
-from kilter_core.gap.evidence.unseen import Unseen
-from kilter_core.gap.evidence.unseen_fit import UnseenFit
+from kilter_core.gap.evidence.held_out.adequacy import Adequacy
+from kilter_core.gap.evidence.held_out.unseen import Unseen
+from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
+from kilter_core.gap.evidence.practical_size import Misfit
+from kilter_core.gap.evidence.similarity.aliases import Alias
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
 from kilter_core.gap.report.remedies import to_confirm

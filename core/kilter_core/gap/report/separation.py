@@ -11,13 +11,13 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS, Effect
 from kilter_core.errors import OptionError
-from kilter_core.gap.evidence.aliases import correlation
-from kilter_core.gap.evidence.testability import testability
+from kilter_core.gap.evidence.similarity.aliases import correlation
+from kilter_core.gap.evidence.similarity.testability import testability
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, separate
 from kilter_core.gap.report.told_apart import ToldApart, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library
-from kilter_core.gap.search.linearized import LinearizedProblem, fitted
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, fitted
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration

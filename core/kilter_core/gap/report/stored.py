@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
-from kilter_core.gap.evidence.posterior import Posterior, posterior
+from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.identify.fleet.said import resting_on
-from kilter_core.identify.identifiability import identifiable, null_directions
-from kilter_core.identify.load_model import load_rows
+from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
+from kilter_core.identify.identifiable.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
 from kilter_core.identify.report import known_of, null_rows, rows_of, unobservable_names

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT
-from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 

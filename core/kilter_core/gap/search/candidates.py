@@ -16,7 +16,7 @@ from kilter_core.effects.settling import Settling, time_constants
 from kilter_core.effects.unknown_joint_curve import UnknownJointCurve
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.errors import OptionError
-from kilter_core.gap.search.wanted import Asked, wanted
+from kilter_core.gap.search.requested import Asked, wanted
 from kilter_core.observations import CONDITIONS, Observations
 from kilter_core.observations.motions import is_trajectory
 from kilter_core.parameters import Parameter

@@ -15,10 +15,10 @@ import numpy as np
 
 from kilter_core.effects import Effect
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.gram import VISIBLE
-from kilter_core.gap.search.linearized import LinearizedProblem, linearize_at
-from kilter_core.gap.search.settings import ProblemSettings
-from kilter_core.gap.search.source import Source
+from kilter_core.gap.search.linear.gram import VISIBLE
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, linearize_at
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
 from kilter_core.types import Bools, Floats, Ints

@@ -12,8 +12,8 @@ import numpy as np
 
 from kilter_core.gap.search.agreement import contradicted
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.in_space import fit_rms
-from kilter_core.gap.search.linearized import LinearizedProblem, refit
+from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
 from kilter_core.gap.search.select import MARGIN
 
 

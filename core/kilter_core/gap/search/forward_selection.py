@@ -11,11 +11,11 @@ import numpy as np
 from kilter_core.gap.budget import SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linearized import LinearizedProblem, Tick, go_on, refit
-from kilter_core.gap.search.renewal import renewed, under
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, refit
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.re_evaluation import renewed, under
 from kilter_core.gap.search.scan import Null, Scorer, null_of
 from kilter_core.gap.search.select import Selector
-from kilter_core.gap.search.settings import ProblemSettings
 from kilter_core.types import Floats, Progress
 
 MORE = "effects beyond those named"

@@ -9,9 +9,9 @@ import numpy as np
 from kilter_core.effects import Effect
 from kilter_core.effects.load_error import LoadError
 from kilter_core.gap.search.candidates import Library
-from kilter_core.gap.search.contact_source import ContactSource
-from kilter_core.gap.search.source import Source
-from kilter_core.gap.search.tool_source import ToolSource
+from kilter_core.gap.search.sources.contact_source import ContactSource
+from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
 from kilter_core.model.load_errors import blur_of as shared_blur

@@ -23,12 +23,11 @@ from kilter_core.gap.noise.visits import Visits, visits_of
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, library_of
 from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linearized import LinearizedProblem, Tick, go_on, refit
-from kilter_core.gap.search.link_source import LinkSource
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, refit
+from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.masses import blurred, tool_source
-from kilter_core.gap.search.renewal import under, without_wrong
-from kilter_core.gap.search.rounding import rounding
-from kilter_core.gap.search.row_warnings import (
+from kilter_core.gap.search.re_evaluation import under, without_wrong
+from kilter_core.gap.search.rows.row_warnings import (
     JUDGED_AGAIN,
     identical_repeats,
     instrument_warnings,
@@ -36,11 +35,12 @@ from kilter_core.gap.search.row_warnings import (
     outlier_warnings,
     rounding_warnings,
 )
-from kilter_core.gap.search.settings import ProblemSettings
-from kilter_core.gap.search.source import Source
+from kilter_core.gap.search.sources.link_source import LinkSource
+from kilter_core.gap.search.sources.rounding import rounding
+from kilter_core.gap.search.sources.source import Source
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepared as start_of
-from kilter_core.identify.least_squares import Fit, fit_at
+from kilter_core.identify.fit.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Bools, Floats, Ints
 

@@ -17,10 +17,10 @@ from scipy.sparse import csr_array
 
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.gram import SURELY, VISIBLE, Gram, triangular
-from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.projection import Projection
-from kilter_core.gap.search.tails import tail
+from kilter_core.gap.search.linear.gram import SURELY, VISIBLE, Gram, triangular
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.projection import Projection
+from kilter_core.gap.search.linear.tails import tail
 from kilter_core.types import Bools, Floats, Ints
 
 # Share of alpha that is spent. Whitening uses an estimated covariance, which makes noise a little wilder than the

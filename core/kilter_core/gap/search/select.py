@@ -14,11 +14,11 @@ import numpy as np
 
 from kilter_core.gap.search.candidate_sets import CandidateSets
 from kilter_core.gap.search.candidates import FAMILY, JOINT
-from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.linearized import Tick, go_on
+from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.linearized import Tick, go_on
+from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.reach import Reach
 from kilter_core.gap.search.scan import Scores
-from kilter_core.gap.search.tails import tail
 from kilter_core.types import Bools, Floats
 
 MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal

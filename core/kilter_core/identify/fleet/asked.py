@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from kilter_core.identify.fleet.prior import FleetPrior, fleet_prior, left_one_out
 from kilter_core.identify.fleet.versions import FRAMES, FleetVersion
-from kilter_core.identify.measurement_of_rows import measurement_for
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 

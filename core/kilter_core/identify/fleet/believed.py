@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from kilter_core.errors import CoreError, NotConvergedError, TooFewPosesError
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fit.prior_use import PriorUse
 from kilter_core.identify.fleet.conflict import LOOSE, judged
-from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.prior_use import PriorUse
 from kilter_core.model import Calibration
 from kilter_core.parameters import TypePrior
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.prior_use import PriorUse
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fit.prior_use import PriorUse
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Floats
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.conflict import NOTICED
 from kilter_core.identify.fleet.prior import FleetPrior, said_left_out
-from kilter_core.identify.identifiability import WEAK
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.identifiable.identifiability import WEAK
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Bools, Floats
 

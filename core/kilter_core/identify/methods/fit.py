@@ -8,8 +8,8 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import estimate
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.believed import believed
-from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
 from kilter_core.identify.methods.signs import SHARPENINGS, likelier, sharpened, softened

@@ -14,7 +14,7 @@ import scipy.optimize
 
 from kilter_core.errors import NotConvergedError, OptionError
 from kilter_core.identify.estimate import estimate, prepared
-from kilter_core.identify.least_squares import Fit, Problem
+from kilter_core.identify.fit.least_squares import Fit, Problem
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration

@@ -12,9 +12,9 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError, OptionError
 from kilter_core.identify.estimate import near, prepared, unobservable_directions, weights_of
-from kilter_core.identify.least_squares import Fit, Problem, fit_at
-from kilter_core.identify.noise import repeat_sigma
+from kilter_core.identify.fit.least_squares import Fit, Problem, fit_at
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.rows.noise import repeat_sigma
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.types import Floats, Progress

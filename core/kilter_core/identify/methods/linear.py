@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.identify.estimate import prepared, weights_of
-from kilter_core.identify.least_squares import Fit, fit_at
+from kilter_core.identify.fit.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration

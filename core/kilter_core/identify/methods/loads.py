@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.identify.estimate import WEIGHT_PASSES, near, weights_of
-from kilter_core.identify.least_squares import Fit, Weights, solve
+from kilter_core.identify.fit.least_squares import Fit, Weights, solve
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import RobotModel
 

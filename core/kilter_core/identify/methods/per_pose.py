@@ -14,9 +14,9 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import prepared, weights_of
-from kilter_core.identify.influence import relative_influence, step_of
-from kilter_core.identify.least_squares import Fit, Problem, fit_at
+from kilter_core.identify.fit.least_squares import Fit, Problem, fit_at
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.rows.influence import relative_influence, step_of
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration

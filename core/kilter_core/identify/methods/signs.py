@@ -15,7 +15,7 @@ import numpy as np
 
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.estimate import scatter
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.model import RobotModel
 from kilter_core.model.load_errors import blur_of
 from kilter_core.observations import Observations

@@ -17,10 +17,10 @@ import numpy as np
 import scipy.stats
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit, freedom_by_group
-from kilter_core.identify.problem import HOLD
-from kilter_core.identify.robust import Loss, tukey_limit
-from kilter_core.identify.tukey import dimension_of, row_sizes
+from kilter_core.identify.fit.least_squares import HUBER_SIGMAS, Fit, freedom_by_group
+from kilter_core.identify.fit.problem import HOLD
+from kilter_core.identify.fit.robust import Loss, tukey_limit
+from kilter_core.identify.fit.tukey import dimension_of, row_sizes
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.identify.uncertainty.settling import scatter_of_poses
 from kilter_core.types import QUANTILE, Floats, Ints

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.effects.load_error import LoadError
-from kilter_core.identify.least_squares import Fit, Problem
+from kilter_core.identify.fit.least_squares import Fit, Problem
 
 DRAWS = 60
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.least_squares import Fit, solve
+from kilter_core.identify.fit.least_squares import Fit, solve
 from kilter_core.types import QUANTILE, Bools, Each, Floats, Ints, Progress, one_by_one
 
 CONFIDENCE = 0.95

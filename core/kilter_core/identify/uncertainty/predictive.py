@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.identify.least_squares import Fit, freedom_by_group
-from kilter_core.identify.noise import Repeats
+from kilter_core.identify.fit.least_squares import Fit, freedom_by_group
 from kilter_core.identify.options import FRAME_NAMES
+from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import Contacts

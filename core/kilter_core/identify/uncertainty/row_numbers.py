@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.uncertainty.settling import levers
 from kilter_core.measurement.kind import Spanned
 from kilter_core.types import Floats

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.optimize
 
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.types import Floats
 
 ROUNDS = 10  # of scoring, each half a step

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.stats import f
 
 from kilter_core.identify.carried_masses import of_masses
-from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.noise import Repeats
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.uncertainty.predictive import EXACT, left_of
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints

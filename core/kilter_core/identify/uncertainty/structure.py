@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import expit, ive, logit, logsumexp
 
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm

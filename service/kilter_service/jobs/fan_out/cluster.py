@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.fan_out.engine import Opened
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_core.types import unheard
-from kilter_service.version import code_version
+from kilter_service.ground.version import code_version
 
 COUNTED = ("numpy", "scipy", "numba")  # packages whose release may change the last digit of a number
 Packed = bytes | Path

@@ -7,7 +7,7 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.fleet import store
 from kilter_service.jobs.kind import VersionContent

@@ -14,12 +14,12 @@ from kilter_service.contract.jobs.fleet import NewFleetJob
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.jobs.job import NewIdentifyJob
 from kilter_service.contract.written import as_written
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import ALL, Page
 from kilter_service.jobs import service, store
 from kilter_service.jobs.fleet.records import Planned
 from kilter_service.jobs.kinds.identify import IDENTIFY
-from kilter_service.paging import ALL, Page
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Response
 
-from kilter_service.auth.access import Admin
-from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
-from kilter_service.idempotency.key import OnceOnly
 from kilter_service.jobs.fleet import service
-from kilter_service.page_query import PageOfJobs
-from kilter_service.state import DatabaseOfApp
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.idempotency.key import OnceOnly
+from kilter_service.web.page_query import PageOfJobs
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/fleet-jobs", tags=["jobs"], route_class=ConditionalRoute)
 

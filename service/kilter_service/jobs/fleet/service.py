@@ -5,14 +5,14 @@ from __future__ import annotations
 from pydantic import TypeAdapter
 
 from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
-from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
-from kilter_service.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page, in_time
 from kilter_service.jobs.fleet import planning, store, wire
 from kilter_service.jobs.kinds.identify import IDENTIFY
 from kilter_service.jobs.records import Asked
-from kilter_service.observability import logs, tracing
-from kilter_service.paging import Page, in_time
+from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.web.observability import logs, tracing
 
 ANSWER = TypeAdapter(FleetJobSummary)
 

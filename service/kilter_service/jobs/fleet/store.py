@@ -8,17 +8,17 @@ from typing import Any
 
 from sqlalchemy import func, or_, select
 
-from kilter_service.caller import allowed_robots
 from kilter_service.contract.jobs.fleet import NewFleetJob
 from kilter_service.contract.jobs.job import FINAL
-from kilter_service.db import Session
-from kilter_service.db.row import now
-from kilter_service.db.tables import FleetJobRow, FleetRobotRow, JobRow, RobotRow, VersionRow
-from kilter_service.errors import ServiceError
+from kilter_service.ground.caller import allowed_robots
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, JobRow, RobotRow, VersionRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.fleet.records import FleetRecord, FleetRobotRecord, Planned, StateCount
 from kilter_service.jobs.records import Asked
-from kilter_service.paging import Page
 
 GONE = ("robot_not_found", "The robot was deleted or retired while the fleet job was made.")
 

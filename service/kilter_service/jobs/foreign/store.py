@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from sqlalchemy import String, cast, select
 
-from kilter_service.db import Session
-from kilter_service.db.tables import CampaignRow, JobRow
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import CampaignRow, JobRow
+from kilter_service.ground.references import store as references
 from kilter_service.jobs.kinds.drift import FOREIGN
-from kilter_service.references import store as references
 
 KIND = "drift"
 RETIRED = (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
-from kilter_service.core import compare, core_evaluate, core_model, iso9283, predictive
+from kilter_service.ground.core import compare, core_evaluate, core_model, iso9283, predictive
 from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress

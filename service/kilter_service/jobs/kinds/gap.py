@@ -12,7 +12,8 @@ from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
+from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
+from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.cancellable import cancellable
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -21,7 +22,6 @@ from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.jobs.poses import Pose, document_of
 from kilter_service.jobs.rows_of_campaigns import by_campaign
 from kilter_service.versions.store import HELD_OUT
-from kilter_service.wire import to_metres
 
 if TYPE_CHECKING:
     from kilter_core.gap import GapReport

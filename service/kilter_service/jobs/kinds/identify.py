@@ -12,7 +12,14 @@ from kilter_core.types import one_by_one
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.core import belonging, core_identify, core_identify_check, core_model, holdout, measurement_of_rows
+from kilter_service.ground.core import (
+    belonging,
+    core_identify,
+    core_identify_check,
+    core_model,
+    holdout,
+    measurement_of_rows,
+)
 from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent

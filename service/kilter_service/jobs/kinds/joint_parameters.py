@@ -11,10 +11,10 @@ from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
-from kilter_service.core import core_inclinometer_poses, inclinometers, link_encoders
+from kilter_service.ground.core import core_inclinometer_poses, inclinometers, link_encoders
+from kilter_service.ground.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -12,7 +12,7 @@ from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.jobs.plan import PlanOptions
-from kilter_service.core import (
+from kilter_service.ground.core import (
     core_effects,
     core_gap,
     core_model,
@@ -25,12 +25,12 @@ from kilter_service.core import (
     predictive,
     separation,
 )
-from kilter_service.drift import wire
+from kilter_service.ground.wire import to_metres, to_metres_if_known
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.poses import Pose, document_of, poses_of
-from kilter_service.wire import to_metres, to_metres_if_known
+from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

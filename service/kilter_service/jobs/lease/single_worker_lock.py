@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 
 LOOK_S = 0.1
 

@@ -7,10 +7,10 @@ from datetime import datetime
 
 from sqlalchemy import ColumnElement, and_, delete, or_, select, update
 
-from kilter_service.db import Session
-from kilter_service.db.row import now
-from kilter_service.db.tables import NOT_OVER, HeartbeatRow, JobRow
-from kilter_service.ended_jobs import store as ended
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import NOT_OVER, HeartbeatRow, JobRow
+from kilter_service.ground.ended_jobs import store as ended
 from kilter_service.jobs.lease.claim import Claim
 
 WORKER = "worker"  # the process of the heartbeats that count here

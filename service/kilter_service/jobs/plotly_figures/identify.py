@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.spread import evenly
-from kilter_service.core import workspace
+from kilter_service.ground.core import workspace
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.plotly_figures.arrows import arrows
 from kilter_service.jobs.plotly_figures.layout import (
     BLUE,
@@ -23,11 +24,10 @@ from kilter_service.jobs.plotly_figures.layout import (
 )
 from kilter_service.jobs.plotly_figures.parameters import changes
 from kilter_service.jobs.plotly_figures.worst_rows import worst_rows
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification
-    from kilter_core.identify.row_errors import RowErrors
+    from kilter_core.identify.fit.row_errors import RowErrors
     from kilter_core.observations import Observations
     from kilter_service.jobs.kind import JobInput
 

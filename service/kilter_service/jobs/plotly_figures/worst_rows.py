@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.plotly_figures.layout import BLUE, ORANGE, RED, Document, bar_layout, plain_text, shortened
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification
-    from kilter_core.identify.row_errors import RowErrors
+    from kilter_core.identify.fit.row_errors import RowErrors
     from kilter_service.jobs.kind import JobInput
 
 WORST = 20

@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 from datetime import datetime, timedelta
 
-from kilter_service.caller import on_behalf
-from kilter_service.db import Database
-from kilter_service.db.failures import in_words
-from kilter_service.db.row import now
-from kilter_service.errors import ServiceError
+from kilter_service.ground.caller import on_behalf
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.db.row import now
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.retention import store
 
 log = logging.getLogger("kilter.worker")

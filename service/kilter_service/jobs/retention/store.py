@@ -7,9 +7,9 @@ from datetime import datetime
 from sqlalchemy import ColumnElement, delete, func, select
 
 from kilter_service.contract.jobs.job import FINAL
-from kilter_service.db import Session
-from kilter_service.db.audited import note
-from kilter_service.db.tables import ActivationRow, FleetRobotRow, JobRow, VersionRow
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.audited import note
+from kilter_service.ground.db.tables import ActivationRow, FleetRobotRow, JobRow, VersionRow
 
 
 def ended_before(session: Session, moment: datetime, most: int) -> list[str]:

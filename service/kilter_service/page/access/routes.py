@@ -7,15 +7,15 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.auth.access import Admin
 from kilter_service.contract.tokens import ROLE, NewToken, Role, TokenName
+from kilter_service.ground.paging import Page
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.lists import Asked, part
 from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
-from kilter_service.tokens import service
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.tokens import service
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 ROLES: tuple[Role, ...] = ("viewer", "operator", "admin")

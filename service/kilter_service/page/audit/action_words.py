@@ -10,7 +10,7 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.audit import AuditEntry
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.versions import service as versions
 

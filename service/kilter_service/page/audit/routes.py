@@ -11,7 +11,7 @@ from kilter_service.page.audit import service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import render
-from kilter_service.state import DatabaseOfApp
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 Name = Annotated[str, Query(max_length=200)]

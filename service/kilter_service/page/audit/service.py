@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from kilter_service.audit import service as audit
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.audit import AuditEntry
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.audit.action_words import DONE, Said, describe_entries
 from kilter_service.page.shared.lists import Asked, Part, part
-from kilter_service.paging import Page
 from kilter_service.versions import service as versions
+from kilter_service.web.audit import service as audit
 
 AT_ONCE = 1000
 

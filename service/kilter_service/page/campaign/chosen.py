@@ -16,16 +16,16 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import key_of
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.tables.reading import CSV
+from kilter_service.ground.tables.writing import write_table
+from kilter_service.ground.wire import joint_scale, joint_units
 from kilter_service.page.campaign import service
 from kilter_service.page.campaign.series import KEPT
 from kilter_service.robots import service as robots
-from kilter_service.tables.reading import CSV
-from kilter_service.tables.writing import write_table
 from kilter_service.versions import service as versions
 from kilter_service.versions.paired import residuals, size_of
-from kilter_service.wire import joint_scale, joint_units
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

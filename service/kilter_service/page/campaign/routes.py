@@ -8,9 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse
 
-from kilter_service.auth.access import Admin
 from kilter_service.campaigns import keeping
-from kilter_service.concurrency import compute
 from kilter_service.contract.references import Change
 from kilter_service.page.campaign import chosen, service
 from kilter_service.page.campaign.without import without
@@ -19,7 +17,9 @@ from kilter_service.page.shared import proposing
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import is_part, redirect, render, root_of
 from kilter_service.robots import service as robots
-from kilter_service.state import DatabaseOfApp, scratch_of
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.concurrency import compute
+from kilter_service.web.state import DatabaseOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 MOST_TEXT = 6000

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.recent import Recent
+from kilter_service.ground.recent import Recent
 
 if TYPE_CHECKING:
     Floats = NDArray[np.float64]

@@ -14,22 +14,22 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.facts import unit_of
 from kilter_service.campaigns.kept_facts import facts_of, key_of
+from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Version
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
 from kilter_service.page.campaign.series import KEPT, LEAST, MOST, thinned
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.measured import Seen, seen
-from kilter_service.paging import Page
-from kilter_service.suspicious import service as suspicious
 from kilter_service.versions import service as versions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_service.campaigns.looking import Rows
-    from kilter_service.tables.columns import Column
+    from kilter_service.ground.tables.columns import Column
 
 
 @dataclass(frozen=True)

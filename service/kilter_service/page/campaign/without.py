@@ -11,12 +11,12 @@ from kilter_core.errors import CoreError
 from kilter_service.campaigns import looking, rest
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.tables.reading import PARQUET
+from kilter_service.ground.tables.writing import write_table
+from kilter_service.ground.texts import plural
 from kilter_service.page.campaign.chosen import named_rows, ranges
-from kilter_service.tables.reading import PARQUET
-from kilter_service.tables.writing import write_table
-from kilter_service.texts import plural
 
 LONGEST_NAME, LONGEST_NOTES = 200, 20_000
 OF_THE_WHOLE = ("device", "role", "conditions", "measured_at", "instrument")  # holds for the rest too

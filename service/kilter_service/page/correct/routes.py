@@ -5,12 +5,12 @@ from __future__ import annotations
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
+from kilter_service.ground.paging import Page
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import render
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.state import DatabaseOfApp
 from kilter_service.versions import service as versions
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 NEWEST = Page(limit=50)

@@ -12,7 +12,7 @@ from typing import Any
 from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
 from kilter_files.maps.column_map import BARE_PATTERN
 from kilter_service.contract.columns import JOINT_UNITS, PLAIN_UNITS, TILT_UNITS
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 
 NUMBER = re.compile(r"\d+")
 MARKERS = 4

@@ -6,12 +6,12 @@ import json
 from typing import Any
 
 from kilter_core.errors import CoreError
-from kilter_service import sandbox
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
-from kilter_service.db import Database
+from kilter_service.ground import sandbox
+from kilter_service.ground.db import Database
+from kilter_service.ground.sandbox import Ended, Limits
 from kilter_service.page.drop.drafts import Draft
-from kilter_service.sandbox import Ended, Limits
 
 CHILD = "kilter_service.page.drop.child"
 LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)

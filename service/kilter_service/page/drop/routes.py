@@ -9,22 +9,22 @@ from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
-from kilter_service.auth.access import caller_of
-from kilter_service.bodies import spool_upload
-from kilter_service.concurrency import compute
-from kilter_service.errors import ServiceError
-from kilter_service.instruments import service as instruments
-from kilter_service.logins import service as logins
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.page.drop import reading, service
 from kilter_service.page.drop.drafts import Draft, Drafts
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
 from kilter_service.page.shared.measured import seen
 from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
-from kilter_service.tokens.service import hash_of
+from kilter_service.robots.instruments import service as instruments
+from kilter_service.web.auth.access import caller_of
+from kilter_service.web.bodies import spool_upload
+from kilter_service.web.concurrency import compute
+from kilter_service.web.logins import service as logins
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.tokens.service import hash_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself

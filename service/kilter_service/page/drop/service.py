@@ -17,8 +17,8 @@ from kilter_files.formats.reader import DEVICE
 from kilter_files.formats.registry import readers_for
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.column_map import Assignment, assignments, changed, choices, parsed, units_for
 from kilter_service.page.drop.drafts import Draft
 from kilter_service.robots import service as robots

@@ -9,7 +9,7 @@ from kilter_service.page.fleet import service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import render
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 

@@ -10,20 +10,20 @@ from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.robot_reports import RobotSummary
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import VersionSummary
-from kilter_service.db import Database
-from kilter_service.drift import service as drift
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
+from kilter_service.ground.settings import Settings
 from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import LOOKS, standing
 from kilter_service.page.shared.correcting import OFF, OTHER, Correcting, corrector
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.state import State, state_of
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.settings import Settings
-from kilter_service.today import service as today
-from kilter_service.today.sentences import compared
 from kilter_service.versions import service as versions
+from kilter_service.versions.drift import service as drift
+from kilter_service.versions.today import service as today
+from kilter_service.versions.today.sentences import compared
 
 ALARMS = ("moved", "cannot_tell", "creeping")
 

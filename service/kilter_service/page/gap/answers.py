@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.ground.texts import plural
 from kilter_service.page.gap.claim import LEVELS
 from kilter_service.page.shared.called import claimed
 from kilter_service.page.words import joined_by_and, number
-from kilter_service.texts import plural
 
 ORDER = tuple(LEVELS)
 

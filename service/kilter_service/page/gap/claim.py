@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
+from kilter_service.ground.texts import plural
 from kilter_service.page.shared.called import chance, claimed
 from kilter_service.page.words import joined_by_and, number, percent
-from kilter_service.texts import plural
 
 LEVELS: Mapping[str, str] = {
     "provisional": "Likely, but a test was not passed.",

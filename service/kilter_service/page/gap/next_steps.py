@@ -6,8 +6,8 @@ from typing import Literal
 
 from kilter_service.contract.jobs.job import GapJob, Job, NewGapJob, NewPlanJob
 from kilter_service.contract.jobs.plan import PlanOptions
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import service as jobs
 
 Use = Literal["rows", "confirmation"]

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from kilter_service.contract.gap_details import AliasMatrix, AtJoints, NamedEffect
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.next_poses import NextPose
+from kilter_service.ground.texts import plural
 from kilter_service.page.figures.heat_map import HeatMap
 from kilter_service.page.shared.called import called
 from kilter_service.page.words import number, percent
-from kilter_service.texts import plural
 
 MOST_LABELS = 12
 CELL = 34.0

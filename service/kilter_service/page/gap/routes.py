@@ -6,11 +6,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
 
-from kilter_service.auth.access import Admin
 from kilter_service.page.gap import next_steps, service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import redirect, root_of
-from kilter_service.state import DatabaseOfApp
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.gap_details import GapSize
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.job import GapJob
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
 from kilter_service.page.shared import own_curves, steps
 from kilter_service.page.shared.called import claimed
-from kilter_service.paging import Page
-from kilter_service.suspicious import service as suspicious
 
 VERDICTS = {
     "closed": ("The gap is closed", "good"),

@@ -8,14 +8,14 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import service as jobs
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import listed_jobs
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.state import DatabaseOfApp
 from kilter_service.versions.differences import version_of
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 MOST_SEARCHES = 12

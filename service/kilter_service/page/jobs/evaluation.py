@@ -6,7 +6,7 @@ from typing import Any
 
 from kilter_service.contract.jobs.evaluate import EvaluateResult
 from kilter_service.contract.jobs.job import EvaluateJob
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.page.jobs import stages
 from kilter_service.page.jobs.version_names import name_of
 

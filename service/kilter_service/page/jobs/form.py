@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.job import Folds, Job, NewJob
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.jobs.registry import kind_of
 from kilter_service.page.jobs import options

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
 from kilter_service.contract.jobs.identify import IdentifyResult
 from kilter_service.contract.jobs.job import IdentifyJob
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.page.figures.heat_map import HeatMap
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
@@ -16,7 +17,6 @@ from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.page.words import in_one_unit, number
-from kilter_service.suspicious import service as suspicious
 from kilter_service.versions import service as versions
 
 MOST_NAMES = 20  # of a correlation map, and of an influence chart

@@ -17,7 +17,7 @@ from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions
 from kilter_service.contract.jobs.plan import PlanOptions
 from kilter_service.contract.jobs.rezero import RezeroOptions
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 
 PREFIX = "option."
 EFFECT = "effect."  # an effect that was ticked in the list

@@ -6,8 +6,8 @@ from typing import Any
 
 from kilter_service.contract.jobs.job import GapJob, Job, PlanJob
 from kilter_service.contract.jobs.plan import PlanResult
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.page.words import NONE, number
 
 MOST_POSES = 100  # shown; the file has all

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_service.contract.jobs.job import Job
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.page.gap import service as story
 from kilter_service.page.jobs import evaluation, identification, planned
 

@@ -7,14 +7,14 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import HTMLResponse, PlainTextResponse
 
-from kilter_service.auth.access import Admin
 from kilter_service.jobs import service as jobs
 from kilter_service.page.jobs import form, planned, service
 from kilter_service.page.jobs.version_names import name_of
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.listed_jobs import KINDS
 from kilter_service.page.shell import is_part, redirect, render, root_of
-from kilter_service.state import DatabaseOfApp
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 SEAL = "seal"

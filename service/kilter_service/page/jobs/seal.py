@@ -12,8 +12,8 @@ import json
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.jobs.job import NewJob
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 
 
 def seal_of(database: Database, key: str, job: NewJob) -> str:

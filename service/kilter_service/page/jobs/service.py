@@ -8,8 +8,9 @@ from typing import Any
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import Job, NewJob
-from kilter_service.core import registry
-from kilter_service.db import Database
+from kilter_service.ground.core import registry
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import checking
 from kilter_service.jobs import service as jobs
 from kilter_service.jobs.registry import kind_of
@@ -17,7 +18,6 @@ from kilter_service.page.jobs import form, options, seal
 from kilter_service.page.jobs.results import result_of
 from kilter_service.page.shared import lists
 from kilter_service.page.shared.listed_jobs import KINDS, page_of_jobs
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 

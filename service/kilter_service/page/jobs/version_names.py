@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import service as versions
 
 

@@ -8,7 +8,7 @@ from fastapi.responses import HTMLResponse
 from kilter_service.page.kit import service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import is_part, render
-from kilter_service.state import DatabaseOfApp
+from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 

@@ -15,13 +15,13 @@ from kilter_service.campaigns.kept_facts import key_of
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Version
-from kilter_service.db import Database
-from kilter_service.paging import Page
-from kilter_service.recent import Recent
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
+from kilter_service.ground.recent import Recent
+from kilter_service.ground.wire import to_deg
 from kilter_service.robots import service as robots
 from kilter_service.robots.convert import convert
 from kilter_service.versions import service as versions
-from kilter_service.wire import to_deg
 
 NEWEST = Page(limit=20)
 CORNER = "u1_px"  # a column that only views have

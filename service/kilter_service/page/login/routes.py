@@ -11,17 +11,17 @@ from urllib.parse import urlsplit
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.audit import refusals
-from kilter_service.auth.access import caller_of
-from kilter_service.caller import ADMIN, CALLER, Caller
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
-from kilter_service.logins import service
+from kilter_service.ground.caller import ADMIN, CALLER, Caller
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.settings import Settings
-from kilter_service.state import DatabaseOfApp
-from kilter_service.tokens import service as tokens
+from kilter_service.web.audit import refusals
+from kilter_service.web.auth.access import caller_of
+from kilter_service.web.logins import service
+from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.tokens import service as tokens
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 LONGEST = 500

@@ -7,15 +7,15 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.auth.access import Admin
-from kilter_service.concurrency import compute
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.page.new_robot import service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
-from kilter_service.state import DatabaseOfApp, scratch_of
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.concurrency import compute
+from kilter_service.web.state import DatabaseOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 LONGEST = 900_000  # characters of a file

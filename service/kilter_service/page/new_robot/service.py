@@ -14,7 +14,7 @@ from kilter_core.arm.presets import preset_names
 from kilter_files.ground.errors import KilterError, UsageError
 from kilter_files.robots.read import Described, read_robot
 from kilter_service.contract.robots import RobotDocument
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.drafts import plain_name
 from kilter_service.page.figures.meanings import CORRECTED
 from kilter_service.page.figures.plot import BOTTOM, LEFT, RIGHT, TOP, Plot

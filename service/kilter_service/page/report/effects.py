@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
-from kilter_service.core import registry
-from kilter_service.db import Database
+from kilter_service.ground.core import registry
+from kilter_service.ground.db import Database
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.report.figures import SHADES

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_service.acceptance import service as acceptance
-from kilter_service.acceptance.service import Wish
 from kilter_service.contract.acceptance import Acceptance, JudgedCampaign
 from kilter_service.contract.budgets import Budget
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.report.figures import INK, SIZES
+from kilter_service.versions.acceptance import service as acceptance
+from kilter_service.versions.acceptance.service import Wish
 
 WIDE, TALL = 320.0, 240.0
 MOST_CAMPAIGNS = 4  # named on the page, those that decide first

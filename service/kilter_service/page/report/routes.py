@@ -7,16 +7,16 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.acceptance.routes import LARGEST_MM, REFITS, Refit
-from kilter_service.acceptance.service import Wish
 from kilter_service.contract.units import MAX_NAMED
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
 from kilter_service.page.report import service
 from kilter_service.page.report.pdf import pdf
 from kilter_service.page.report.service import Sheet
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import environment, render, source
-from kilter_service.state import DatabaseOfApp, scratch_of
+from kilter_service.versions.acceptance.routes import LARGEST_MM, REFITS, Refit
+from kilter_service.versions.acceptance.service import Wish
+from kilter_service.web.state import DatabaseOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
 from kilter_files.look.unusual import why_unusual
-from kilter_service.acceptance.service import Wish
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
 from kilter_service.contract.jobs.evaluate import Iso9283
@@ -19,8 +19,9 @@ from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, J
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
@@ -31,11 +32,10 @@ from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.own_curves import OwnCurve, own_curves
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.suspicious import service as suspicious
-from kilter_service.today import service as today
 from kilter_service.versions import service as versions
+from kilter_service.versions.acceptance.service import Wish
+from kilter_service.versions.today import service as today
 
 SIGMA95 = 1.96
 NEGATIVE_ZERO = re.compile(r"^-(?=0(\.0+)?( |$))")

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.ground.wire import joint_scale, joint_units, to_mm, to_mm_if_known
 from kilter_service.page.robot import scene
 from kilter_service.robots import service as robots
-from kilter_service.settings import Settings
 from kilter_service.versions import service as versions
-from kilter_service.wire import joint_scale, joint_units, to_mm, to_mm_if_known
 
 if TYPE_CHECKING:
     from kilter_service.versions.at_pose import AtPose

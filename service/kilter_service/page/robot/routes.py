@@ -8,21 +8,21 @@ from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
-from kilter_service.auth.access import Admin
-from kilter_service.bodies import MESH, spool_upload
-from kilter_service.concurrency import compute
 from kilter_service.contract.meshes import MeshUnit
 from kilter_service.contract.references import RobotChange
 from kilter_service.contract.units import ControllerCompensation
-from kilter_service.limits import MAX_MESH_MB
-from kilter_service.meshes import service as meshes
+from kilter_service.ground.limits import MAX_MESH_MB
 from kilter_service.page.robot import pose as asked_pose
 from kilter_service.page.robot import scene, service
 from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import is_part, render
 from kilter_service.robots import service as robots
-from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.robots.meshes import service as meshes
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.bodies import MESH, spool_upload
+from kilter_service.web.concurrency import compute
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself

@@ -8,17 +8,17 @@ import numpy as np
 
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import meaning, unit_of
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
-from kilter_service.meshes import service as meshes
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_mm
 from kilter_service.robots import service as robots
+from kilter_service.robots.meshes import service as meshes
 from kilter_service.versions import service as versions
-from kilter_service.wire import joint_scale, joint_units, to_deg, to_mm
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from kilter_service.tables.columns import Column
+    from kilter_service.ground.tables.columns import Column
 
     Floats = NDArray[np.float64]
 

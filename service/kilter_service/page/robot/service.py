@@ -6,27 +6,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.job import JobSummary
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
-from kilter_service.db import Database
-from kilter_service.drift import service as drift
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
+from kilter_service.ground.settings import Settings
 from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import Watched, watched
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.page.shared.state import State, state_of
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
-from kilter_service.settings import Settings
-from kilter_service.suspicious import service as suspicious
-from kilter_service.today import service as today
 from kilter_service.versions import service as versions
+from kilter_service.versions.drift import service as drift
+from kilter_service.versions.today import service as today
 
 NEWEST = Page(limit=50)
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 from kilter_service.contract.meshes import Mesh
 from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.db import Database
-from kilter_service.limits import MAX_MESH_MB, MAX_TRIANGLES
-from kilter_service.meshes import service as meshes
+from kilter_service.ground.db import Database
+from kilter_service.ground.limits import MAX_MESH_MB, MAX_TRIANGLES
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
+from kilter_service.robots.meshes import service as meshes
 
 
 @dataclass(frozen=True)

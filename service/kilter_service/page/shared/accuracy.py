@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from kilter_service.contract.error_words import interval, widest
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
 from kilter_service.contract.today import UNUSED, Today
-from kilter_service.today.sentences import largest
+from kilter_service.versions.today.sentences import largest
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftSummary, State
-from kilter_service.drift.charts import height
-from kilter_service.drift.wire import chance_words
+from kilter_service.ground.texts import plural
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
 from kilter_service.page.words import moment, number
-from kilter_service.texts import plural
-from kilter_service.today.sentences import ago
+from kilter_service.versions.drift.charts import height
+from kilter_service.versions.drift.wire import chance_words
+from kilter_service.versions.today.sentences import ago
 
 DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read

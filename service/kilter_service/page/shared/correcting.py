@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from kilter_service.bridges import service as known_bridges
 from kilter_service.contract.bridges import Bridge
-from kilter_service.db import Database
-from kilter_service.health import service as health
-from kilter_service.metrics import service as observability
+from kilter_service.ground.db import Database
+from kilter_service.ground.settings import Settings
 from kilter_service.robots.compensation import CORRECTS, WORDS
-from kilter_service.settings import Settings
+from kilter_service.stream.bridges import service as known_bridges
+from kilter_service.versions.metrics import service as observability
+from kilter_service.web.health import service as health
 
 OFF = "Not corrected"
 BRIDGED = "By a bridge"

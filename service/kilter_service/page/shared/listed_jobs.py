@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kilter_service.contract.jobs.job import JobSummary
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.jobs.records import Place, WantedJobs
 from kilter_service.page.shared.lists import AT_ONCE, Asked, Part
-from kilter_service.paging import Page
 
 KINDS: Mapping[str, str] = {
     "identify": "Identify parameters",

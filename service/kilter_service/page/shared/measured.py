@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kilter_service.campaigns.facts import ColumnFacts
+from kilter_service.ground.wire import to_mm
 from kilter_service.page import words
 from kilter_service.page.figures.coverage import Bar, Coverage
 from kilter_service.page.figures.meanings import ERROR
 from kilter_service.page.figures.plot import BLUE, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts, JointFacts

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.job import GapJob, Job, PlanJob
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import service as jobs
 from kilter_service.versions import service as versions
 

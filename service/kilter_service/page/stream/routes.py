@@ -6,14 +6,14 @@ from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, StreamingResponse
 
-from kilter_service.auth.following import followed
-from kilter_service.bridges import service as known_bridges
-from kilter_service.live import service as live
-from kilter_service.live.followers import viewers_of
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import is_part, render
 from kilter_service.page.stream import service
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.stream.bridges import service as known_bridges
+from kilter_service.stream.live import service as live
+from kilter_service.stream.live.followers import viewers_of
+from kilter_service.web.auth.following import followed
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_service.bridges import service as known_bridges
 from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.versions import Activation
-from kilter_service.db import Database
-from kilter_service.live import service as live
-from kilter_service.live.heard import WHY
-from kilter_service.live.session import place_in
-from kilter_service.live.shown import RobotShown
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
+from kilter_service.ground.settings import Settings
 from kilter_service.page.shared.correcting import Correcting, corrector
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.settings import Settings
+from kilter_service.stream.bridges import service as known_bridges
+from kilter_service.stream.live import service as live
+from kilter_service.stream.live.heard import WHY
+from kilter_service.stream.live.session import place_in
+from kilter_service.stream.live.shown import RobotShown
 from kilter_service.versions import service as versions
 
 

@@ -11,15 +11,15 @@ import numpy as np
 
 from kilter_core.observations.repeats import last_motion
 from kilter_service.campaigns import looking
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.wire import joint_scale
 from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.words import beside
-from kilter_service.tables.assemble import observations
 from kilter_service.versions import service
 from kilter_service.versions.paired import residuals, size_of
-from kilter_service.wire import joint_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

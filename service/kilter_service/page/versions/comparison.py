@@ -11,12 +11,12 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.versions.paired import maps
-from kilter_service.paging import Page
 from kilter_service.versions import differences, service
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12

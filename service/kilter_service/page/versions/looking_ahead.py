@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from kilter_core.errors import CoreError
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import Version
-from kilter_service.db import Database
-from kilter_service.exporters.registry import FORMATS
+from kilter_service.ground.db import Database
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import sentence
+from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import activation, service
 from kilter_service.versions.if_match import tag_of_robot
 

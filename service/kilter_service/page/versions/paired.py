@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.db import Database
-from kilter_service.errors import ServiceError
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.words import beside, largest, mm
 from kilter_service.versions import service
 from kilter_service.versions.paired import Pairs
-from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

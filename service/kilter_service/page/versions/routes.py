@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.auth.access import Admin
 from kilter_service.contract.versions import ActivationWish
-from kilter_service.errors import ServiceError
+from kilter_service.ground.errors import ServiceError
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import contributions
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.page.versions import by_factor, comparison, looking_ahead, service, workspace
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation
 from kilter_service.versions.if_match import Expected
+from kilter_service.web.auth.access import Admin
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 LONGEST_TAG, LONGEST_REASON = 100, 500

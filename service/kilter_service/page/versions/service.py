@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
-from kilter_service.db import Database
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import GREY, Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.masses import of_a_mass
-from kilter_service.paging import Page
 from kilter_service.robots import service as robots
-from kilter_service.suspicious import service as suspicious
-from kilter_service.today import service as today
 from kilter_service.versions import service
 from kilter_service.versions.if_match import tag_of_robot
+from kilter_service.versions.today import service as today
 
 MOST_SHOWN = 200  # versions to compare one with
 MOST_BARS = 24

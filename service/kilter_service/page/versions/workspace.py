@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_service.correction_outcome import REACHED_M
-from kilter_service.db import Database
+from kilter_service.ground.correction_outcome import REACHED_M
+from kilter_service.ground.db import Database
+from kilter_service.ground.wire import joint_scale, to_mm
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.versions.looking_ahead import REFUSED
 from kilter_service.page.words import mm, percent
 from kilter_service.versions import service
-from kilter_service.wire import joint_scale, to_mm
 
 WHAT = {
     "OK": "corrected to within what is stated",

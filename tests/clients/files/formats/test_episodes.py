@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from kilter_files.formats.lerobot.episodes import episodes_of
-from kilter_files.formats.lerobot.moved import Move, moves_of
+from kilter_files.formats.joints.lerobot.episodes import episodes_of
+from kilter_files.formats.joints.lerobot.moved import Move, moves_of
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.errors import FileError
 from tests.clients.files.formats.test_lerobot import JOINTS, SERVOS, VERSIONS, calibration, dataset, hints

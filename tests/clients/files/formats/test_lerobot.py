@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from kilter_files import read_joints
-from kilter_files.formats.lerobot.calibration import read_calibration
-from kilter_files.formats.lerobot.log import blocks, opened
+from kilter_files.formats.joints.lerobot.calibration import read_calibration
+from kilter_files.formats.joints.lerobot.log import blocks, opened
 from kilter_files.formats.reader import Hints, LogHints
 from kilter_files.ground.errors import FileError
 from kilter_files.look.inspection import inspect

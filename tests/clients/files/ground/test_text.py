@@ -130,7 +130,7 @@ def test_a_length_is_no_angle() -> None:
 
 
 def test_contract_columns_agree_with_the_service() -> None:
-    from kilter_service.tables.columns import read_columns
+    from kilter_service.ground.tables.columns import read_columns
 
     kinds = ["revolute", "prismatic"]
     tail = ["q1_rad", "q2_mm"]

@@ -71,7 +71,7 @@ def test_a_workbook_is_the_same_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("form", "errors"), [("dh-csv", ERRORS), ("mdh-csv", ERRORS | TILTS)])
 def test_exported_tables_come_back_to_the_same_poses(tmp_path: Path, form: str, errors: dict[str, float]) -> None:
-    from kilter_service.exporters.registry import export
+    from kilter_service.robots.exporters.registry import export
 
     file, calibration = calibrated(errors, tool={"z_mm": 100.0, "rx_deg": 20.0})
     path = write(tmp_path / "table.csv", export(form, file).text)
@@ -81,7 +81,7 @@ def test_exported_tables_come_back_to_the_same_poses(tmp_path: Path, form: str, 
 
 
 def test_an_exported_ur_calibration_comes_back_to_the_same_poses(tmp_path: Path) -> None:
-    from kilter_service.exporters.registry import export
+    from kilter_service.robots.exporters.registry import export
 
     errors = {name: value for name, value in ERRORS.items() if not name.startswith("tool")} | TILTS
     file, calibration = calibrated(errors)

@@ -17,7 +17,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_files.robots import Described, read_robot
-from kilter_service.exporters.registry import export
+from kilter_service.robots.exporters.registry import export
 from tests.service.exporters.test_exporters import ERRORS, TILTS, calibrated
 
 Floats = NDArray[np.float64]

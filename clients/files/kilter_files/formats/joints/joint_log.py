@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.joint_order import ordered
-from kilter_files.formats.lerobot.log import log_of_dataset
+from kilter_files.formats.joints.lerobot.log import log_of_dataset
 from kilter_files.formats.opening import open_source
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, LogHints

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_files.formats.logs.inclinometer import TIME
-from kilter_files.formats.points.tracker_header import plain
+from kilter_files.formats.tracker_header import plain
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kilter_files.formats.points.tracker_header import plain
+from kilter_files.formats.tracker_header import plain
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kilter_files.formats.points.tracker_header import PRESETS, Preset, meaning
 from kilter_files.formats.points.tracker_time import stamped_times
 from kilter_files.formats.recordings.marker_header import unit_above
+from kilter_files.formats.tracker_header import PRESETS, Preset, meaning
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from kilter_files.formats.programs.poses.notations import Frame, Notation
+from kilter_files.formats.programs.notations import Frame, Notation
 
 Span = tuple[int, int]
 UNUSED = "no move of the program goes to it, so its frames are not known"

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kilter_files.formats.points.described import describe_points
-from kilter_files.formats.points.tracker_header import PRESETS
 from kilter_files.formats.points.tracker_text import read_tracker
 from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader
+from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.tables.table import Table
 
 

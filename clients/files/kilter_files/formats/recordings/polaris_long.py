@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_files.formats.points.tracker_header import plain
 from kilter_files.formats.recordings.marker_header import unit_above
+from kilter_files.formats.tracker_header import plain
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kilter_files.formats.programs.found import Program
     from kilter_files.formats.programs.one_target import Branch, JointTarget, PoseTarget, Span
     from kilter_files.formats.programs.poses.postures import Found
-    from kilter_files.formats.programs.poses.rigid import Rigid
+    from kilter_files.formats.programs.rigid import Rigid
 
 ALL_ROUND = (-720.0, 720.0)  # of a joint without limits
 BEFORE = "the target before it is left too"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.notations import FANUC, Frame
 from kilter_files.formats.programs.one_target import PoseTarget, Span, Use
 from kilter_files.formats.programs.poses.configurations import Config
-from kilter_files.formats.programs.poses.notations import FANUC, Frame
 
 NULL = Frame(FANUC, (0.0,) * 6)
 PART = re.compile(rf"\b([XYZWPR]|E\d)\s{{0,9}}=\s{{0,9}}({NUMBER})\s{{0,9}}(mm|deg)")

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import StatusTurn
-from kilter_files.formats.programs.poses.notations import KRL
 
 NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
 POSE = re.compile(

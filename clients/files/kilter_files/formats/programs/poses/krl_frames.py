@@ -7,8 +7,8 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, blanked
+from kilter_files.formats.programs.notations import KRL, Frame
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own
-from kilter_files.formats.programs.poses.notations import KRL, Frame
 
 NULL = Frame(KRL, (0.0,) * 6)
 NAME = r"\w{1,64}(?:\[\d{1,4}\])?"

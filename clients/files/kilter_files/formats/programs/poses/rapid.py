@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_at
+from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import ConfData
-from kilter_files.formats.programs.poses.notations import NOT_UNIT, RAPID, Frame
 
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 UNUSED_AXIS = 8e9

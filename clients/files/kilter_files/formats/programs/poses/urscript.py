@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Use
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own
-from kilter_files.formats.programs.poses.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.poses.rapid import arguments
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.camera.rig_file import rig_conditions
 from kilter_client.cli.files.calibrated_rows import refuse_other_servos, servo_conditions
+from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt

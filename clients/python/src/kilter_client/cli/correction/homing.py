@@ -21,7 +21,7 @@ from kilter_client.errors import UsageError
 from kilter_client.files import files_calibration, files_exported, files_homing, kit_words
 
 if TYPE_CHECKING:
-    from kilter_files.formats.lerobot.homing import Homed
+    from kilter_files.formats.joints.lerobot.homing import Homed
 
 WRITE = (
     "Start the arm with the copy and let LeRobot write it into the servos. It is another calibration: what is measured with "

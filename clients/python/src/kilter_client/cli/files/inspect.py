@@ -13,8 +13,8 @@ from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, say
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
-from kilter_files.formats.points.tracker_header import PRESETS
 from kilter_files.formats.reader import Hints, LogHints
+from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.ground.later import need
 from kilter_files.look.draft import draft
 from kilter_files.look.inspection import inspect as look

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.camera.rig_file import rig_conditions
 from kilter_client.cli.files.calibrated_rows import servo_conditions
 from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.files.match import joints_of
+from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
@@ -23,9 +23,9 @@ from kilter_client.errors import UsageError
 from kilter_client.verbs import campaigns
 from kilter_client.verbs.inputs import moment_of
 from kilter_files import DEVICES, Prepared, prepare, preset_of
-from kilter_files.formats.points.tracker_header import PRESETS
 from kilter_files.formats.reader import LogHints
 from kilter_files.formats.registry import recognised
+from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.tables.table import CSV_TYPE
 
 A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")

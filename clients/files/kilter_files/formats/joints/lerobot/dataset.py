@@ -1,0 +1,210 @@
+"""A data set of LeRobot: what its info.json says, its episodes, and the files they are in (v2.1 and v3.0)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kilter_files.formats.joints.lerobot.mp4_frames import frames_of
+from kilter_files.ground.faults import fault
+from kilter_files.ground.later import need, pa, parquet
+
+INFO, EPISODES_JSONL, EPISODES = "meta/info.json", "meta/episodes.jsonl", "meta/episodes"
+STATE = "observation.state"
+OLD, NEW = "v2.1", "v3.0"
+FINISH = "It is half written: finish the recording (lerobot-record ends it by itself), or copy it again."
+NAMES_OF_LISTS = ("motors", "axes")  # under which older data sets name the numbers of a column
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode: its rows, the file that has them, and of each camera the file that has its pictures."""
+
+    index: int
+    length: int
+    data: str
+    videos: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A data set: its folder, version, frames per second, robot, names of the recorded joints, and episodes."""
+
+    folder: Path
+    version: str
+    fps: float
+    robot_type: str
+    names: tuple[str, ...]
+    episodes: tuple[Episode, ...]
+    frames: int
+
+    @property
+    def told(self) -> str:
+        """Its version, episodes and robot, for people."""
+        return f"LeRobot {self.version}, {len(self.episodes)} episodes of {self.robot_type or 'an unknown robot'}"
+
+    def rows_of_files(self) -> dict[str, int]:
+        """How many rows each file of rows has by its episodes, in the order of the files."""
+        return _rows_of((episode.data, episode.length) for episode in self.episodes)
+
+
+def open_dataset(path: Path) -> Dataset:
+    """Read what a data set says of itself; ``path`` is its folder or its info.json.
+
+    Raises:
+        FileError: a version that is not known, no recorded joints, or parts that are not there.
+
+    """
+    folder = path if path.is_dir() else path.resolve().parent.parent
+    info = _info(folder)
+    version = str(info.get("codebase_version"))
+    if version not in (OLD, NEW):
+        raise fault(folder / INFO, f"is of version {version!r}", f"{OLD} and {NEW} are read: convert it with LeRobot.")
+    state = (info.get("features") or {}).get(STATE)
+    if not isinstance(state, dict):
+        has = ", ".join(info.get("features") or {})
+        raise fault(folder / INFO, f"has no {STATE} ({has})", "A joint log is what the follower's servos read.")
+    episodes = tuple(_episodes_v21(folder, info) if version == OLD else _episodes_v30(folder, info))
+    _refuse_missing(folder, info, episodes)
+    names = tuple(name.removesuffix(".pos") for name in _names(folder, state))
+    frames = sum(episode.length for episode in episodes)
+    return Dataset(folder, version, float(info["fps"]), str(info.get("robot_type") or ""), names, episodes, frames)
+
+
+def parquet_file(path: Path) -> parquet.ParquetFile:
+    """Open a file of rows.
+
+    Raises:
+        FileError: it is missing or was not finished.
+
+    """
+    need(f"{path}: data sets of LeRobot need", "pyarrow")
+    try:
+        return parquet.ParquetFile(path)
+    except FileNotFoundError as error:
+        raise fault(path, "is missing", FINISH) from error
+    except (pa.ArrowInvalid, OSError) as error:
+        raise fault(path, "is not a whole Parquet file", FINISH) from error
+
+
+def refuse_short_videos(dataset: Dataset) -> None:
+    """Compare the pictures of each video with the rows that it belongs to.
+
+    Raises:
+        FileError: a video is missing, or has more or fewer pictures than its episodes have rows.
+
+    """
+    rows = _rows_of((video, episode.length) for episode in dataset.episodes for video in episode.videos.values())
+    for video, expected in rows.items():
+        path = dataset.folder / video
+        if not path.is_file():
+            raise fault(path, "is missing", FINISH)
+        found = frames_of(path)
+        if found != expected:
+            what = f"has {found} pictures, its rows in the data set are {expected}"
+            raise fault(
+                path, what, "Leave the episode out, or record it again: pictures and joints are not of one time."
+            )
+
+
+def _rows_of(parts: Iterable[tuple[str, int]]) -> dict[str, int]:
+    rows: dict[str, int] = {}
+    for file, length in parts:
+        rows[file] = rows.get(file, 0) + length
+    return rows
+
+
+def _info(folder: Path) -> dict[str, Any]:
+    path = folder / INFO
+    try:
+        info = json.loads(path.read_bytes())
+    except FileNotFoundError as error:
+        raise fault(folder, f"has no {INFO}", "Give the folder of a LeRobot data set.") from error
+    except ValueError as error:
+        raise fault(path, f"is not JSON ({error})", FINISH) from error
+    missing = [name for name in ("codebase_version", "fps", "features", "data_path") if not info.get(name)]
+    if missing:
+        raise fault(path, f"does not say {', '.join(missing)}", FINISH)
+    return dict(info)
+
+
+def _names(folder: Path, state: Mapping[str, Any]) -> list[str]:
+    names = state.get("names")
+    if isinstance(names, dict):
+        names = next((names[key] for key in NAMES_OF_LISTS if key in names), None)
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise fault(folder / INFO, f"does not name the numbers of {STATE}", "Write their names into the file.")
+    return names
+
+
+def _episodes_v21(folder: Path, info: Mapping[str, Any]) -> Iterator[Episode]:
+    path = folder / EPISODES_JSONL
+    if not path.is_file():
+        raise fault(path, "is missing", FINISH)
+    size = int(info.get("chunks_size") or 1000)
+    with path.open(encoding="utf-8") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                entry = json.loads(line)
+                index, length = int(entry["episode_index"]), int(entry["length"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise fault(path, "is not an episode", FINISH, line=number) from error
+            place = {"episode_chunk": index // size, "episode_index": index}
+            yield Episode(
+                index, length, _at(folder, info, "data_path", place), _videos(folder, info, lambda _, p=place: p)
+            )
+
+
+def _episodes_v30(folder: Path, info: Mapping[str, Any]) -> Iterator[Episode]:
+    files = sorted((folder / EPISODES).rglob("*.parquet"))
+    if not files:
+        raise fault(folder / EPISODES, "holds no episodes", FINISH)
+    for file in files:
+        table = parquet_file(file)
+        wanted = [name for name in table.schema_arrow.names if not name.startswith("stats/")]
+        for row in _rows(file, table.read(columns=wanted)):
+            place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
+
+            def of_video(key: str, row: dict[str, Any] = row) -> dict[str, int]:
+                return {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+
+            data = _at(folder, info, "data_path", place)
+            yield Episode(int(row["episode_index"]), int(row["length"]), data, _videos(folder, info, of_video))
+
+
+def _rows(file: Path, table: pa.Table) -> list[dict[str, Any]]:
+    missing = [
+        n for n in ("episode_index", "length", "data/chunk_index", "data/file_index") if n not in table.column_names
+    ]
+    if missing:
+        raise fault(file, f"has no column {missing[0]!r}", FINISH)
+    rows: list[dict[str, Any]] = table.to_pylist()
+    return sorted(rows, key=lambda row: int(row["episode_index"]))
+
+
+def _videos(folder: Path, info: Mapping[str, Any], place_of: Any) -> dict[str, str]:
+    features = info["features"]
+    cameras = [key for key, of in features.items() if isinstance(of, dict) and of.get("dtype") == "video"]
+    return {key: _at(folder, info, "video_path", place_of(key) | {"video_key": key}) for key in cameras}
+
+
+def _at(folder: Path, info: Mapping[str, Any], template: str, place: Mapping[str, Any]) -> str:
+    text = info.get(template)
+    try:
+        return str(text).format(**place)
+    except (KeyError, IndexError, ValueError) as error:
+        raise fault(folder / INFO, f"its {template} {text!r} cannot be filled in ({error})", FINISH) from error
+
+
+def _refuse_missing(folder: Path, info: Mapping[str, Any], episodes: Sequence[Episode]) -> None:
+    for said, found in (("total_episodes", len(episodes)), ("total_frames", sum(e.length for e in episodes))):
+        if info.get(said) is not None and int(info[said]) != found:
+            raise fault(folder / INFO, f"says {said} {info[said]}, its episodes are {found}", FINISH)
+    if not episodes:
+        raise fault(folder / INFO, "has no episodes", FINISH)
+    numbers = [episode.index for episode in episodes]
+    if numbers != list(range(len(numbers))):
+        raise fault(folder / INFO, f"its episodes are {numbers[:5]} ..., not 0, 1, 2 ...", FINISH)

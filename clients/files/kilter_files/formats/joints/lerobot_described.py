@@ -1,0 +1,41 @@
+"""How LeRobot's files are read, before anything is made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kilter_files.formats.joints.described import describe_log
+from kilter_files.formats.joints.lerobot.calibration import NORM_MODES, read_calibration
+from kilter_files.formats.joints.lerobot.dataset import open_dataset
+from kilter_files.formats.joints.lerobot.log import log_of_dataset
+from kilter_files.formats.reader import Document, LogHints
+
+
+def describe_dataset(path: Path, hints: LogHints) -> Document:
+    """Say what a data set holds; with a calibration, read it whole."""
+    if hints.calibration is not None or hints.zero == "old":
+        return describe_log(log_of_dataset(path, hints))
+    dataset = open_dataset(path)
+    notes = [
+        dataset.told,
+        f"joints {', '.join(dataset.names)}",
+    ]
+    modes = " or ".join(NORM_MODES)
+    warnings = [f"nothing says what its numbers mean: give --calibration JSON and --norm-mode {modes}"]
+    return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "notes": notes, "warnings": warnings}
+
+
+def describe_calibration(path: Path) -> Document:
+    """Say what a calibration holds."""
+    found = read_calibration(path)
+    notes = [
+        f"SHA-256 {found.sha256}",
+        "of a leader" if found.of_a_leader else "of a follower, or of neither by its folder",
+    ]
+    for name, servo in found.servos.items():
+        reversed_ = ", reversed" if servo.drive_mode else ""
+        notes.append(
+            f"servo {servo.id} {name}: homing offset {servo.homing_offset} ticks, range {servo.range_min} to "
+            f"{servo.range_max} (+-{servo.half_range_deg:.1f} deg){reversed_}"
+        )
+    return {"notes": notes}

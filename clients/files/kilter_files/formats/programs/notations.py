@@ -1,0 +1,100 @@
+"""How languages of robots write poses: numbers to a pose, and back to numbers near those that were there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from kilter_files.formats.programs.rigid import Rigid, of_vector, to_vector, zyx
+from kilter_files.ground.orientation import Quaternion, from_euler, upright
+
+NOT_UNIT = 1e-3  # a quaternion whose length is off by more is none
+
+
+@dataclass(frozen=True)
+class Notation:
+    """The names of the numbers, the decimals that each is written with at least, and how the last of them rotate.
+
+    ``mm`` is how many mm a number of the place is, ``same`` how little a number of it and of the rotation may move.
+    """
+
+    names: tuple[str, ...]
+    decimals: tuple[int, ...]
+    mm: float
+    same: tuple[float, float]
+    rotation: Callable[[Sequence[float]], Quaternion]
+    numbers: Callable[[Quaternion, Sequence[float]], Sequence[float]]
+
+    def pose(self, values: Sequence[float]) -> Rigid:
+        """Return the pose of these numbers."""
+        x, y, z = (value * self.mm for value in values[:3])
+        return Rigid((x, y, z), self.rotation(values[3:]))
+
+    def near(self, pose: Rigid, old: Sequence[float]) -> list[float]:
+        """Return the numbers of a pose: of all that say the same, those nearest to the old ones."""
+        return [*(value / self.mm for value in pose.place), *self.numbers(pose.turn, old[3:])]
+
+    def moved(self, k: int, old: float, new: float) -> bool:
+        """Say whether number ``k`` is another one."""
+        return abs(new - old) > self.same[k >= 3]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of a program, by its numbers."""
+
+    notation: Notation
+    numbers: tuple[float, ...]
+
+    def pose(self) -> Rigid:
+        """Return where it is."""
+        return self.notation.pose(self.numbers)
+
+
+def _of_zyx(angles: Sequence[float]) -> Quaternion:
+    z, y, x = (math.radians(angle) for angle in angles)
+    return from_euler((z, y, x), "ZYX")
+
+
+def _to_zyx(q: Quaternion, old: Sequence[float]) -> list[float]:
+    z, y, x = zyx(q, math.radians(old[0]))
+    ways = [(z, y, x), (z + math.pi, math.pi - y, x + math.pi)]
+    written = [[_beside(math.degrees(angle), was) for angle, was in zip(way, old, strict=True)] for way in ways]
+    return min(written, key=lambda way: max(abs(new - was) for new, was in zip(way, old, strict=True)))
+
+
+def _beside(angle: float, old: float) -> float:
+    """The same angle within 180 degrees of the old one."""
+    return angle + 360.0 * round((old - angle) / 360.0)
+
+
+def _of_xyz(angles: Sequence[float]) -> Quaternion:
+    return _of_zyx(angles[::-1])
+
+
+def _to_xyz(q: Quaternion, old: Sequence[float]) -> list[float]:
+    return _to_zyx(q, old[::-1])[::-1]
+
+
+def _to_vector(q: Quaternion, old: Sequence[float]) -> list[float]:
+    return min(to_vector(q), key=lambda way: math.dist(way, old))
+
+
+def _of_quaternion(q: Sequence[float]) -> Quaternion:
+    return upright((q[0], q[1], q[2], q[3]))
+
+
+def _to_quaternion(q: Quaternion, old: Sequence[float]) -> list[float]:
+    length = math.copysign(math.hypot(*old), sum(a * b for a, b in zip(q, old, strict=True)))
+    return [part * length for part in q]
+
+
+KRL = Notation(("X", "Y", "Z", "A", "B", "C"), (7,) * 3 + (9,) * 3, 1.0, (1e-7, 1e-9), _of_zyx, _to_zyx)
+FANUC = Notation(("X", "Y", "Z", "W", "P", "R"), (3,) * 6, 1.0, (1e-7, 1e-9), _of_xyz, _to_xyz)
+RAPID = Notation(
+    ("x", "y", "z", "q1", "q2", "q3", "q4"), (7,) * 3 + (11,) * 4, 1.0, (1e-7, 1e-11), _of_quaternion, _to_quaternion
+)
+URSCRIPT = Notation(
+    ("x", "y", "z", "rx", "ry", "rz"), (10,) * 3 + (11,) * 3, 1e3, (1e-10, 1e-11), of_vector, _to_vector
+)

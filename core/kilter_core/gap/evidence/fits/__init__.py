@@ -1,0 +1,1 @@
+"""The final fit of a search, fitted again and widened, and the intervals of its amounts."""

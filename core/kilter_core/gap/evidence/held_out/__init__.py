@@ -1,0 +1,1 @@
+"""Errors at poses that took no part in the choice."""

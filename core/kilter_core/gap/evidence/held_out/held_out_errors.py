@@ -1,0 +1,337 @@
+"""Errors before and after in mm, on what was fitted and what was not: validation rows, or poses left out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom
+
+from kilter_core.gap.evidence.fits.final_fit import inflation, widening
+from kilter_core.gap.evidence.fits.intervals import interval_width
+from kilter_core.gap.evidence.fits.posterior import Posterior
+from kilter_core.gap.evidence.held_out.adequacy import gain, left_out_errors, left_out_floor
+from kilter_core.gap.evidence.held_out.predicted import surely_predicted
+from kilter_core.gap.noise.motion import blocks, motion_blocks
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.in_space import fit_rms, noise_rms, rms_at, root_of
+from kilter_core.gap.search.linear.linearized import solved
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.prepare import Prepared, windowed
+from kilter_core.gap.search.sources.rounding import rounding_document
+from kilter_core.gap.search.sources.source import Source
+from kilter_core.observations import Observations
+from kilter_core.observations.motions import is_trajectory
+from kilter_core.parameters import DEG, reported
+from kilter_core.types import Bools, Floats, Ints
+
+SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
+SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
+DRAWS = 999  # of the held-out poses, behind the interval of their error
+FEWEST_DRAWN = 5  # poses below which drawing them again says too little
+SPIKES_SURE = 0.99  # chance that so many interrupted laser beams at that share are no more than counted
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Whitened errors (V, m) by the fits before and after, and how they came about.
+
+    ``lower (m, m)`` converts them back to m or rad; ``floor`` is the variance a perfect model's would have, in units of
+    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes. Whitening
+    correlated samples took ``inflation`` off their variance too.
+    """
+
+    before: Floats
+    after: Floats
+    lower: Floats
+    floor: float
+    how: str
+    set_aside: int = 0
+    inflation: float = 1.0
+    predictive: dict[str, Any] | None = None
+
+
+class HoldoutEvaluator:
+    """Predicts held-out poses by any set of library columns, fitted to the training rows only.
+
+    ``fit`` is what the data say of all that was fitted: how far predictions of other poses may be off for it.
+    """
+
+    def __init__(
+        self, search: SearchResult, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
+    ) -> None:
+        self.search, self.prepared, self.fit = search, prepared, fit
+        self._given = np.zeros(0, dtype=np.int64) if validation is None else np.flatnonzero(validation.tool_seen)
+        if validation is not None and not validation.tool_seen.all():
+            validation = validation.select(validation.tool_seen)
+        self.rows = validation
+        self.moving = prepared.moving and validation is not None and is_trajectory(validation)
+        if self.moving and validation is not None:
+            source, values = on_rows(search.problem.settings.source, validation, search, search.problem.values)
+            self.rows = windowed(validation, source, values, prepared.width)
+        self._known: dict[tuple[int, ...], Floats] = {}
+        self._values: dict[tuple[int, ...], Floats] = {}
+
+    def errors(self, columns: Sequence[int]) -> Floats:
+        """Whitened errors (V, m) of the held-out poses; each set of columns is fitted once."""
+        key = tuple(columns)
+        if key not in self._known:
+            self._known[key] = self._errors(columns)
+        return self._known[key]
+
+    def _errors(self, columns: Sequence[int]) -> Floats:
+        if self.rows is None:
+            problem = self.search.problem if len(columns) else self.prepared.problem
+            return left_out_errors(problem, columns)[problem.settings.used]
+        problem = self.search.problem
+        source = on_rows(problem.settings.source, self.rows, self.search, self._fitted(tuple(columns)))
+        r = np.nan_to_num(source[0].residual(source[1]))
+        if self.moving:
+            r = source[0].referenced(r)
+        return np.asarray(r @ np.linalg.inv(self._lower()).T)
+
+    def _fitted(self, columns: tuple[int, ...]) -> Floats:
+        """Values of the rows searched, fitted with a set of columns once."""
+        if columns not in self._values:
+            problem = self.search.problem
+            begin = problem if columns else self.prepared.problem
+            self._values[columns] = solved(problem.settings, begin.values, columns)[0]
+        return self._values[columns]
+
+    def taken_off(self, place: int) -> float:
+        """What one chosen candidate takes off the rms error (m; rad of a joint) of the rows searched, all else fitted again.
+
+        Scores would say less of a large one: they project off what the priors hold.
+        """
+        rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
+        problem = self.search.problem
+        return rms_at(problem.settings, self._fitted(tuple(rest))) - fit_rms(problem)
+
+    def rms(self, columns: Sequence[int]) -> float:
+        """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
+        source = self.search.problem.settings.source
+        return source.rms(self.errors(columns)[self.kept] @ self._lower().T)
+
+    def rms_interval(self, columns: Sequence[int]) -> tuple[float, float] | None:
+        """95 % interval (m; rad of a joint) of that error, by drawing whole poses again; None with too few poses."""
+        group = np.unique(self._groups()[self.kept], return_inverse=True)[1]
+        errors, count = self.errors(columns)[self.kept] @ self._lower().T, np.bincount(group)
+        if len(count) < FEWEST_DRAWN:
+            return None
+        source = self.search.problem.settings.source
+        order = np.split(np.argsort(group, kind="stable"), np.cumsum(count)[:-1])
+        squares = np.array([source.rms(errors[own]) ** 2 for own in order])
+        rng, means = np.random.default_rng(0), np.zeros(DRAWS)
+        for k in range(DRAWS):  # one after the other: all at once would take memory by poses times draws
+            drawn = rng.integers(0, len(count), len(count))
+            means[k] = np.sum((squares * count)[drawn]) / np.sum(count[drawn])
+        low, high = np.sqrt(np.quantile(means, (0.025, 0.975)))
+        return float(low), float(high)
+
+    @property
+    def poses(self) -> int:
+        """Held-out poses (of motions blocks) that took no part in choosing."""
+        return 0 if self.rows is None else len(np.unique(self._groups()))
+
+    def _lower(self) -> Floats:
+        """Root (m, m) of the noise covariance by which errors are whitened: of a held-out row, or of a visit left out."""
+        settings = self.search.problem.settings
+        if self.rows is None:
+            return root_of(np.mean(settings.of_visit[settings.used], axis=0) * settings.inflation)
+        return root_of(settings.of_row * (settings.inflation if self.moving else 1.0))
+
+    def report(self) -> HeldOut:
+        """Geometry only, and everything named."""
+        before, after = self.errors([]), self.errors(self.search.columns)
+        problem, columns = self.search.problem, self.search.columns
+        if self.rows is None:
+            floor = left_out_floor(problem, columns)
+            return HeldOut(before, after, self._lower(), floor, "leave one pose out", 0, problem.settings.inflation)
+        spike = ~self.kept
+        spread = self._spread()
+        floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
+        if spread is not None:
+            floor = _floor(spread[~spike] / widening(self.search) ** 2, self._lower())
+        floor -= 1.0 - self._left_share
+        how = "validation observations"
+        if self.moving and not problem.settings.source.observes_tool:
+            how += ", with the encoder offsets of each motion fitted to it"
+        if not problem.settings.source.observes_places:
+            how += " of other placements, with contacts and ball fitted to them"
+        grown = problem.settings.inflation if self.moving else 1.0
+        told = None if spread is None else self._predictive(after, spread, ~spike)
+        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
+
+    @cached_property
+    def kept(self) -> Bools:
+        """Held-out rows that are measurements: all but spikes, unless those are more than interrupted laser beams explain.
+
+        A share alone would call one interrupted laser beam among thirty rows structure, and let it decide what the
+        others cannot. Where more of the rows of the search were wrong, as many are to be expected here.
+        """
+        before, after = self.errors([]), self.errors(self.search.columns)
+        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        share = max(SPIKES, 1.0 - float(np.mean(self.search.problem.settings.used)))
+        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
+            return np.ones(len(spike), dtype=bool)
+        return np.asarray(~spike)
+
+    @property
+    def set_aside(self) -> Ints:
+        """Rows of the validation that was given that were left out as spikes; none of a motion, which counts by windows."""
+        return np.zeros(0, dtype=np.int64) if self.moving or self.rows is None else self._given[~self.kept]
+
+    def _spread(self) -> Floats | None:
+        """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
+        source, problem = self.search.problem.settings.source, self.search.problem
+        if self.rows is None or self.fit is None or not source.observes_tool:
+            return None
+        other, values = on_rows(source, self.rows, self.search, problem.values)
+        return predicted_covariance(other, values, self.fit)
+
+    @property
+    def _left_share(self) -> float:
+        if self.rows is None:
+            return 1.0
+        source = self.search.problem.settings.source
+        return on_rows(source, self.rows, self.search, self.search.problem.values)[0].left_share
+
+    def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
+        """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""
+        lower, grown = self._lower(), max(1.0, inflation(self.search))
+        noise = lower @ lower.T * grown**2
+        sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
+        seen = np.isfinite(self._measured()) & kept[:, None]
+        inside = (np.abs(after @ lower.T) <= interval_width(self.search) * sigma) & seen
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside, seen)]
+        poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
+        return {"inside": int(inside.sum()), "of": int(seen.sum()), "poses": poses}
+
+    @property
+    def seen(self) -> Bools:
+        """Which numbers (N, m) of the held-out rows that are measurements were read."""
+        return np.isfinite(self._measured())[self.kept]
+
+    def _measured(self) -> Floats:
+        """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
+        assert self.rows is not None
+        source, values = on_rows(
+            self.search.problem.settings.source, self.rows, self.search, self.search.problem.values
+        )
+        return source.residual(values)
+
+    def by_pose(self) -> tuple[Floats, Floats]:
+        """Rms errors (G,) m or rad of the held-out poses by geometry alone and by everything named, as they are printed."""
+        group = np.unique(self._groups()[self.kept], return_inverse=True)[1]
+        own = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+        source, lower = self.search.problem.settings.source, self._lower()
+        before, after = (
+            np.array([source.rms(e[pose] @ lower.T) for pose in own])
+            for e in (self.errors([])[self.kept], self.errors(self.search.columns)[self.kept])
+        )
+        return before, after
+
+    def gain_of(self, place: int) -> tuple[float, float, float]:
+        """Gain by one chosen candidate beyond the others, its standard error, and how surely it was predicted."""
+        rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
+        without, with_ = self.errors(rest)[self.kept], self.errors(self.search.columns)[self.kept]
+        group = self._groups()[self.kept]
+        return (*gain(without, with_, group), surely_predicted(without, with_, group))
+
+    def _groups(self) -> Ints:
+        """Pose of each held-out row; of motions the block."""
+        settings = self.search.problem.settings
+        if self.rows is None:
+            return settings.group[settings.used]
+        if self.moving:
+            return motion_blocks(self.rows, settings.inflation)
+        if settings.inflation > 1.0:  # a part of the poses in the order they were measured
+            share = len(self.rows) / (len(self.rows) + len(settings.used))
+            return blocks(len(self.rows), share * settings.inflation)
+        return self.rows.pose_groups()
+
+
+def predicted_covariance(source: Source, values: Floats, fit: Posterior) -> Floats:
+    """Covariance (N, m, m) of a model's predictions of its rows, by the covariance of what was fitted."""
+    J, names = source.all_columns(values, fit.names)
+    own = [fit.names.index(name) for name in names]
+    return np.asarray(J @ fit.covariance[np.ix_(own, own)] @ J.transpose(0, 2, 1))
+
+
+def _floor(spread: Floats, lower: Floats) -> float:
+    """Variance of held-out errors in units of noise when the model is perfect: the noise, and its estimation."""
+    back = np.linalg.inv(lower)
+    white = back @ spread @ back.T
+    return 1.0 + float(np.mean(np.trace(white, axis1=1, axis2=2))) / len(lower)
+
+
+def on_rows(source: Source, rows: Observations, search: SearchResult, fitted: Floats) -> tuple[Source, Floats]:
+    """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
+    effects = tuple(e for k in search.chosen for e in search.selector.scorer.candidates[k].effects)
+    return source.with_effects(rows, effects, fitted)
+
+
+def noise_document(settings: ProblemSettings) -> dict[str, Any]:
+    """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
+    noise, joint = settings.noise, settings.source.unit == "rad"
+    unit, scale = reported("rad" if joint else "m")
+    scales = np.full(len(noise.row), scale)
+    scales[noise.lengths or len(scales) :] = DEG
+    return {
+        "source": noise.source, "absolute": noise.absolute,
+        "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
+        f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
+        f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
+        "covariance": (noise.row * np.outer(scales, scales)).tolist(),
+        "correlated_samples": settings.inflation,
+        "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
+        **rounding_document(settings.rounding, settings.source),
+    }  # fmt: skip
+
+
+def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dict[str, Any]:
+    """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise.
+
+    ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
+    ``validation_noise_rms_mm`` are what the noise alone would give for before and after: lengths in space.
+    """
+    problem = search.problem
+    size = problem.settings.whitener.shape[-1]
+    source = problem.settings.source
+    joint = source.unit == "rad"
+    coordinate = problem.settings.noise.coordinate
+    noise = noise_rms(problem.settings)
+    r0, r1 = source.rms(held.before @ held.lower.T), source.rms(held.after @ held.lower.T)
+    sigma = source.rms(np.eye(size) * np.sqrt(size * held.floor) @ (held.lower / np.sqrt(held.inflation)).T)
+    if not problem.settings.trusted:
+        # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
+        last = problem.gram.given(search.columns)
+        share = np.sqrt(last.yy / max(last.nu, 1.0))
+        coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
+    # Against a noise that was read from the fit itself, a closed gap means nothing.
+    known = problem.settings.noise.absolute and r0**2 > sigma**2 and bool(search.chosen)
+    closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
+    numbers = {
+        "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,
+        "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
+    }  # fmt: skip
+    unit, scale = reported("rad" if joint else "m")
+    out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
+    if joint:
+        out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
+    steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in search.steps]
+    return out | {
+        "closure": closure,
+        "held_out": held.how,
+        "held_out_set_aside": held.set_aside,
+        "predictive": held.predictive,
+        "steps": steps,
+    }
+
+
+def _scale(errors: Floats) -> float:
+    return float(np.median(np.abs(errors)) / 0.6745)

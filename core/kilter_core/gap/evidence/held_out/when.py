@@ -1,0 +1,133 @@
+"""When a named event happened: the row, as people count the rows of their file, how sure it is, and how far it went."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.effects import Effect
+from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
+from kilter_core.gap.search.events import Course, key_of, likely, moved, profiles
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.observations import Observations
+from kilter_core.types import Floats
+
+CALLED = {"base_step": "The station (base or instrument)", "tool_step": "The tool, its marker or its nest"}
+REMEDY = (
+    "Give the rows from there on a session of their own: with --refit base every session has a base of its own, and "
+    "session_shift a tool point of its own. A zero that jumped is the arm's from there on: a correction takes the last."
+)
+
+
+@dataclass(frozen=True)
+class When:
+    """Rows of the file, from 1: the last ``before`` an event and the first ``after`` it; first and last that may be its first.
+
+    ``moved_mm`` is the rms displacement of the tool by it.
+    """
+
+    place: int
+    before: int
+    after: int
+    low: int
+    high: int
+    moved_mm: float
+
+
+def events(found: SearchResult, every: Observations, moves_mm: dict[int, float]) -> tuple[When, ...]:
+    """When each chosen event happened, in rows of ``every``: those searched and those held out, in the file's order."""
+    candidates = found.selector.scorer.candidates
+    chosen = [k for k in found.chosen if candidates[k].effects[0].event]
+    course = Course.of(every)
+    if course is None or not chosen:
+        return ()
+    variance = found.selector.variance(found.problem.gram, found.chosen)
+    out = []
+    for k, profile in profiles(found.problem, candidates, found.chosen, chosen).items():
+        _, low, high = likely(profile, variance)
+        place = max(1, min(course.place(candidates[k].effects[0]), len(every) - 1))
+        own = profile.course.key
+        first = max(1, int(np.searchsorted(course.key, own[low - 1], side="right")))
+        last = min(len(every) - 1, int(np.searchsorted(course.key, own[high], side="left")))
+        row, share = course.order + 1, float(profile.course.place(candidates[k].effects[0])) / len(own)
+        far = moves_mm[k] / np.sqrt(max(share, 1.0 / len(own)))  # only rows before it are moved by it
+        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far))
+    return tuple(out)
+
+
+def settled(found: SearchResult, held_out: Observations | None) -> SearchResult:
+    """The search with its events between the right rows among those held out, which the rows searched leave open.
+
+    Nothing else follows from it: an event stays between the same two visits that were searched.
+    """
+    candidates = found.selector.scorer.candidates
+    chosen = [k for k in found.chosen if candidates[k].effects[0].event]
+    if held_out is None or not len(held_out) or not chosen:
+        return found
+    source = found.problem.settings.source
+    searched, unseen = Course.of(source.observations), Course.of(held_out)
+    if searched is None or unseen is None or searched.timed != unseen.timed:
+        return found
+    for k in chosen:
+        found = _settled_one(found, k, held_out, searched, unseen)
+    return found
+
+
+def _settled_one(found: SearchResult, k: int, rows: Observations, searched: Course, unseen: Course) -> SearchResult:
+    candidate = found.selector.scorer.candidates[k]
+    effect = candidate.effects[0]
+    place = searched.place(effect)
+    low, high = searched.key[place - 1], searched.key[place]
+    inside = np.flatnonzero((unseen.key > low) & (unseen.key < high))
+    if not len(inside):
+        return found
+    keys = np.concatenate([[low], unseen.key[inside], [high]])
+    few = rows.select(unseen.order[inside])
+    sizes = [_size(_marked(found, k, searched, keys, n), few) for n in range(1, len(keys))]
+    return _marked(found, k, searched, keys, 1 + int(np.argmin(sizes)))
+
+
+def _marked(found: SearchResult, k: int, course: Course, keys: Floats, place: int) -> SearchResult:
+    """The search with an event just before one of the ``keys``."""
+    candidate = found.selector.scorer.candidates[k]
+    mark = replace(course, order=np.arange(len(keys)), key=keys).mark(place)
+    effect: Effect = replace(candidate.effects[0], **mark)
+    settings = found.problem.settings
+    source = moved(settings.source, {key_of(effect): effect})
+    candidates = list(found.selector.scorer.candidates)
+    candidates[k] = replace(candidate, effects=(effect,))
+    scorer = replace(found.selector.scorer, candidates=tuple(candidates))
+    return replace(
+        found,
+        problem=replace(found.problem, settings=replace(settings, source=source)),
+        selector=replace(found.selector, scorer=scorer),
+    )
+
+
+def _size(found: SearchResult, rows: Observations) -> float:
+    """Sum of squares of what the model leaves in some rows."""
+    source, values = on_rows(found.problem.settings.source, rows, found, found.problem.values)
+    return float(np.nansum(source.residual(values)[:, : source.tool_numbers or None] ** 2))
+
+
+def event_warnings(
+    found: SearchResult, whens: tuple[When, ...], likely_only: Collection[int]
+) -> Iterator[dict[str, Any]]:
+    """Say when what happened, and what to do about it; those that are ``likely_only`` may have."""
+    for when in whens:
+        candidate = found.selector.scorer.candidates[when.place]
+        verb = "may have moved" if when.place in likely_only else "moved"
+        who = CALLED.get(candidate.id) or f"The zero of joint {(candidate.joints or (0,))[0] + 1}"
+        sure = (
+            ""
+            if when.low == when.high == when.after
+            else f" (95 %: the first row after it is {when.low} to {when.high})"
+        )
+        yield {
+            "code": "moved_once", "row": when.after,
+            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm at "
+            f"the tool on average, as the version stores it. {REMEDY}",
+        }  # fmt: skip

@@ -1,0 +1,1 @@
+"""Which effects look alike on these poses, and what tells them apart."""

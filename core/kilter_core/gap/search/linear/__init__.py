@@ -1,0 +1,1 @@
+"""The linearized problem of a search: columns, their inner products and projections."""

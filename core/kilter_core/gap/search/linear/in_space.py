@@ -1,0 +1,44 @@
+"""Sizes in space (m, rad) of what a search holds whitened: errors of the visits, noise, and what an effect moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.types import Floats
+
+
+def fit_rms(problem: LinearizedProblem) -> float:
+    """Rms error (m or rad) of the visits at the values of the fit itself: what a version that holds them leaves."""
+    return _rms_of(problem.settings, problem.raw)
+
+
+def rms_at(settings: ProblemSettings, values: Floats) -> float:
+    """Rms error (m or rad) of the visits at other values."""
+    return _rms_of(settings, settings.whitened(values).reshape(-1))
+
+
+def _rms_of(settings: ProblemSettings, whitened: Floats) -> float:
+    return settings.source.rms(settings.whitening.back(whitened)[settings.used])
+
+
+def noise_rms(settings: ProblemSettings) -> float:
+    """Rms length in space (m; rad of a joint) that the noise alone gives a visit."""
+    size = settings.whitener.shape[-1]
+    root = root_of(np.mean(settings.of_visit, axis=0)).T * np.sqrt(size)
+    return settings.source.rms(root)
+
+
+def moved_by(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
+    """Displacement (V, m) in m or rad by the library columns ``own`` at the values of the fit, which a version stores."""
+    index = list(own)
+    amount = problem.settings.source.library(problem.values)[index] * problem.size[index]
+    return problem.settings.whitening.back(problem.W_raw[:, index] @ amount)
+
+
+def root_of(covariance: Floats) -> Floats:
+    """Lower triangular root (m, m) of a covariance."""
+    return np.asarray(np.linalg.cholesky(covariance + 1e-20 * np.eye(len(covariance))), dtype=np.float64)

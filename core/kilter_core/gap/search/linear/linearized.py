@@ -1,0 +1,354 @@
+"""The linearised problem at a fit: data and candidates whitened, geometry projected off, everything small after that.
+
+Geometry hides physics: after it is re-fitted only 6-90 % of an effect's variance is left (trap 1). So every statistic
+of the search works on A = W'MW and c = W'My, with M the projection off the geometric Jacobian; a set of candidates I
+takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur complement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from kilter_core.effects import Batch
+from kilter_core.gap.search.linear.bases import lengths, orthonormal, seen
+from kilter_core.gap.search.linear.derivatives import Derivatives
+from kilter_core.gap.search.linear.firm import Firm
+from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.projection import Projection, Stacked
+from kilter_core.gap.search.linear.ranges import ends, exactly_within
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.linear.soft import Soft
+from kilter_core.identify.fit.problem import ByCovariance, LeastSquares, Whitened
+from kilter_core.identify.fit.solver import minimise
+from kilter_core.parameters import Prior
+from kilter_core.types import Floats, Ints
+
+Tick = Callable[[], None]
+
+PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
+CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
+HOLDING_PASSES = 4  # fits of what is left where amplitudes came out beyond what is physical
+BEYOND = 1e-6  # prior sigmas beyond the end of a range that are not rounding
+PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
+UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
+SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
+STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
+
+
+@dataclass(frozen=True)
+class LinearizedProblem:
+    """Whitened, projected data at ``values``. R = V m rows, Q library columns (unit raw norm), P geometric ones.
+
+    ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` converts a unit-column coefficient
+    to a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it. Projected columns are made
+    where they are asked for: those of thousands of poses fill the memory.
+    """
+
+    settings: ProblemSettings
+    values: Floats
+    y: Floats
+    U: Floats
+    scale: Floats
+    nu: float
+    A: Floats
+    c: Floats
+    raw: Floats  # whitened residual at ``values`` (R,)
+    derivatives: Derivatives
+    soft: Soft
+
+    @property
+    def G(self) -> Floats:
+        """Whitened geometric columns (R, P)."""
+        return self.derivatives.G
+
+    @property
+    def W_raw(self) -> Floats:
+        """Whitened unit columns before projection (R, Q)."""
+        return self.derivatives.W
+
+    def resting(self) -> None:
+        """Let go of what fills the memory: nothing is asked of this fit for a while, or never again."""
+        self.derivatives.let_go()
+
+    @property
+    def W(self) -> Floats:
+        """Unit columns (R, Q) with geometry projected off."""
+        return self.projected(slice(None))
+
+    def projected(self, columns: Sequence[int] | slice) -> Floats:
+        """Some of them."""
+        return Projection.of(self.soft, self.U, self.W_raw[:, columns]).rows(slice(None))
+
+    @property
+    def size(self) -> Floats:
+        """Raw whitened norm (Q,) of one unit of each parameter, the inverse of ``scale``."""
+        return np.where(self.scale > 0.0, 1.0 / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
+
+    @property
+    def projection(self) -> Projection:
+        """All unit columns with geometry projected off, not made."""
+        return Projection.of(self.soft, self.U, self.W_raw)
+
+    def within_priors(self) -> tuple[Floats, Stacked]:
+        """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
+        source = self.settings.source
+        sigmas = np.concatenate([np.ones(len(source.prior.sigma)), source.library_sigma * self.size])
+        y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
+        return y, Stacked(source.prior.columns(self.G), self.W_raw, sigmas, self.settings.whitener.shape[-1])
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of the residual at ``values``, nothing taken out, with what the load errors cost by their priors.
+
+        Where doubtful signs widen the noise, what that takes off counts as a Gaussian's norm does: nothing is explained
+        by looking away.
+        """
+        source = self.settings.source
+        prior = source.prior.part(source.soft)
+        away = prior.away(source.geometry(self.values)[source.soft])
+        return float(self.raw @ self.raw + away @ prior.stiff(away)) + self.settings.widened
+
+    @cached_property
+    def gram(self) -> Gram:
+        """Everything selection needs."""
+        yy = float(self.y @ self.y)
+        if not len(self.soft.shrink):
+            return Gram(self.A, self.c, yy, self.nu)
+        there = frozenset(np.flatnonzero(self.settings.source.library(self.values)).tolist())
+        if not np.any(self.settings.source.of_loads):
+            return Gram(self.A, self.c, yy, self.nu)
+        firm = Firm(self.settings, self.values, self.derivatives, self.raw, self.size, self.nu, self.U.shape[1])
+        return Gram(self.A, self.c, yy, self.nu, held=firm.gram, there=there)
+
+    @property
+    def rows(self) -> int:
+        """Number of independent scalars that count."""
+        return max(2, int(self.settings.numbers / self.settings.inflation))
+
+    @property
+    def row_visit(self) -> Ints:
+        """Visit of each row (R,)."""
+        size = self.settings.whitener.shape[-1]
+        return np.repeat(np.arange(len(self.settings.used)), size)
+
+    def basis(self, columns: Sequence[int]) -> Floats:
+        """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
+        if not len(columns):
+            return self.U
+        return np.hstack([self.U, orthonormal(self.projected(list(columns)))])
+
+
+def linearize_at(
+    settings: ProblemSettings, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
+) -> LinearizedProblem:
+    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data.
+
+    ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
+    """
+    made, r, norm = Derivatives.at(settings, values, batch, only)
+    G, W, unit = made.G, made.W, np.where(norm > 0.0, norm, 1.0)
+    source, hard = settings.source, settings.hard
+    prior = source.prior.part(~hard)
+    B = prior.columns(G[:, ~hard])
+    soft = Soft.of(B)
+    U = seen(soft((G * source.prior_sigma)[:, hard]))
+    library = source.library(values)
+    y = r + W @ ((library if only is None else library[list(only)]) * unit)
+    # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
+    y = soft(y + B @ prior.apart(prior.away(source.geometry(values)[~hard]))) if len(soft.shrink) else y
+    y -= U @ (U.T @ y)
+    # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
+    nu = float(settings.numbers / settings.inflation - U.shape[1])
+    scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
+    return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, made, soft)
+
+
+def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
+    """Whitened unit columns (R, K) of the library, as :func:`linearize_at` has them, without the geometry."""
+    W = settings.whitening.columns(settings.source.without_geometry().linear(values, batch, only).W)
+    norm = lengths(W)
+    W /= np.where(norm > 0.0, norm, 1.0)
+    return W
+
+
+def go_on() -> None:
+    """Ignore a step."""
+
+
+def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
+    """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
+    values = solved(settings, values, columns, tick=tick)[0]
+    other = reloaded(settings, values)  # once: the next name, or the next noise, brings the next fit
+    for _ in range(PASSES):
+        other = doubted(other, values)
+        if other is settings:
+            break
+        settings, values = other, solved(other, values, columns, tick=tick)[0]
+    tick()
+    return linearize_at(settings, values)
+
+
+def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
+    """The setting with loads on the chain of these values; itself where that moves far less than is left anyway."""
+    source = settings.source
+    if not source.bears(values):
+        return settings
+    rows = np.arange(len(settings.used))[:: max(1, len(settings.used) // SAMPLED)]
+    few = source.only(rows)
+    before, after = few.residual(values), few.reloaded(values).residual(values)
+    by = ByCovariance(settings.whitener[rows], settings.used[rows])
+
+    def size(residual: Floats) -> float:
+        return float(np.sqrt(np.mean(by.residual(residual) ** 2)))
+
+    if size(after - before) < UNMOVED * max(1.0, size(before)):
+        return settings
+    return replace(settings, source=source.reloaded(values))
+
+
+def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
+    """The setting with the scatter that doubtful signs of loads have at these values; itself where it has not changed."""
+    source = settings.source
+    if source.batch.blur is None:
+        return settings
+    doubt = source.doubt(values)
+    before = 0.0 if settings.doubt is None else settings.doubt
+    if np.max(np.abs(doubt - before), initial=0.0) <= CHANGED * np.max(
+        np.trace(settings.noise.visit, axis1=1, axis2=2)
+    ):
+        return settings
+    return replace(settings, doubt=doubt if np.any(doubt) else None)
+
+
+def solved(
+    settings: ProblemSettings,
+    values: Floats,
+    columns: Sequence[int],
+    held: tuple[int, float] | None = None,
+    tick: Tick = go_on,
+) -> tuple[Floats, float]:
+    """Values of the nonlinear fit and its chi-square; the rest of the library is zero.
+
+    ``held`` keeps one more library parameter at a value, as a profile does. ``tick`` is called at every step, and may
+    raise: on ten thousand poses a fit takes seconds, and who cancels should not wait for its end.
+    """
+    free = [k for k in columns if held is None or k != held[0]]
+    library = np.zeros(len(settings.source.library(values)))
+    library[free] = settings.source.library(values)[free]
+    if held is not None:
+        library[held[0]] = held[1]
+    values = settings.source.moved(values, np.zeros(len(settings.source.prior_mean)), library)
+    values = within_range(SearchProblem(settings, free), values, tick)
+    there = linearize_at(settings, values, only=free)
+    return values, there.gram.given(range(len(free))).yy
+
+
+def loss(settings: ProblemSettings, values: Floats, columns: Sequence[int]) -> float:
+    """What a fit of geometry and the library ``columns`` makes least: half its chi-square, with what the priors cost."""
+    problem = SearchProblem(settings, list(columns))
+    return problem.loss_at(values, problem.weighed(values))
+
+
+def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:
+    """Values of the fit in which no amplitude of an effect is beyond what is physical.
+
+    Those that come out beyond it are held at the end of their range, and the rest is fitted again.
+    """
+    for _ in range(HOLDING_PASSES):
+        values = minimise(problem, values, problem.at(values), lambda *_: tick(), patience=PATIENCE).values
+        values, after = problem.brought_back(values)
+        if after is problem:
+            break
+        problem = after
+    return values
+
+
+@dataclass(frozen=True)
+class SearchProblem(LeastSquares[Whitened]):
+    """Geometry and the library columns ``free``, stepped as an identification is; every one has its prior.
+
+    All are counted from their priors, in prior sigmas: the columns of an effect are many powers of ten apart. Without the
+    effects' own priors a candidate that imitates geometry to seven digits ran away with it.
+    """
+
+    settings: ProblemSettings
+    free: list[int]
+    held: Floats | None = None
+    anchor: Floats | None = None
+    prior: Prior = field(init=False)
+    _sigma: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        whole = self.settings.source.prior_with(self.free)
+        count = len(whole.sigma)
+        object.__setattr__(self, "_sigma", whole.sigma)
+        object.__setattr__(self, "prior", Prior(np.zeros(count), np.ones(count), whole.correlation))
+
+    @property
+    def rows(self) -> float:
+        """Whitened residuals."""
+        return float(max(1, self.settings.used.sum() * self.settings.whitener.shape[-1]))
+
+    def worth(self, loss: float) -> float:
+        """What a step must promise: less moves nothing that a statistic would show.
+
+        Where the model lacks something, statistics are in units of what it leaves, not of the noise.
+        """
+        return 0.5 * STILL**2 * max(1.0, 2.0 * loss / self.rows)
+
+    def at(self, values: Floats) -> Whitened:
+        """Linearise there."""
+        r, G, W = self.settings.linearised(values, None, self.free)
+        J, split = np.empty((len(r), G.shape[1] + W.shape[1])), G.shape[1]
+        np.multiply(G, self._sigma[:split], out=J[:, :split])
+        np.multiply(W, self._sigma[split:], out=J[:, split:])
+        return Whitened(r, J, self.loss_at(values, r))
+
+    def weighed(self, values: Floats) -> Floats:
+        """Whitened residuals (R,)."""
+        return self.settings.whitened(values).reshape(-1)
+
+    def beyond(self, here: Whitened, values: Floats, step: Floats) -> Whitened:
+        """What a tiny step leads to."""
+        r = here.r - here.J @ step
+        return Whitened(r, here.J, self.loss_at(values, r))
+
+    def current(self, values: Floats) -> Floats:
+        """How far geometry and the library columns that are free are from their priors."""
+        source = self.settings.source
+        away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
+        return np.asarray(away / self._sigma)
+
+    def changed(self, values: Floats, change: Floats) -> Floats:
+        """Change them."""
+        source, change = self.settings.source, change * self._sigma
+        library, split = source.library(values).copy(), len(source.prior_mean)
+        library[self.free] += change[split:]
+        return source.moved(values, change[:split], library)
+
+    def brought_back(self, values: Floats) -> tuple[Floats, SearchProblem]:
+        """Values with every amplitude inside its physical range, and the problem that holds those at its ends.
+
+        The problem is itself where none is beyond that was not held before.
+        """
+        source, now = self.settings.source, self.current(values)
+        low, high = (end / self._sigma for end in ends(source, self.free))
+        inside = np.clip(now, low, high)
+        if not np.array_equal(inside, now):
+            values = exactly_within(source, self.changed(values, inside - now), self.free)
+        before = np.zeros(len(now), dtype=bool) if self.held is None else self.held.any(axis=0)
+        beyond = before | (np.abs(now - inside) > BEYOND)
+        if np.array_equal(beyond, before):
+            return values, self
+        return values, replace(self, held=np.eye(len(now))[beyond], anchor=inside)
+
+
+def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:
+    """Parameters (d,) of the columns and their covariance (d, d), geometry re-optimised, no prior on them."""
+    index = list(columns)
+    scale = problem.scale[index]
+    return problem.gram.solve(index) * scale, problem.gram.inverse(index)[0] * np.outer(scale, scale)

@@ -1,0 +1,112 @@
+"""Columns of thousands of rows less what geometry explains, made some rows at a time: whole they fill the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kilter_core.gap.search.linear.soft import Soft
+from kilter_core.types import Floats
+
+AT_ONCE = 400_000  # numbers of the columns that are made at a time: 3 MB, which the processor's cache holds
+MOST_AT_ONCE = 4_000_000  # the same of columns that are kept: 32 MB
+UNFELT = 1e-3  # noise sigmas that one prior sigma of a direction moves all data by, below which nothing shows it
+
+
+@dataclass(frozen=True)
+class Projection:
+    """The columns ``W (R, Q)`` less ``taken (R, t)`` times ``by (t, Q)``."""
+
+    W: Floats
+    taken: Floats
+    by: Floats
+
+    @staticmethod
+    def of(soft: Soft, U: Floats, W: Floats) -> Projection:
+        """Columns whitened by what is soft, then with the basis ``U (R, p)`` projected off."""
+        along = soft.shrink[:, None] * (soft.Q.T @ W)
+        return Projection(W, np.hstack([soft.Q, U]), np.vstack([-along, U.T @ W + (U.T @ soft.Q) @ along]))
+
+    def less(self, basis: Floats) -> Projection:
+        """The same with another ``basis (R, b)`` projected off."""
+        return Projection(self.W, np.hstack([self.taken, basis]), np.vstack([self.by, self.under(basis.T)]))
+
+    def under(self, X: Any) -> Floats:
+        """The product of a matrix (K, R), dense or sparse, and the columns."""
+        return np.asarray(X @ self.W - (X @ self.taken) @ self.by)
+
+    def rows(self, part: slice) -> Floats:
+        """Some rows of the columns."""
+        out = self.taken[part] @ self.by
+        return np.subtract(self.W[part], out, out=out)
+
+    def products(self, y: Floats) -> tuple[Floats, Floats]:
+        """Inner products (Q, Q) of the columns, and (Q,) with ``y (R,)``."""
+        A, c = np.zeros((self.W.shape[1],) * 2), np.zeros(self.W.shape[1])
+        for part in parts(*self.W.shape):
+            P = self.rows(part)
+            A += P.T @ P
+            c += P.T @ y[part]
+        return A, c
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """The columns ``G (R, P)`` and ``W (R, Q)`` side by side, each times its ``scale``; ``kept`` picks some.
+
+    Rows come ``size`` to a visit.
+    """
+
+    G: Floats
+    W: Floats
+    scale: Floats
+    size: int
+    kept: tuple[int, ...] | None = None
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return len(self.scale) if self.kept is None else len(self.kept)
+
+    def only(self, kept: list[int]) -> Stacked:
+        """Some of the columns."""
+        return Stacked(self.G, self.W, self.scale, self.size, tuple(kept))
+
+    def squares(self) -> Floats:
+        """Inner products (F, F) of the columns."""
+        out = np.zeros((self.width,) * 2)
+        for _, columns in self.each():
+            out += columns.T @ columns
+        return out
+
+    def condensed(self) -> Stacked:
+        """Columns fewer than these that span all of them that data whitened and within priors can see.
+
+        A fit within its priors, and what it leaves, are the same with them: a direction that a whole prior sigma does not move
+        by a thousandth of the noise takes a millionth of anything.
+        """
+        if len(self.G) * self.width > MOST_AT_ONCE:
+            return self
+        w, V = np.linalg.eigh(self.squares())
+        seen = V[:, w > UNFELT**2]
+        made = np.concatenate([columns @ seen for _, columns in self.each()])
+        return Stacked(made, made[:, :0], np.ones(made.shape[1]), self.size)
+
+    def each(self) -> Iterator[tuple[slice, Floats]]:
+        """Slices of the rows, whole visits each, and the columns there."""
+        for part in parts(len(self.G), len(self.scale), self.size):
+            X = np.hstack([self.G[part], self.W[part]]) if self.W.shape[1] else self.G[part]
+            yield part, (X if self.kept is None else X[:, list(self.kept)]) * self._scale
+
+    @property
+    def _scale(self) -> Floats:
+        return self.scale if self.kept is None else self.scale[list(self.kept)]
+
+
+def parts(rows: int, columns: int, size: int = 1) -> Iterator[slice]:
+    """Slices of the rows, multiples of ``size`` each."""
+    count = max(1, AT_ONCE // max(1, columns) // size) * size
+    yield from (slice(k, k + count) for k in range(0, rows, count))

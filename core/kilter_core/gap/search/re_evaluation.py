@@ -1,0 +1,121 @@
+"""After every name: what is noise, and which readings are wrong, judged again by the model with what it knows by now.
+
+Without repeats the noise is the scatter of the fit. Frozen at the first fit it holds the gap itself: wrong readings do not
+show above it, and the next effect hides under the first (an arm of 0.02 mm was said to have 0.08). With repeats a name
+that follows the clock or the temperature takes its share out of what they differ by, and what is left of them is the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.gap.budget import PREPARING, Budget, OutOfTimeError
+from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
+from kilter_core.gap.search.linear.contrasts import fitted_away
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, linearize_at, refit
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.rows.outliers import LARGE, outliers, stands_out
+from kilter_core.types import Bools, Progress
+
+WRONG = "wrong readings beyond those set aside"
+CHANGED = 0.02  # of the noise, from which a fit is made again
+FREER = 0.1  # of its freedom, from which the same
+FITS = 3  # of the geometry without wrong readings
+ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
+
+
+def renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
+    """The problem re-fitted with noise and outliers as the fit with these columns shows them; itself if unchanged.
+
+    Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
+    the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
+    ``tick`` is called at every step, and may raise: then nothing was judged again.
+    """
+    before, problem = problem, _renewed(problem, columns, tick)
+    for _ in range(ROUNDS if problem is not before and problem.settings.noise.repeats is not None else 0):
+        noise = _with_noise(problem.settings, problem, columns, problem.settings.used).noise
+        if _alike(problem.settings.noise, noise):
+            break
+        problem.resting()
+        problem = refit(replace(problem.settings, noise=noise), problem.values, columns, tick)
+    return problem
+
+
+def without_wrong(problem: LinearizedProblem, budget: Budget, progress: Progress) -> LinearizedProblem:
+    """The geometry fitted without wrong readings, which each fit judges for the next until none changes, or time is over."""
+    tick = budget.tick(PREPARING, WRONG)
+    for _ in range(FITS):
+        try:
+            after = renewed(problem, (), tick)
+        except OutOfTimeError:
+            break
+        if after is problem:
+            break
+        progress(0.7, "fitting without outliers")
+        problem = after
+    return problem
+
+
+def _renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick) -> LinearizedProblem:
+    settings = problem.settings
+    if settings.inflation > 1.0:  # rows correlated in time: a disturbance looks like what they share
+        return problem
+    every = replace(settings, used=np.ones(len(settings.used), dtype=bool))
+    every = _with_noise(every, problem, columns, settings.used)
+    if len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values):
+        used = settings.used
+    else:
+        problem.resting()
+        used = ~outliers(linearize_at(every, problem.values), columns, tick)
+    after = _with_noise(replace(every, used=used), problem, columns, used)
+    if np.array_equal(used, settings.used) and _alike(settings.noise, after.noise):
+        return problem
+    problem.resting()
+    return refit(after, problem.values, columns, tick)
+
+
+def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int] = ()) -> LinearizedProblem:
+    """A problem re-fitted under the noise and outliers of another, so that the two can be compared."""
+    if settings is problem.settings:
+        return problem
+    problem.resting()
+    return refit(settings, problem.values, columns)
+
+
+def _alike(before: Noise, after: Noise) -> bool:
+    """Whether nothing changed that a verdict could rest on."""
+    if before is after:
+        return True
+    ratio = after.coordinate / max(before.coordinate, 1e-300)
+    freedom = after.freedom / before.freedom if before.freedom > 0.0 else 1.0
+    if before.kinds and not np.allclose(np.diag(before.row), np.diag(after.row), rtol=2.0 * CHANGED, atol=0.0):
+        return False
+    return abs(ratio - 1.0) < CHANGED and abs(freedom - 1.0) < FREER and before.most == after.most
+
+
+def _with_noise(
+    settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools
+) -> ProblemSettings:
+    """The noise of the fit where it comes from there, that of repeats without what the fit explains; others stay."""
+    if settings.noise.repeats is not None:
+        return replace(settings, noise=_of_repeats(settings, problem, columns, used))
+    if settings.noise.source != FIT or settings.trusted:
+        return settings
+    residual = settings.source.residual(problem.values)
+    free = problem.U.shape[1] + len(columns)
+    noise = refitted(settings.noise, residual, used, min(0.9, free / max(used.sum() * residual.shape[1], 1)))
+    return replace(settings, noise=settings.source.even(noise))
+
+
+def _of_repeats(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools) -> Noise:
+    """The noise of the repeats at this fit, with equal weights where it had them."""
+    noise = settings.noise
+    assert noise.repeats is not None
+    taken = fitted_away(problem, columns, noise.repeats.visits.condition)
+    again = noise_again(noise, settings.source.residual(problem.values), taken, used)
+    if again is noise or not np.allclose(noise.visit, noise.even().visit, rtol=1e-9, atol=0.0):
+        return again
+    return again.even()

@@ -1,0 +1,1 @@
+"""Rows that are wrong, and what a search warns of in rows."""

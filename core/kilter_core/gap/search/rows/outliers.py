@@ -1,0 +1,118 @@
+"""Visits that nothing in the library could explain: interrupted laser beams, wrong poses.
+
+No visit is masked because the model under test fails there. Each is predicted from all others by geometry and the whole
+library at once, every parameter within its prior; only what is far from that prediction is set aside, and named. The
+prediction is a redescending fit: it is not bent by those it lets go of, even if they are a third of all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.linalg
+from scipy.stats import chi2
+
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on
+from kilter_core.gap.search.linear.projection import Stacked
+from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.rows.wrong_rows import are_wrong
+from kilter_core.identify.fit.robust import redescended
+from kilter_core.types import Bools, Floats
+
+CHANCE = 0.001  # of setting any good visit aside
+POSE = 6  # numbers of a pose; visits with more show markers
+UNSEEN = 1e-6
+SUPPLE = 0.4  # library parameters per measured scalar above which the library can explain anything
+WILD = 2.0  # times the squared limit, when geometry and what was named predict alone
+LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
+
+
+def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick = go_on) -> Bools:
+    """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale.
+
+    Where the library has more parameters than the data could fix it explains anything, a wild reading too. Then geometry
+    and the ``chosen`` columns alone predict, and a visit must be further outside the scatter than any smooth
+    effect. ``tick`` is called before every fit, and may raise.
+    """
+    settings = problem.settings
+    size = settings.whitener.shape[-1]
+    y, whole = problem.within_priors()
+    geometry = problem.G.shape[1]
+    limit, alike = _limit(settings)
+    found = _far(problem, whole, y, limit, alike, tick)
+    if whole.width > SUPPLE * settings.used.sum() * size:
+        known = [*range(geometry), *(geometry + k for k in chosen)]
+        found |= _far(problem, whole.only(known), y, np.sqrt(WILD) * limit, alike, tick)
+    return found
+
+
+def stands_out(settings: ProblemSettings, values: Floats) -> bool:
+    """Whether any visit is so far from the model at these values that it is worth asking what else could explain it."""
+    limit, alike = _limit(settings)
+    size = np.sqrt(np.sum(settings.whitened(values) ** 2, axis=1) / alike)
+    return bool(size.max(initial=0.0) > limit)
+
+
+def _limit(settings: ProblemSettings) -> tuple[float, int]:
+    """Size beyond which chance puts hardly any visit, and how many numbers of a visit move together."""
+    size = settings.whitener.shape[-1]
+    # Errors of the model move all markers of a tool together: as many numbers, but no more independent ones than a point has.
+    of_tool = settings.source.tool_numbers
+    alike = of_tool // 3 if of_tool > POSE and not settings.noise.absolute else 1
+    return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
+
+
+def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int, tick: Tick) -> Bools:
+    """Visits beyond the limit, if they are wrong readings and no structure."""
+    used = problem.settings.used
+    dimension, X = max(1, round(X.size / alike)), X.condensed()
+
+    def sizes(weight: Floats) -> Floats:
+        tick()
+        every = np.zeros(len(used))
+        every[used] = weight
+        return np.sqrt(_left_out(X, y, every)[used] / alike)
+
+    start = sizes(np.ones(int(used.sum())))
+    far = np.zeros(len(used), dtype=bool)
+    if len(used) > LARGE and float(start.max(initial=0.0)) < limit:
+        return far
+    robust = redescended(sizes, start, dimension)
+    # A noise that comes from the fit holds the wrong readings themselves: the bulk says better what it is.
+    least = 1.0 if problem.settings.trusted else 0.0
+    far[used] = robust.size > limit * max(least, robust.scale)
+    whole = np.zeros(len(used))
+    whole[used] = robust.size
+    return far if are_wrong(problem, far, whole) else np.zeros_like(far)
+
+
+def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
+    """Squared studentised distance (V,) of every visit from the weighted fit to all others."""
+    beta, root_inverse = _fit(X, y, weight)
+    out = np.empty(len(weight))
+    for part, columns in X.each():
+        visits = slice(part.start // X.size, part.stop // X.size)
+        half = columns @ root_inverse.T  # a product is twice as fast as solving for every row
+        blocks = half.reshape(-1, X.size, X.width)
+        w, V = np.linalg.eigh(np.matmul(blocks, blocks.transpose(0, 2, 1)))
+        z = np.einsum("vij,vi->vj", V, (y[part] - columns @ beta).reshape(-1, X.size))
+        # Without its own visit a direction is off by z / (1 - w h) and known to 1 + h / (1 - w h).
+        free = 1.0 - weight[visits, None] * w
+        spread = free * (free + w)
+        # A visit that nothing else can predict has no residual of its own: its directions count as nothing.
+        out[visits] = np.sum(np.where(free > UNSEEN, z**2 / np.maximum(spread, UNSEEN**2), 0.0), axis=1)
+    return out
+
+
+def _fit(X: Stacked, y: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Amounts (F,) of the weighted fit within the priors, and the inverse root (F, F) of its matrix."""
+    H, b = np.eye(X.width), np.zeros(X.width)
+    for part, columns in X.each():
+        root = np.repeat(np.sqrt(weight[part.start // X.size : part.stop // X.size]), X.size)
+        K = columns * root[:, None]
+        H += K.T @ K
+        b += K.T @ (y[part] * root)
+    factor, lower = scipy.linalg.cho_factor(H)
+    inverse = scipy.linalg.solve_triangular(factor, np.eye(len(H)), lower=lower, trans=0 if lower else 1)
+    return scipy.linalg.cho_solve((factor, lower), b), inverse

@@ -1,0 +1,125 @@
+"""What the rows themselves say before any fit: copies among repeats, clocks that were set back, repeats that drifted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from kilter_core.effects.physical import joint_numbers
+from kilter_core.gap.noise.from_repeats import Noise
+from kilter_core.gap.search.linear.linearized import LinearizedProblem
+from kilter_core.gap.search.sources.rounding import Rounding, coordinate
+from kilter_core.gap.search.sources.source import Source
+from kilter_core.observations import Observations
+from kilter_core.observations.clock import clock_of
+from kilter_core.parameters import DEG, degrees, mm
+from kilter_core.types import Bools
+
+Warning_ = dict[str, Any]
+
+JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
+COPY = 1e-9  # m or rad: no instrument repeats itself so exactly
+BEYOND = 3.0  # times the instrument, from which repeats show that something moves
+COARSE = 0.05  # share of equal coordinates between repeats from which the instrument rounds: equal rows prove nothing
+
+
+def identical_repeats(rows: Observations) -> Bools:
+    """Rows (N,) that repeat all that was measured in an earlier row of the same pose and conditions, to the last digit."""
+    parts = [
+        v.reshape(len(rows), -1) for v in (rows.position, rows.rotation, rows.markers, rows.link_q) if v is not None
+    ]
+    if not parts:
+        return np.zeros(len(rows), dtype=bool)
+    lattice = np.round(np.nan_to_num(np.hstack(parts), nan=-1.0) / COPY)
+    condition = rows.conditions()
+    order = np.lexsort((np.arange(len(rows)), condition))
+    pairs = condition[order][1:] == condition[order][:-1]
+    equal = lattice[order][1:][pairs] == lattice[order][:-1][pairs]
+    others = equal[~equal.all(axis=1)]
+    if len(others) and float(np.mean(others)) > COARSE:
+        return np.zeros(len(rows), dtype=bool)
+    first = np.unique(np.hstack([condition[:, None], lattice]), axis=0, return_index=True)[1]
+    again = np.ones(len(rows), dtype=bool)
+    again[first] = False
+    return again
+
+
+def clock_warnings(rows: Observations) -> Iterator[Warning_]:
+    """Say where the clock of the rows runs backwards, and what was done instead."""
+    clock = clock_of(rows)
+    if clock.fell is None:
+        return
+    done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
+    yield {
+        "code": "clock_backwards", "row": clock.fell,
+        "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
+        "its own, or upload the rows with one clock.",
+    }  # fmt: skip
+
+
+def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Iterator[Warning_]:
+    """Say to which step joint readings are rounded, how far that moves the tool, and how it counts."""
+    if one is None:
+        return
+    joints = source.model.robot.joints
+    said = []
+    for step in dict.fromkeys(s for s in one.steps.tolist() if s > 0.0):
+        own = [j for j, s in enumerate(one.steps) if s == step]
+        slides = joints[own[0]].kind == "prismatic"
+        size = f"{mm(step):.4g} mm" if slides else f"{degrees(step):.4g} deg"
+        said.append(f"{size} ({joint_numbers(own)})")
+    counted = "which the noise holds already" if held else "which counts as noise beside that of the repeats"
+    yield {
+        "code": "rounded_readings",
+        "message": f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
+        f"{mm(coordinate(one, source)):.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
+    }  # fmt: skip
+
+
+def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
+    """Say how far repeats drifted, or that the rows cannot show it."""
+    drift = noise.drift
+    unit, scale = ("deg", DEG) if joint else ("µm", 1e6)
+    if drift is not None and drift.seen:
+        sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
+        said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
+        clock = "" if drift.timed else " (by the order of the rows, because there is no clock)"
+        yield {
+            "code": "repeats_drift",
+            "message": f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
+            "distance in time and temperature. Let arm and instrument warm up, and repeat poses soon after one another.",
+        }
+    if noise.most:
+        yield {
+            "code": "drift_not_separated",
+            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
+            "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
+        }
+
+
+def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[Warning_]:
+    """Say that repeats scatter by far more than the instrument, ``stated`` m of a coordinate, does."""
+    if stated is None or not stated > 0.0 or noise.between is None or noise.coordinate < BEYOND * stated:
+        return
+    ratio = noise.coordinate / stated
+    within = "" if noise.within is None else f" ({mm(noise.within):.3g} mm without leaving the pose)"
+    yield {
+        "code": "noise_beyond_instrument", "ratio": ratio,
+        "message": f"Repeats differ by {mm(noise.coordinate):.3g} mm (standard deviation of a coordinate){within}, "
+        f"{ratio:.2g} times what the instrument states ({mm(stated):.3g} mm): something moves between visits. Hysteresis "
+        "and friction memory of the joints (presliding), a loose mount or nest, or warming do that; errors smaller than this "
+        "cannot be seen. Approach poses from the same side and on the same way, and check mounts.",
+    }  # fmt: skip
+
+
+def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:
+    """Say how many visits were set aside."""
+    used = problem.settings.used
+    if not used.all():
+        yield {
+            "code": "outliers", "visits": int(np.sum(~used)),
+            "message": f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
+            "aside.",
+        }  # fmt: skip

@@ -1,0 +1,1 @@
+"""What a search reads: rows of poses, tool points, contacts and links as whitened residuals with their columns."""

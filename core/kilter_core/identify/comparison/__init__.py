@@ -1,0 +1,1 @@
+"""Models and calibrations against each other."""

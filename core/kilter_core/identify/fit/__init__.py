@@ -1,0 +1,1 @@
+"""The least-squares fit: problem, solver, priors, weights of rows."""

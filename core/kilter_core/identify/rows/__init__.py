@@ -1,0 +1,1 @@
+"""What rows say of themselves: noise, errors by kind, influence, measured tilt."""

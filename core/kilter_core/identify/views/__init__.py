@@ -1,0 +1,1 @@
+"""Cameras of an identification, and the next views."""

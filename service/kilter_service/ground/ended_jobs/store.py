@@ -1,0 +1,37 @@
+"""Counts of the jobs that have ended, by kind, state and how long they took."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from datetime import timedelta
+
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import EndedJobsRow, JobRow
+
+# Counted are jobs up to each, and no longer than it; the bins may change with a release, what was counted keeps its own.
+AT_MOST_MS = (250, 1000, 2500, 5000, 10_000, 30_000, 60_000, 120_000, 300_000, 600_000, 1_800_000, 3_600_000)
+LONGER_MS = 2**31 - 1
+NEVER_RAN = 0
+
+
+def count(session: Session, row: JobRow) -> None:
+    """Count a job that has just ended, in the transaction that ends it."""
+    took = _took(row)
+    key = (row.kind, row.state, NEVER_RAN if took is None else _bin_of(took))
+    counted = session.get(EndedJobsRow, key)
+    if counted is None:
+        counted = EndedJobsRow(kind=row.kind, state=row.state, at_most_ms=key[2], jobs=0, seconds=0.0)
+        session.add(counted)
+    counted.jobs += 1
+    counted.seconds += 0.0 if took is None else took.total_seconds()
+
+
+def _took(row: JobRow) -> timedelta | None:
+    if row.started_at is None or row.finished_at is None:
+        return None
+    return max(timedelta(0), row.finished_at - row.started_at)  # the clock may have been set back
+
+
+def _bin_of(took: timedelta) -> int:
+    at = bisect_left(AT_MOST_MS, took / timedelta(milliseconds=1))
+    return AT_MOST_MS[at] if at < len(AT_MOST_MS) else LONGER_MS

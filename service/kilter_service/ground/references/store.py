@@ -1,0 +1,209 @@
+"""Campaigns, versions and jobs by prefix, name or `latest`; whose a name is; what cites a campaign; tombstones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import datetime
+from typing import Any, Literal, NamedTuple
+
+from sqlalchemy import ColumnElement, Select, and_, or_, select
+
+from kilter_service.contract.references import Kind
+from kilter_service.ground.caller import allowed_robots, may_see
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.row import now
+from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
+from kilter_service.ground.references.records import TombstoneRecord, Whose
+
+Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
+TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
+PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
+KEPT: Mapping[Whose, type[Any]] = {"campaign": CampaignRow, "version": VersionRow, "robot": RobotRow}
+LATEST = "latest"
+NOMINAL = "nominal"  # of versions: the nominal robot, which a comparison may name
+
+
+class Found(NamedTuple):
+    """Something that has an id: whose it is, what it is called, whether it is in use."""
+
+    id: str
+    robot: str
+    name: str
+    created_at: datetime
+    in_use: bool
+
+
+def beginning_with(session: Session, kind: Kind, robot_id: int | None, text: str) -> list[Found]:
+    """Return what has an id that begins with ``text``, with or without what ids of the kind begin with, newest first."""
+    table, prefix = TABLES[kind], PREFIXES[kind]
+    whole = text if text.startswith(prefix) else prefix + text
+    return _found(session, _of(kind, robot_id).where(table.id.startswith(whole, autoescape=True)))
+
+
+def called(session: Session, kind: Kind, robot_id: int | None, name: str) -> list[Found]:
+    """Return what has a name, newest first."""
+    return _found(session, _of(kind, robot_id).where(TABLES[kind].name == name)) if name else []
+
+
+def newest(session: Session, kind: Kind, robot_id: int | None, most: int = 1) -> list[Found]:
+    """Return the newest that are not retired, of jobs also those that failed; of each robot where none is given."""
+    if robot_id is not None:
+        query = _of(kind, robot_id).limit(most)
+        return _found(session, query if kind == "job" else query.where(_in_use(kind)))
+    everywhere = session.execute(select(RobotRow.id).where(RobotRow.retired_at.is_(None))).scalars().all()
+    return [found for one in everywhere for found in newest(session, kind, one, most)]
+
+
+def _of(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool]:
+    table = TABLES[kind]
+    query = select(table.id, RobotRow.name.label("robot"), table.name, table.created_at, _in_use(kind).label("in_use"))
+    query = query.join(RobotRow, RobotRow.id == table.robot_id)
+    if kind == "campaign":
+        query = query.where(CampaignRow.staged.is_(False))
+    if (visible := allowed_robots()) is not None:
+        query = query.where(RobotRow.name.in_(visible))
+    if robot_id is not None:
+        query = query.where(table.robot_id == robot_id)
+    return query.order_by(table.created_at.desc(), table.id)
+
+
+def _in_use(kind: Kind) -> ColumnElement[bool]:
+    if kind == "campaign":
+        return and_(CampaignRow.retired_at.is_(None), CampaignRow.staged.is_(False))
+    if kind == "version":
+        return VersionRow.retired_at.is_(None)
+    return JobRow.state.not_in(("failed", "cancelled"))
+
+
+def _found(session: Session, query: Select[str, str, str, datetime, bool]) -> list[Found]:
+    return [Found(*row) for row in session.execute(query)]
+
+
+def check_name(session: Session, kind: Kind, robot_id: int, name: str, own_id: str | None = None) -> None:
+    """Refuse a name that another of the robot has, or that would be taken for an id.
+
+    Raises:
+        ServiceError: it looks like an id, or is taken.
+
+    """
+    check_form(kind, name)
+    others = [one for one in called(session, kind, robot_id, name) if one.in_use and one.id != own_id]
+    if others:
+        remedy = f", add to that one with --campaign {others[0].id}" if kind == "campaign" else ""
+        retire = "" if kind == "job" else f", or retire that one (kilter {kind}s retire {others[0].id})"
+        raise ServiceError(
+            f"Robot {others[0].robot!r} has a {kind} called {name!r} already, {others[0].id}: give another name"
+            f"{remedy}{retire}.",
+            code="name_taken",
+            name=name,
+            id=others[0].id,
+        )
+
+
+def check_form(kind: Kind, name: str) -> None:
+    """Refuse a name that would be taken for an id.
+
+    Raises:
+        ServiceError: it looks like an id.
+
+    """
+    reserved = (LATEST,) if kind == "campaign" else (LATEST, NOMINAL)  # a job names the version that it makes
+    if name.strip() in reserved or name.strip().startswith(tuple(PREFIXES.values())) or name != name.strip():
+        what = "begins or ends with a space" if name != name.strip() else "looks like an id"
+        words = " or ".join(map(repr, reserved))
+        raise ServiceError(
+            f"The name {name!r} of a {kind} {what}: give one that is not {words}, does not begin with "
+            f"{', '.join(PREFIXES.values())}, and has no space around it.",
+            code="name_invalid",
+            name=name,
+        )
+
+
+def free_name(session: Session, kind: Kind, robot_id: int, name: str) -> str:
+    """Return a name, with a number behind it where another of the robot has it."""
+    tried, number = name, 1
+    while any(one.in_use for one in called(session, kind, robot_id, tried)):
+        number += 1
+        tried = f"{name[:190]} ({number})"
+    return tried
+
+
+def change(
+    session: Session, kind: Literal["campaign", "version"], id_: str, name: str | None, notes: str | None
+) -> None:
+    """Write the name and the notes that people give something; None leaves them as they are."""
+    row = session.get_one(KEPT[kind], id_)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, whose: Whose, key: str | int, actor: str) -> None:
+    """Take something out of use; nothing changes when it already is."""
+    row = session.get_one(KEPT[whose], key)
+    if row.retired_at is None:
+        row.retired_at, row.retired_by = now(), actor
+        session.flush()
+
+
+def restore(session: Session, whose: Whose, key: str | int) -> None:
+    """Bring something back into use; nothing changes when it already is.
+
+    Raises:
+        ServiceError: another one has its name now.
+
+    """
+    row = session.get_one(KEPT[whose], key)
+    if row.retired_at is None:
+        return
+    if whose != "robot":  # no two robots have one name, in use or not
+        check_name(session, whose, row.robot_id, row.name, row.id)
+    row.retired_at, row.retired_by = None, ""
+    session.flush()
+
+
+def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
+    """Return the versions that were made from a campaign."""
+    rows = session.execute(select(VersionRow.id, VersionRow.campaigns).where(VersionRow.robot_id == robot_id))
+    return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
+
+
+def add_tombstone(session: Session, record: TombstoneRecord) -> None:
+    """Keep what is left of something that is purged."""
+    session.add(TombstoneRow(**asdict(record)))
+
+
+def tombstones(session: Session, robot: str | None, page: Page) -> list[TombstoneRecord]:
+    """Return what was purged, newest first, one more than the page shows."""
+    row = TombstoneRow
+    query = select(row).order_by(row.at.desc(), row.id)
+    if robot is not None:
+        query = query.where(row.robot == robot)
+    if (visible := allowed_robots()) is not None:
+        query = query.where(row.robot.in_(visible))
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.at < moment, and_(row.at == moment, row.id > key)))
+    return [_tombstone(found) for found in session.execute(query.limit(page.fetched)).scalars()]
+
+
+def tombstone_of(session: Session, kind: str, id_: str) -> TombstoneRecord | None:
+    """Return what is left of something that was purged, if it was."""
+    query = select(TombstoneRow).where(TombstoneRow.kind == kind, TombstoneRow.id == id_)
+    row = session.execute(query.order_by(TombstoneRow.at.desc()).limit(1)).scalar_one_or_none()
+    return None if row is None else _tombstone(row)
+
+
+def gone(session: Session, kind: str, id_: str) -> str:
+    """Say that something was purged, if it was; empty else."""
+    found = tombstone_of(session, kind, id_)
+    if found is None or not may_see(found.robot):
+        return ""
+    return f" It was purged by {found.by} on {found.at:%Y-%m-%d %H:%M} UTC (sha256 {found.sha256[:12]})."
+
+
+def _tombstone(row: TombstoneRow) -> TombstoneRecord:
+    kind: Whose = row.kind  # type: ignore[assignment]  # checked when it was stored, and again by the model
+    return TombstoneRecord(row.id, kind, row.robot, row.name, row.sha256, row.by, row.at)

@@ -1,0 +1,120 @@
+"""What a table changes of the nominal one, number by number, and the zero offsets to enter into a controller."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kilter_core.arm.conversions.tables import angles_and_lengths
+from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_service.robots.exporters.urdf_words import away_from_the_cut
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from kilter_core.arm.robot import Joint
+    from kilter_core.identify.uncertainty.zero_offsets import KnownZeros
+    from kilter_core.model.closest_table import ClosestTable
+
+ZERO_SIGN = (
+    "Zero offsets: what a joint really has beyond its reading (real = reading + offset). A controller that adds its offset "
+    "takes the number as it is, one that subtracts it the negative. Enter either these and the table's nominal "
+    "theta_offset_deg (d_mm of a prismatic joint), or the table as it is, never both."
+)
+
+
+ZERO_STATES = (
+    "States of zeros: known, the 95 % interval leaves 0 out; uncertain, it does not; held, the zero was not identified "
+    "or is shared with base or tool; unstated, the version does not say how well it is known."
+)
+
+
+class Change(NamedTuple):
+    """A number of the table: nominal, as exported, and the difference."""
+
+    where: str
+    name: str
+    nominal: float
+    exported: float
+
+    @property
+    def difference(self) -> float:
+        """Exported minus nominal; an angle within 180 degrees."""
+        apart = self.exported - self.nominal
+        return math.remainder(apart, 360.0) if self.name.endswith("_deg") else apart
+
+
+def changes(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[Change]:
+    """Every number of base, rows and tool."""
+    yield from _of_frame("base", table.nominal_base, table.base)
+    for joint, nominal, row in zip(joints, table.nominal, table.rows, strict=True):
+        before = dict(angles_and_lengths(nominal))
+        for name, value in angles_and_lengths(row):
+            if value is not None:
+                yield Change(joint.name, name, before[name] or 0.0, value)
+    yield from _of_frame("tool", table.nominal_tool, table.tool)
+
+
+class ZeroOffset(NamedTuple):
+    """How far a joint's zero is off, in ``unit``, with the half width of its 95 % interval; NaN where nobody knows it."""
+
+    joint: str
+    unit: str
+    offset: float
+    half_width: float
+    held: bool
+
+    @property
+    def state(self) -> str:
+        """``known``: the interval leaves 0 out; ``uncertain``; ``held``: it was not identified; ``unstated``."""
+        if self.held:
+            return "held"
+        if math.isnan(self.half_width):
+            return "unstated"
+        return "known" if abs(self.offset) > self.half_width else "uncertain"
+
+
+def zero_offsets(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[ZeroOffset]:
+    """How far each joint's zero is off, and how well that is known."""
+    numbers = {joint.name: k for k, joint in enumerate(joints)}
+    wanted = {joint.name: "d_mm" if joint.kind == "prismatic" else "theta_offset_deg" for joint in joints}
+    for change in changes(table, joints):
+        if wanted.get(change.where) == change.name:
+            k, unit = numbers[change.where], change.name.rpartition("_")[2]
+            half = math.nan if known is None else float(known.half_width[k])
+            half = 1e3 * half if unit == "mm" else math.degrees(half)
+            yield ZeroOffset(change.where, unit, change.difference, half, known is not None and bool(known.held[k]))
+
+
+def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[str]:
+    """Both as comments of a table."""
+    yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
+    for change in changes(table, joints):
+        numbers = f"nominal={_plain(change.nominal)} exported={_plain(change.exported)}"
+        yield f"number {_word(change.where)} {change.name} {numbers} difference={_plain(change.difference)}"
+    yield ZERO_SIGN
+    yield ZERO_STATES
+    for one in zero_offsets(table, joints, known):
+        half = "" if math.isnan(one.half_width) else f" half_width_{one.unit}={_plain(one.half_width)}"
+        yield f"zero_offset {_word(one.joint)} {one.unit}={_plain(one.offset)}{half} state={one.state}"
+
+
+def _of_frame(where: str, nominal: NDArray[np.float64], exported: NDArray[np.float64]) -> Iterator[Change]:
+    poses = (xyz_rpy_from_pose(nominal), xyz_rpy_from_pose(exported))
+    pairs = [(1e3 * xyz, np.degrees(away_from_the_cut(rpy))) for xyz, rpy in poses]
+    for unit, k, prefix in (("mm", 0, ""), ("deg", 1, "r")):
+        for axis, before, now in zip("xyz", pairs[0][k], pairs[1][k], strict=True):
+            yield Change(where, f"{prefix}{axis}_{unit}", float(before), float(now))
+
+
+def _plain(value: float) -> str:
+    """A number for a person: a millionth of a millimetre or degree is rounding."""
+    return f"{round(value, 6) + 0.0:.6f}".rstrip("0").rstrip(".")
+
+
+def _word(name: str) -> str:
+    """A name without blanks or line ends: the comment stays one line of words."""
+    return "_".join(name.split())

@@ -1,0 +1,119 @@
+"""What stands at the head of a twin for a simulator: what each effect is worth, where it went, and how good the twin is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kilter_core.model.closest_table import at_rest, workspace
+from kilter_service.contract.fits import Errors, StageErrors
+from kilter_service.contract.versions import Version
+from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
+from kilter_service.robots.exporters.omissions import displacements_mm
+
+if TYPE_CHECKING:
+    from kilter_core.effects import Effect
+    from kilter_core.model import Calibration
+
+ROUNDS = 30  # until an arm hangs where its own loads say
+SAID_UM = 0.01
+
+
+Placed = Sequence[tuple[str, Sequence["Effect"]]]  # where effects went, in words, and those that went there
+
+
+def notes(version: Version, calibration: Calibration, placed: Placed, known: Sequence[str]) -> tuple[str, ...]:
+    """Everything to know before the twin is trusted; ``known`` is what all twins of the format have in common."""
+    effects = _of_effects(calibration, placed)
+    loads = (*_of_loads(calibration), *_of_soft_base(calibration))
+    return (*effects, *loads, held_out(version.metrics.validation), *known)
+
+
+def in_mujoco(exported: ExportedEffects) -> Placed:
+    """Where the effects went in a model of MuJoCo."""
+    return (
+        ("In the model", exported.in_elements),
+        ("Added by the step in Python (kilter.twin.apply) only", exported.in_step),
+        ("Left out", exported.left_out),
+    )
+
+
+KNOWN_OF_MUJOCO = (
+    "Controls are the readings of the controller, in rad and m. Set what the tool carries by the mass of the body payload, "
+    "then call mj_setConst.",
+    "A joint that nothing loads rests anywhere within its backlash, and where friction holds it depends on how it came there.",
+    "Not calibrated: inertia of the drives, damping, speed and torque limits. The twin is true where it has settled.",
+)
+
+
+def held_out(errors: StageErrors | None) -> str:
+    """How far the arm was from each model at poses that no fit has seen."""
+    if errors is None or errors.identified is None:
+        return "No measured poses were held out: how good the twin is where it was not fitted is not known."
+    models = (
+        ("nominal", errors.registration_only), ("rigid, calibrated", errors.geometry_only),
+        ("with the effects", errors.identified),
+    )  # fmt: skip
+    said = ", ".join(f"{name} {_mm(found)}" for name, found in models if found is not None)
+    return f"Held-out measured poses ({errors.n}), mean error of the tool, base and tool fitted: {said}."
+
+
+def _mm(errors: Errors) -> str:
+    return f"{errors.mean_mm:.4f} mm"
+
+
+def _of_effects(calibration: Calibration, placed: Placed) -> Iterator[str]:
+    sizes = displacements_mm(calibration)
+    for where, effects in placed:
+        yield from _effect_notes(where, effects, sizes)
+
+
+def _effect_notes(where: str, effects: Sequence[Effect], sizes: dict[str, tuple[float, float]]) -> Iterator[str]:
+    for effect in effects:
+        size = sizes.get(effect.id)
+        if size is None:
+            yield f"{where}: {effect.id}, which acts with {', '.join(sorted(effect.needs - {'moments'}))}."
+        else:
+            worth = f"{size[0] * 1e3:.1f} um rms and {size[1] * 1e3:.1f} um at most over the workspace, without load"
+            yield f"{where}: {effect.id}, worth {worth}."
+
+
+def _of_loads(calibration: Calibration) -> Iterator[str]:
+    """How far the arm that hangs is from a prediction: one of a version without its own loads takes them at the readings."""
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
+    if not any("moments" in effect.needs for effect in kept.model.effects):
+        return
+    rows = workspace(calibration.robot)
+    chain = kept.model.load_chain
+    plain = kept.model if chain is None else replace(kept.model, load_chain=replace(chain, effects=None))
+    told, hanging = kept.predict(rows), plain.batch(rows)
+    for _ in range(ROUNDS):
+        where = plain.link_angles(hanging, kept.values)
+        hanging = replace(plain.batch(replace(rows, q=where)), q=rows.q)
+    apart = np.linalg.norm(plain.predict(hanging, kept.values).position - told.position, axis=1) * 1e6
+    if apart.max() > SAID_UM:
+        at_readings = chain is None or not chain.effects
+        takes = "takes the loads at the readings" if at_readings else "takes a side where nothing loads a backlash"
+        yield (
+            f"The twin hangs where its loads leave it, a prediction of Kilter {takes}: "
+            f"{np.sqrt(np.mean(apart**2)):.2f} um rms and {apart.max():.2f} um at most apart over the workspace."
+        )
+
+
+def _of_soft_base(calibration: Calibration) -> Iterator[str]:
+    """How far gravity is tilted against the arm, which a prediction leaves out of its loads and a simulator does not."""
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if effect.id == "base_compliance"])
+    if not kept.model.effects:
+        return
+    batch, (soft, where) = kept.model.batch(workspace(calibration.robot)), kept.model.placed[0]
+    moved = soft.local(batch, kept.values[where]).base
+    tilt = 0.0 if moved is None else float(np.max(np.linalg.norm(moved[:, 3:], axis=1)))
+    if tilt > 0.0:
+        yield (
+            f"The soft base tilts by up to {np.degrees(tilt):.2g} deg over the workspace, without load: where a simulator has "
+            "it, gravity loads the tilted arm; a prediction of Kilter leaves gravity as the robot states it, and sag and the "
+            "side of a backlash with it."
+        )

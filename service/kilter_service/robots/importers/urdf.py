@@ -1,0 +1,223 @@
+"""A URDF and the two ends of an arm into a robot document of convention ``chain``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import RobotError
+from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
+from kilter_service.robots.importers.urdf_masses import in_frame, merged
+from kilter_service.robots.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
+
+Floats = NDArray[np.float64]
+Item = dict[str, Any]
+
+MM = 1e3
+STRAIGHT = 1e-12  # an axis this close to x, y or z is one of them
+ORIGIN = (("x", "Tx", 0), ("y", "Ty", 1), ("z", "Tz", 2), ("yaw", "Rz", 2), ("pitch", "Ry", 1), ("roll", "Rx", 0))
+
+
+@dataclass(frozen=True)
+class UrdfImport:
+    """The document, and what of the URDF it leaves out.
+
+    ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
+    ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link. ``link_frames``
+    has, for every joint that moves, the arm's joint whose link it carries ("": it follows one, with a link of its own),
+    the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass. ``mimics`` has the mimic
+    joints of the path, and the element that each became.
+    """
+
+    document: Item
+    joint_ends: tuple[tuple[str, int], ...] = ()
+    held_joints: tuple[str, ...] = ()
+    link_frames: tuple[tuple[str, str, Floats], ...] = ()
+    mimics: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass
+class _Chain:
+    """Elements so far; ``frames`` has, per joint element, its link and the link's pose (4, 4) after the element."""
+
+    elements: list[Item] = field(default_factory=list)
+    frames: list[tuple[int, Floats, str]] = field(default_factory=list)
+    mimics: list[tuple[str, int]] = field(default_factory=list)
+
+    def add(self, **element: Any) -> None:
+        self.elements.append(element)
+
+
+def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfImport:
+    """Convert URDF text to a ``chain`` document (mm, degrees) of the arm from ``base_link`` to ``tip_link``.
+
+    Each moving joint's origin becomes six named elements ``<joint>_x, _y, _z, _yaw, _pitch, _roll``; fixed joints
+    become fixed elements. Fixed rotations bring an axis not along x, y or z there, and back after the joint.
+
+    Raises:
+        RobotError: the text is not URDF, the links do not exist, or nothing moves between them.
+
+    """
+    tree = parse(text)
+    path = tree.path(base_link, tip_link)
+    drivers = list(dict.fromkeys(joint.mimic.joint if joint.mimic else joint.name for joint in path if joint.moves))
+    _check_drivers(drivers, base_link, tip_link)
+    chain, ends = _Chain(), []
+    for joint in path:
+        _append(chain, joint)
+        ends.append((joint.name, len(chain.elements)))
+    if len(chain.elements) > MAX_ELEMENTS:
+        raise RobotError(
+            f"The arm from {base_link!r} to {tip_link!r} has {len(chain.elements)} elements, at most "
+            f"{MAX_ELEMENTS} are allowed: merge fixed joints in a row.",
+            field="urdf",
+        )
+    bodies = _bodies(tree, path, chain)
+    primary = _primary(chain, drivers)
+    return UrdfImport(
+        document={
+            "name": name,
+            "convention": "chain",
+            "joints": [_joint(tree, driver) for driver in drivers],
+            "elements": chain.elements,
+            "links": [*(_link(bodies[place]) for place in primary), *_followers(bodies, primary)],
+        },
+        joint_ends=tuple(ends),
+        held_joints=_held(tree, path, base_link),
+        mimics=tuple(chain.mimics),
+        link_frames=tuple((chain.elements[k]["joint"] if k in primary else "", link, T) for k, T, link in chain.frames),
+    )
+
+
+def _check_drivers(drivers: list[str], base_link: str, tip_link: str) -> None:
+    if not drivers:
+        raise RobotError(f"No joint moves between {base_link!r} and {tip_link!r}.", field="tip_link")
+    if len(drivers) > MAX_JOINTS:
+        raise RobotError(
+            f"{len(drivers)} joints move between {base_link!r} and {tip_link!r}, an arm has at most {MAX_JOINTS}: name the "
+            "two ends of one arm.",
+            field="tip_link",
+        )
+
+
+def _append(chain: _Chain, joint: UrdfJoint) -> None:
+    for suffix, axis, k in ORIGIN:
+        value = joint.xyz[k] * MM if axis[0] == "T" else math.degrees(joint.rpy[k])
+        if joint.moves:
+            chain.add(name=f"{joint.name}_{suffix}", axis=axis, value=float(value))
+        elif value:
+            chain.add(axis=axis, value=float(value), fixed=True)
+    if joint.moves:
+        _append_motion(chain, joint)
+
+
+def _append_motion(chain: _Chain, joint: UrdfJoint) -> None:
+    letter, sign, turns = _along(joint.axis)
+    for axis, degrees in turns:
+        chain.add(axis=axis, value=degrees, fixed=True)
+    prismatic = MOVING[joint.kind] == "prismatic"
+    multiplier, offset = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else (1.0, 0.0)
+    element: Item = {
+        "joint": joint.mimic.joint if joint.mimic else joint.name,
+        "axis": f"{'T' if prismatic else 'R'}{letter}",
+    }
+    if sign * multiplier != 1.0:
+        element["ratio"] = sign * multiplier
+    if offset:
+        element["value"] = float(sign * offset * MM if prismatic else math.degrees(sign * offset))
+    # The zero offset is a parameter of its own, though the origin's constants span it: level 1 identifies offsets only.
+    chain.add(**element)
+    if joint.mimic:
+        chain.mimics.append((joint.name, len(chain.elements) - 1))
+    chain.frames.append((len(chain.elements) - 1, _back(turns), joint.child))
+    for axis, degrees in reversed(turns):
+        chain.add(axis=axis, value=-degrees, fixed=True)
+
+
+def _along(axis: Floats) -> tuple[str, float, list[tuple[str, float]]]:
+    """Letter and sign of the axis, and the fixed rotations that bring z there when it is none of x, y, z."""
+    k = int(np.argmax(np.abs(axis)))
+    if np.linalg.norm(np.delete(axis, k)) < STRAIGHT:
+        return "xyz"[k], math.copysign(1.0, axis[k]), []
+    azimuth = math.degrees(math.atan2(axis[1], axis[0]))
+    tilt = math.degrees(math.atan2(math.hypot(axis[0], axis[1]), axis[2]))
+    return "z", 1.0, [("Rz", azimuth), ("Ry", tilt)]
+
+
+def _back(turns: list[tuple[str, float]]) -> Floats:
+    """Pose (4, 4) of the link in the frame right after the joint's element: the rotations undone."""
+    T = np.eye(4)
+    for axis, degrees in reversed(turns):
+        k = "xyz".index(axis[1])
+        a, b = (k + 1) % 3, (k + 2) % 3
+        c, s = math.cos(math.radians(-degrees)), math.sin(math.radians(-degrees))
+        step = np.eye(4)
+        step[a, a], step[a, b], step[b, a], step[b, b] = c, -s, s, c
+        T = T @ step
+    return T
+
+
+def _primary(chain: _Chain, drivers: list[str]) -> list[int]:
+    """Element of each joint by the rule of kilter_core.arm.chain: the one with ratio ±1 where there is one, else its first."""
+    own: dict[str, list[int]] = {}
+    for k, _, _ in chain.frames:
+        own.setdefault(chain.elements[k]["joint"], []).append(k)
+    return [
+        next((k for k in own[driver] if abs(chain.elements[k].get("ratio", 1.0)) == 1.0), own[driver][0])
+        for driver in drivers
+    ]
+
+
+def _bodies(tree: UrdfTree, path: list[UrdfJoint], chain: _Chain) -> dict[int, Body]:
+    """Return what moves rigidly with each joint element, in the frame right after it."""
+    on_path = {joint.name for joint in path if joint.moves}
+    return {k: in_frame(T, merged(tree, link, on_path)) for k, T, link in chain.frames}
+
+
+def _followers(bodies: dict[int, Body], primary: list[int]) -> list[Item]:
+    """Bodies behind mimic joints: they move with an axis of their own, which follows another joint."""
+    return [
+        _link(body) | {"on_axis": axis}
+        for axis, (place, body) in enumerate(bodies.items(), 1)
+        if place not in primary and body.mass > 0
+    ]
+
+
+def _joint(tree: UrdfTree, name: str) -> Item:
+    if name not in tree.joints:
+        raise RobotError(f"A joint mimics {name!r}, which is not in the URDF.", field="urdf", place=name)
+    joint = tree.joints[name]
+    item: Item = {"name": name}
+    if math.isfinite(joint.lower) and joint.lower < joint.upper:
+        unit, scale = ("mm", MM) if joint.kind == "prismatic" else ("deg", 180.0 / math.pi)
+        item[f"limits_{unit}"] = [joint.lower * scale, joint.upper * scale]
+    return item
+
+
+def _link(body: Body) -> Item:
+    inertia = body.inertia
+    six = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    return {
+        "mass_kg": body.mass,
+        "com_mm": [float(value) * MM for value in body.com],
+        "inertia_kg_m2": [float(value) for value in six],
+    }
+
+
+def _held(tree: UrdfTree, path: list[UrdfJoint], base_link: str) -> tuple[str, ...]:
+    """Moving joints that hang on the arm without being of the chain."""
+    on_path = {joint.name for joint in path}
+    moving_links = {joint.child for joint in path} | {base_link}
+    held, queue = [], list(moving_links)
+    while queue:
+        for joint in tree.children(queue.pop()):
+            if joint.name in on_path:
+                continue
+            queue.append(joint.child)
+            if joint.moves:
+                held.append(joint.name)
+    return tuple(sorted(held))

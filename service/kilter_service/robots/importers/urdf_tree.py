@@ -1,0 +1,292 @@
+"""URDF text into a tree of links and joints, SI; nothing here knows which of them make the arm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import RobotError
+from kilter_service.ground.core import transforms
+from kilter_service.ground.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
+from kilter_service.ground.texts import LINE
+from kilter_service.robots.importers.xml_text import read_xml
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+Floats = NDArray[np.float64]
+
+MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """``q = multiplier * q[joint] + offset``."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint: ``xyz`` m and ``rpy`` rad of its origin in the parent link, its axis (3,) in its own frame."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: Floats
+    rpy: Floats
+    axis: Floats
+    lower: float
+    upper: float
+    mimic: Mimic | None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is not a fixed joint."""
+        return self.kind in MOVING
+
+    @property
+    def origin(self) -> Floats:
+        """Pose (4, 4) of the joint in its parent link."""
+        return transforms.pose_from_xyz_rpy(self.xyz, self.rpy)
+
+
+@dataclass(frozen=True)
+class Body:
+    """Mass kg, centre of mass (3,) m and inertia (3, 3) kg·m² about it, in one frame."""
+
+    mass: float = 0.0
+    com: Floats = field(default_factory=lambda: np.zeros(3))
+    inertia: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """Bodies by link name; joints by name, in the order of the file. Every link hangs on one joint at most, without loops."""
+
+    bodies: dict[str, Body]
+    joints: dict[str, UrdfJoint]
+
+    def children(self, link: str) -> list[UrdfJoint]:
+        """Joints whose parent is ``link``."""
+        return self._children.get(link, [])
+
+    @cached_property
+    def above(self) -> dict[str, UrdfJoint]:
+        """The joint that each link but the root hangs on."""
+        return {joint.child: joint for joint in self.joints.values()}
+
+    @cached_property
+    def _children(self) -> dict[str, list[UrdfJoint]]:
+        found: dict[str, list[UrdfJoint]] = {}
+        for joint in self.joints.values():
+            found.setdefault(joint.parent, []).append(joint)
+        return found
+
+    def path(self, base: str, tip: str) -> list[UrdfJoint]:
+        """Joints from ``base`` to ``tip``.
+
+        Raises:
+            RobotError: a link that does not exist, or no way from one to the other.
+
+        """
+        for place, link in (("base_link", base), ("tip_link", tip)):
+            if link not in self.bodies:
+                near = get_close_matches(link[:MAX_NAME], self.bodies, n=3, cutoff=0.4) or list(self.bodies)[:5]
+                raise RobotError(
+                    f"{place} {link!r} is not in the URDF. Near it: {', '.join(near)}.", field=place, near=near
+                )
+        found: list[UrdfJoint] = []
+        link = tip
+        while link != base:
+            if link not in self.above:
+                raise RobotError(
+                    f"tip_link {tip!r} does not hang on base_link {base!r}: name a base_link nearer to the root.",
+                    field="tip_link",
+                )
+            found.append(self.above[link])
+            link = self.above[link].parent
+        return found[::-1]
+
+
+def parse(text: str) -> UrdfTree:
+    """Read URDF text.
+
+    Raises:
+        RobotError: not XML, not URDF, xacro, too large, or a link or joint that cannot be.
+
+    """
+    root = read_xml(text)
+    if root.tag != "robot":
+        raise RobotError(f"The root element is <{root.tag[:MAX_NAME]}>, a URDF has <robot>.", field="urdf")
+    links, joints = root.findall("link"), root.findall("joint")
+    for what, found in (("links", links), ("joints", joints)):
+        if len(found) > MAX_LINKS:
+            raise RobotError(
+                f"The URDF has {len(found)} {what}, at most {MAX_LINKS} are allowed: leave out what is not part of the arm.",
+                field="urdf",
+            )
+    return _tree(
+        {_name(e, "link"): e for e in _without_duplicates(links, "link")}, _without_duplicates(joints, "joint")
+    )
+
+
+def _without_duplicates(elements: list[Element], what: str) -> list[Element]:
+    names: set[str] = set()
+    for element in elements:
+        name = _name(element, what)
+        if name in names:
+            raise RobotError(
+                f"The URDF has two {what}s {name!r}: give each a name of its own.", field="urdf", place=name
+            )
+        names.add(name)
+    return elements
+
+
+def _tree(links: dict[str, Element], joints: list[Element]) -> UrdfTree:
+    tree = UrdfTree(
+        {name: _body(link) for name, link in links.items()}, {joint.name: joint for joint in map(_joint, joints)}
+    )
+    for joint in tree.joints.values():
+        for end in (joint.parent, joint.child):
+            if end not in tree.bodies:
+                raise RobotError(
+                    f"joint {joint.name} names link {end[:MAX_NAME]!r}, which the URDF does not have: add it.",
+                    field="urdf",
+                    place=joint.name,
+                )
+        other = tree.above[joint.child]
+        if other is not joint:
+            raise RobotError(
+                f"Link {joint.child!r} is below joints {joint.name!r} and {other.name!r}: a URDF is a tree, leave one out.",
+                field="urdf",
+                place=joint.child,
+            )
+    _check_no_loop(tree)
+    return tree
+
+
+def _check_no_loop(tree: UrdfTree) -> None:
+    """Links that cannot be reached from a root form a loop."""
+    waiting = [link for link in tree.bodies if link not in tree.above]
+    rooted = set(waiting)
+    while waiting:
+        below = [joint.child for joint in tree.children(waiting.pop())]
+        rooted.update(below)
+        waiting += below
+    for link in tree.bodies:
+        if link not in rooted:
+            raise RobotError(
+                f"Link {link!r} is below itself in a loop of joints: a URDF is a tree, leave one joint out.",
+                field="urdf",
+                place=link,
+            )
+
+
+def _name(element: Element, what: str) -> str:
+    name = element.get("name")
+    if not name:
+        raise RobotError(f"A <{what}> of the URDF has no name.", field="urdf")
+    if found := LINE.search(name):
+        raise RobotError(
+            f"The name {name[:MAX_NAME]!r} of a <{what}> has the invisible character U+{ord(found[0]):04X}: leave it out.",
+            field="urdf",
+        )
+    if len(name) > MAX_LINK_NAME:
+        raise RobotError(
+            f"A <{what}> has a name of {len(name)} characters, at most {MAX_LINK_NAME} are allowed: {name[:MAX_NAME]!r}...",
+            field="urdf",
+        )
+    return name
+
+
+def numbers(element: Element | None, attribute: str, default: tuple[float, ...], place: str) -> Floats:
+    """Numbers of an attribute, ``default`` where it is not there.
+
+    Raises:
+        RobotError: they are not as many numbers as the default.
+
+    """
+    text = None if element is None else element.get(attribute)
+    if text is None:
+        return np.array(default)
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        values = np.array([math.nan])
+    if values.shape != (len(default),) or not np.all(np.isfinite(values)):
+        raise RobotError(
+            f"{place}: {attribute}={text[:MAX_NAME]!r} is not {len(default)} numbers.", field="urdf", place=place
+        )
+    return values
+
+
+def _body(link: Element) -> Body:
+    place = f"link {link.get('name')}"
+    inertial = link.find("inertial")
+    if inertial is None:
+        return Body()
+    origin, tensor = inertial.find("origin"), inertial.find("inertia")
+    T = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place))
+    six = [float(numbers(tensor, f"i{pair}", (0,), place)[0]) for pair in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    mass = float(numbers(inertial.find("mass"), "value", (0,), place)[0])
+    return Body(mass, T[:3, 3], T[:3, :3] @ symmetric(six) @ T[:3, :3].T)
+
+
+def symmetric(six: list[float]) -> Floats:
+    """Tensor (3, 3) of xx, yy, zz, xy, xz, yz."""
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _joint(element: Element) -> UrdfJoint:
+    name = _name(element, "joint")
+    place, kind = f"joint {name}", str(element.get("type"))
+    if kind not in MOVING and kind != "fixed":
+        raise RobotError(
+            f"{place} is {kind[:MAX_NAME]!r}: Kilter knows revolute, continuous, prismatic and fixed.",
+            field="urdf",
+            place=place,
+        )
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
+        raise RobotError(f"{place} lacks its parent or its child link.", field="urdf", place=place)
+    origin, limit = element.find("origin"), element.find("limit")
+    bounded = limit is not None and kind != "continuous"
+    return UrdfJoint(
+        name=name,
+        kind=kind,
+        parent=str(parent.get("link")),
+        child=str(child.get("link")),
+        xyz=numbers(origin, "xyz", (0, 0, 0), place),
+        rpy=numbers(origin, "rpy", (0, 0, 0), place),
+        axis=_axis(element, place) if kind in MOVING else np.array([1.0, 0.0, 0.0]),
+        lower=float(numbers(limit, "lower", (0,), place)[0]) if bounded else -math.inf,
+        upper=float(numbers(limit, "upper", (0,), place)[0]) if bounded else math.inf,
+        mimic=_mimic(element, place),
+    )
+
+
+def _axis(element: Element, place: str) -> Floats:
+    axis = numbers(element.find("axis"), "xyz", (1, 0, 0), place)
+    length = float(np.linalg.norm(axis))
+    if length < 1e-9:
+        raise RobotError(f"{place} has an axis of length zero.", field="urdf", place=place)
+    return axis / length
+
+
+def _mimic(element: Element, place: str) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    multiplier = float(numbers(mimic, "multiplier", (1,), place)[0])
+    return Mimic(str(mimic.get("joint")), multiplier, float(numbers(mimic, "offset", (0,), place)[0]))

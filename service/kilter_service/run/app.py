@@ -1,0 +1,102 @@
+"""The HTTP application."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from anyio import CapacityLimiter
+from fastapi import APIRouter, FastAPI
+from fastapi.concurrency import run_in_threadpool
+
+from kilter_service.campaigns.routes import router as campaigns
+from kilter_service.campaigns.suspicious.routes import router as suspicious
+from kilter_service.correction.routes import router as correction
+from kilter_service.ground.db import Database, revision
+from kilter_service.ground.private_files import TEMPORARY, Scratch
+from kilter_service.ground.settings import Settings
+from kilter_service.ground.version import code_version
+from kilter_service.jobs.fleet.routes import router as fleet_jobs
+from kilter_service.jobs.routes import router as jobs
+from kilter_service.kept.routes import router as references
+from kilter_service.page.drop.drafts import Drafts
+from kilter_service.page.routes import ROUTERS as PAGE
+from kilter_service.robots.frames.routes import router as frames
+from kilter_service.robots.instruments.routes import router as instruments
+from kilter_service.robots.meshes.routes import router as meshes
+from kilter_service.robots.routes import router as robots
+from kilter_service.run.path_lookups import look_up
+from kilter_service.stream.bridges.routes import router as bridges
+from kilter_service.stream.live.followers import viewers_of
+from kilter_service.stream.signing.routes import router as streams
+from kilter_service.stream.signing.service import end_sessions
+from kilter_service.versions.acceptance.routes import router as acceptance
+from kilter_service.versions.drift.routes import router as drift
+from kilter_service.versions.metrics.routes import router as metrics
+from kilter_service.versions.routes import router as versions
+from kilter_service.versions.today.routes import router as today
+from kilter_service.web import problems
+from kilter_service.web.audit.refusals import Refusals
+from kilter_service.web.audit.routes import router as audit
+from kilter_service.web.auth.openapi_security import described
+from kilter_service.web.auth.rates import Rates
+from kilter_service.web.auth.slow_bodies import Unhurried
+from kilter_service.web.auth.token import admin_token
+from kilter_service.web.concurrency import Slots
+from kilter_service.web.docs_page import router as docs_page
+from kilter_service.web.gate import Gate
+from kilter_service.web.health.routes import router as health
+from kilter_service.web.observability.requests import Observed
+from kilter_service.web.token_routes import router as tokens
+
+SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
+
+ROUTERS: tuple[APIRouter, ...] = (
+    robots, today, drift, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams,
+    bridges, tokens, audit, metrics, instruments, acceptance,
+)  # fmt: skip
+HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Build the application; nothing is opened before it starts."""
+    app = FastAPI(
+        title="Kilter",
+        version=code_version(),
+        summary=SUMMARY,
+        lifespan=lambda app: _life(app, settings),
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.state.slots = Slots(settings)
+    app.state.rates = Rates(settings.rate)
+    app.state.look_up = look_up
+    app.state.end_sessions = end_sessions
+    app.add_middleware(Unhurried)
+    app.add_middleware(Gate, settings=settings)
+    problems.install(app)
+    app.add_middleware(Observed)
+    # The routes themselves: FastAPI would build each of an included router anew, 0.3 s at the first requests.
+    for router in (health, docs_page, *ROUTERS, *PAGE):  # the first that fits is found by looking at each
+        app.router.routes.extend(router.routes)
+    app.openapi = described(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
+    return app
+
+
+@asynccontextmanager
+async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
+    app.state.settings = settings
+    app.state.token = admin_token(settings)
+    app.state.database = Database(settings.database)
+    app.state.refusals = Refusals(app.state.database)
+    app.state.health_threads = CapacityLimiter(HEALTH_THREADS)
+    app.state.scratch = Scratch(settings.data / TEMPORARY)
+    app.state.drafts = Drafts(app.state.scratch)
+    try:
+        revision.check(app.state.database)
+        yield
+    finally:
+        await viewers_of(app).close()
+        app.state.scratch.close()
+        await run_in_threadpool(app.state.refusals.close)
+        app.state.database.close()

@@ -1,0 +1,36 @@
+"""What a check of the stored data found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from kilter_service.ground.texts import plural
+
+
+@dataclass
+class Findings:
+    """Sentences about what is damaged or missing, and how much was looked at."""
+
+    damaged: list[str] = field(default_factory=list)
+    robots: int = 0
+    campaigns: int = 0
+    chunks: int = 0
+    versions: int = 0
+    meshes: int = 0
+    every_row: bool = False  # all tables were compared with a backup's manifest, or one was written
+
+    def add(self, sentence: str) -> None:
+        """Note one more."""
+        self.damaged.append(sentence)
+
+    def looked_at(self) -> str:
+        """Say how much was looked at."""
+        campaigns = f"{plural(self.campaigns, 'campaign')} with {plural(self.chunks, 'chunk')}"
+        meshes = [plural(self.meshes, "link shape")] if self.meshes else []
+        return ", ".join([plural(self.robots, "robot"), campaigns, plural(self.versions, "version"), *meshes])
+
+    def checked(self) -> str:
+        """Say which of it was checked by a hash."""
+        if self.every_row:
+            return "every row of every table has its hash"
+        return "every row fits its seal, the audit its chain"

@@ -1,0 +1,128 @@
+"""One folder per role, to be copied to its machine: a zenoh configuration, and the certificates it contains.
+
+The configuration contains the certificates (base64), so that it works from wherever it is copied to.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from kilter_service.ground.errors import ServiceError
+from kilter_service.run.zenoh_config import access
+from kilter_service.run.zenoh_config.authority import Authority, Issued, issue, key_pem, new_authority, pem
+
+AUTHORITY = "authority"
+CERTIFICATE, KEY, TRUSTED, CONFIG = "certificate.pem", "key.pem", "authorities.pem", "zenoh.json5"
+ROS_ENDPOINTS = ("tcp/127.0.0.1:7447", "tls/0.0.0.0:7448")
+HEADER = "// Written by `kilterd zenoh-config`. It contains a private key: keep it readable by its owner only.\n"
+
+
+def write_private(file: Path, data: bytes) -> None:
+    """Write a file only its owner can read, whole or not at all."""
+    file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    file.parent.chmod(0o700)
+    draft = file.with_name(f".{file.name}.{os.getpid()}")
+    with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as out:
+        out.write(data)
+    draft.replace(file)
+
+
+def authority_in(folder: Path, rotate: bool) -> tuple[Authority, bytes]:
+    """The authority of a folder, made when there is none or at a rotation, and all certificates to trust (PEM).
+
+    Raises:
+        ServiceError: its files are damaged.
+
+    """
+    place = folder / AUTHORITY
+    if not (place / KEY).exists():
+        made = new_authority()
+        trusted = pem(made.certificate)
+    else:
+        try:
+            before = _read(place)
+        except (ValueError, TypeError, OSError) as error:
+            raise ServiceError(
+                f"The authority in {place} cannot be read ({error}): restore the folder from a backup, or delete it and "
+                "copy all folders anew.",
+                code="option_invalid",
+            ) from error
+        if not rotate:
+            return before, (place / TRUSTED).read_bytes()
+        made = new_authority(before)
+        trusted = pem(made.certificate) + pem(before.certificate)
+    write_private(place / KEY, key_pem(made.key))
+    write_private(place / CERTIFICATE, pem(made.certificate) + (pem(made.cross) if made.cross else b""))
+    write_private(place / TRUSTED, trusted)
+    return made, trusted
+
+
+def _read(place: Path) -> Authority:
+    key = serialization.load_pem_private_key((place / KEY).read_bytes(), None)
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise TypeError("another kind of key")
+    own, *cross = x509.load_pem_x509_certificates((place / CERTIFICATE).read_bytes())
+    return Authority(own, key, cross[0] if cross else None)
+
+
+def tls(issued: Issued, trusted: bytes, listens: bool) -> dict[str, Any]:
+    """TLS of a zenoh configuration: both sides show their certificates."""
+    text = {name: base64.b64encode(data).decode() for name, data in vars(issued).items()}
+    made: dict[str, Any] = {
+        "root_ca_certificate_base64": base64.b64encode(trusted).decode(),
+        "connect_private_key_base64": text["key"],
+        "connect_certificate_base64": text["certificate"],
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": False,  # a link that moves an arm is not cut; the next one needs a valid certificate
+    }
+    if listens:
+        made |= {"listen_private_key_base64": text["key"], "listen_certificate_base64": text["certificate"]}
+    return made
+
+
+def _config(tls_of_role: dict[str, Any], mode: str, connect: str | None, more: dict[str, Any]) -> bytes:
+    protocols = ["tls", "tcp"] if mode == "router" else ["tls", "unixsock-stream"]
+    document: dict[str, Any] = {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {"link": {"protocols": protocols, "tx": {"lease": 1000}, "tls": tls_of_role}},
+        **more,
+    }
+    if connect is not None:
+        document["connect"] = {"endpoints": [connect]}
+        document["listen"] = {"endpoints": []}
+    return (HEADER + json.dumps(document, indent=1) + "\n").encode()
+
+
+def write_folders(
+    folder: Path, site: str, hosts: tuple[str, ...], port: int, controllers: Mapping[str, tuple[str, ...]],
+    domain: int, authority: Authority, trusted: bytes, given: Issued | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write the folder of each role; returns them. ``given`` is a certificate of the corrector from elsewhere."""
+    connect = f"tls/{hosts[0]}:{port}"
+    issued = given or issue(authority, access.CORRECTOR, hosts)
+    rules = {"access_control": access.access_control(site, controllers)}
+    made = {"corrector": (issued, _config(tls(issued, trusted, True), "peer", None, rules))}
+    clients = {f"controller-{name}": access.controller_name(name) for name in controllers}
+    for role, common_name in {**clients, "observer": access.OBSERVER}.items():
+        own = issue(authority, common_name)
+        made[role] = (own, _config(tls(own, trusted, False), "client", connect, {}))
+    ros, router = issue(authority, access.ROS), issue(authority, "kilter-ros-router", hosts)
+    # Nodes of the router's own machine connect without TLS, as they do by default.
+    rules = {"access_control": access.ros_access_control(domain), "listen": {"endpoints": list(ROS_ENDPOINTS)}}
+    made["ros"] = (ros, _config(tls(ros, trusted, False), "client", None, {}))
+    made["ros-router"] = (router, _config(tls(router, trusted, True), "router", None, rules))
+    for role, (own, config) in made.items():
+        for name, data in ((CERTIFICATE, own.certificate), (KEY, own.key), (TRUSTED, trusted), (CONFIG, config)):
+            write_private(folder / role / name, data)
+    return [folder / role for role in made]

@@ -1,0 +1,1 @@
+"""Corrected setpoints: the processes that correct, signed sessions, bridges, the live view, ROS 2."""

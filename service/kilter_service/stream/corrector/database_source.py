@@ -1,0 +1,100 @@
+"""Active versions from Kilter's database, compiled for the kernel."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Hashable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from kilter_core.errors import CoreError
+from kilter_files.ground.later import Later
+from kilter_service.ground.core import program
+from kilter_service.stream.corrector.active import Active, version_number, workspace_of
+
+if TYPE_CHECKING:
+    from kilter_service.ground import correction_limits, db
+    from kilter_service.ground.db import revision
+    from kilter_service.robots import compensation
+    from kilter_service.robots import store as robots
+    from kilter_service.versions import store
+
+else:
+    correction_limits = Later("kilter_service.ground.correction_limits")
+    db = Later("kilter_service.ground.db")
+    revision = Later("kilter_service.ground.db.revision")
+    compensation = Later("kilter_service.robots.compensation")
+    robots = Later("kilter_service.robots.store")
+    store = Later("kilter_service.versions.store")
+
+log = logging.getLogger("kilter.corrector")
+
+
+class DatabaseSource:
+    """Reads what is active; a version is compiled once. Its libraries are imported at the first look, not before."""
+
+    def __init__(self, url: str, temperature_c: float | None = None) -> None:
+        self._temperature_c = temperature_c
+        self._url = url
+        self._migrated = False
+        self._compiled: dict[tuple[str, int], Active] = {}
+
+    @cached_property
+    def _database(self) -> db.Database:
+        return db.Database(self._url)
+
+    def stamp(self) -> Hashable:
+        """What changes with every activation and with what controllers correct; None while the database has no tables."""
+        self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
+        if not self._migrated:
+            return None
+        with self._database.reading() as session:
+            return store.active_stamp(session), robots.compensated(session, compensation.CORRECTS)
+
+    def load(self) -> Mapping[str, Active]:
+        """Every robot's active version, but of those whose controllers correct: they would be corrected twice.
+
+        One that cannot be compiled is logged and leaves the others alone.
+        """
+        if not self._migrated:
+            return {}
+        with self._database.reading() as session:
+            twice = robots.compensated(session, compensation.CORRECTS)
+            names = store.robots_with_active(session)
+            found = [store.active_version(session, name) for name in names if name not in twice]
+        for name in twice & set(names):
+            log.warning("setpoints of robot %s are not corrected: its controller corrects by itself", name)
+        out = {}
+        for version in found:
+            if version is None:
+                continue
+            key = (version.robot, version.epoch)
+            try:
+                active = self._compiled.get(key) or _compiled(version, self._temperature_c)
+            except CoreError as error:
+                log.error("version %s of robot %s cannot be streamed: %s", version.id, version.robot, error.message)
+                continue
+            self._compiled[key] = out[version.robot] = active
+        return out
+
+    def close(self) -> None:
+        """Close the database, if it was opened."""
+        if "_database" in self.__dict__:
+            self._database.close()
+
+
+def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
+    options = correction_limits.options_of(version.limits, temperature_c)
+    return Active(
+        robot=version.robot,
+        version_id=version.id,
+        number=version_number(version.sha256),
+        epoch=version.epoch,
+        program=program.compile_program(version.calibration, options),
+        largest_deg=version.limits.max_joint_deg,
+        largest_mm=version.limits.max_position_mm,
+        ramp_s=options.ramp_s,
+        joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
+        joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),
+        workspace=workspace_of(version.workspace),
+    )

@@ -1,0 +1,104 @@
+"""What a version leaves of rows that it was not fitted to, and with which uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.observations import Observations
+from kilter_core.observations.spread import evenly
+from kilter_service.contract.instruments import Instrument
+from kilter_service.ground.core import (
+    core_budget,
+    core_evaluate,
+    core_measurement,
+    core_model,
+    core_uncertainty,
+    estimate,
+    metrics,
+)
+from kilter_service.robots.instruments.permissible import permissible
+
+if TYPE_CHECKING:
+    from kilter_core.evaluate.uncertainty import Conformity
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.model import Calibration
+
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+MOST_SHOWN = 500
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Rows of a campaign: the conformity of the worst, errors in mm, the budget, and places with errors (N,) m.
+
+    ``before`` are those of the nominal robot with both frames fitted.
+    """
+
+    conformity: Conformity
+    before: dict[str, float]
+    after: dict[str, float]
+    budget: dict[str, Any]
+    places: Floats
+    sizes: Floats
+    rows: Ints
+
+
+def judged(
+    calibration: Calibration,
+    known: Predictive,
+    rows: Observations,
+    numbers: Ints,
+    instrument: Instrument | None,
+    refit: Sequence[str],
+    tolerance_m: float,
+) -> Judged | None:
+    """Judge rows, whose ``numbers`` in their campaign are from 0; None where no place of the tool was measured.
+
+    Raises:
+        CoreError: too few rows for the frames to fit.
+
+    """
+    if rows.position is None and rows.markers is None:
+        return None
+    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
+    fitted = estimate.refitted(calibration, measurement, tuple(refit))
+    budget = core_uncertainty.Budget.of(fitted, known, measurement, permissible(instrument), refit)
+    if budget is None:
+        return None
+    error = core_evaluate.rows_of(fitted, measurement).error
+    seen = ~np.isnan(error).any(axis=1)
+    if not seen.any():
+        return None
+    sizes = np.linalg.norm(error[seen], axis=1)
+    conformity = core_uncertainty.judge(sizes, core_budget.K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
+    nominal = estimate.refitted(core_model.Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
+    before, after = (metrics.Errors.of(one, measurement).to_document() for one in (nominal, fitted))
+    document = {"instrument": instrument and instrument.name, **budget.to_document()}
+    return Judged(conformity, before, after, document, _places(rows)[seen], sizes, numbers[seen])
+
+
+def shown(found: Judged) -> tuple[Floats, Floats]:
+    """Places (n, 3) m and errors (n,) m of some rows, evenly chosen, the worst among them."""
+    some = np.union1d(evenly(len(found.sizes), MOST_SHOWN), found.sizes.argmax())
+    return found.places[some], found.sizes[some]
+
+
+def span(found: Sequence[Judged]) -> tuple[Floats, Floats]:
+    """Lowest and highest places (3,) m."""
+    places = np.concatenate([one.places for one in found])
+    return places.min(axis=0), places.max(axis=0)
+
+
+def _places(rows: Observations) -> Floats:
+    if rows.position is not None:
+        return rows.position
+    assert rows.markers is not None
+    seen = ~np.isnan(rows.markers)
+    return np.asarray(np.where(seen, rows.markers, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1))

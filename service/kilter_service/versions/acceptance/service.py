@@ -1,0 +1,208 @@
+"""Whether a robot keeps a tolerance, on rows that its version was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from kilter_core.errors import TooFewPosesError
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
+from kilter_service.contract.fits import Errors, Remark
+from kilter_service.ground.core import predictive
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db.row import days_since
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.wire import to_metres, to_mm
+from kilter_service.robots import store as robots
+from kilter_service.robots.instruments import store as instruments
+from kilter_service.robots.instruments.validity import remarks
+from kilter_service.versions import store as versions
+from kilter_service.versions.acceptance import words
+from kilter_service.versions.acceptance.rows import judged, shown, span
+from kilter_service.versions.guard import since_rezeroed
+from kilter_service.versions.today import sentences
+from kilter_service.versions.today import service as today
+from kilter_service.versions.unfitted_rows import Archive
+
+if TYPE_CHECKING:
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+    from kilter_service.contract.instruments import Instrument
+    from kilter_service.versions.acceptance.rows import Ints, Judged
+    from kilter_service.versions.unfitted_rows import Unseen
+
+
+class Wish(NamedTuple):
+    """What is to be judged: null version: the active one; no campaigns: those of today's number, else all that there are.
+
+    ``refit`` None: as today's number does, else no frame. ``instrument`` counts for campaigns that name none.
+    """
+
+    tolerance_mm: float
+    version: str | None = None
+    campaigns: Sequence[str] = ()
+    refit: Sequence[str] | None = None
+    instrument: str | None = None
+
+
+def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
+    """Decide whether a robot keeps a tolerance.
+
+    Raises:
+        ServiceError: no such robot, version, campaign or instrument, or no row that was not fitted.
+        CoreError: too few rows for the frames to fit.
+
+    """
+    version_id = wish.version or _active(database, robot)
+    wish = _with_todays(database, robot, version_id, wish)
+    with database.reading() as session:
+        stored = robots.get(session, robot)
+        version = versions.get(session, version_id)
+        if version.robot != robot:
+            raise ServiceError(
+                f"Version {version_id} is of robot {version.robot!r}, not of {robot!r}.", code="version_not_found"
+            )
+        parts, left_out = _parts(session, stored.id, version_id, wish)
+    if not parts:
+        raise _nothing(robot, version_id, wish)
+    parts.sort(key=lambda one: -one.campaign.provable_mm)
+    decision, worst, lacking = _decision(parts)
+    provable = max(one.campaign.provable_mm for one in parts)
+    rows = sum(one.campaign.rows for one in parts)
+    low, high = _span(parts)
+    return Acceptance(
+        robot=robot, robot_sha256=stored.sha256, version_id=version_id, version_name=version.name,
+        version_sha256=version.sha256, tolerance_mm=wish.tolerance_mm, decision=decision, rule=words.RULE,
+        sentence=words.sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
+        provable_mm=provable, span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
+        campaigns=[one.campaign for one in parts], lacking=lacking,
+        warnings=[*left_out, *(said for one in parts for said in words.warnings_of(one.campaign))],
+    )  # fmt: skip
+
+
+class Part(NamedTuple):
+    """A campaign that was judged, what its certificate has against it, and its rows."""
+
+    campaign: JudgedCampaign
+    certificate: list[Remark]
+    judged: Judged
+
+
+def _active(database: Database, robot: str) -> str:
+    with database.reading() as session:
+        last = versions.active_entry(session, robots.get(session, robot).id)
+    if last is None:
+        raise ServiceError(
+            f"Robot {robot!r} has no active version: activate one, or name the version to judge.",
+            code="no_active_version",
+            robot=robot,
+        )
+    return last.version_id
+
+
+def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) -> Wish:
+    """Take the rows, and the frames fitted to them, of today's number where nobody named any."""
+    if wish.campaigns:
+        return wish._replace(refit=wish.refit or ())
+    found = today.of_robot(database, robot)
+    newest = found.newest if found.version_id == version_id else None
+    if newest is None or newest.source == "fitted":
+        return wish._replace(refit=wish.refit or ())
+    ids = tuple(one.id for one in newest.campaigns)
+    return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
+
+
+def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> tuple[list[Part], list[Remark]]:
+    """The campaigns that are judged, and what is said of those that nobody named and that cannot be.
+
+    Raises:
+        ServiceError: no such campaign, or a version that does not say how well it is known.
+        CoreError: a campaign that was named cannot be judged.
+
+    """
+    calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
+    report = versions.get(session, version_id).report
+    known = predictive.Predictive.from_document(versions.covariance(session, version_id), report)
+    if known is None:
+        raise ServiceError(
+            f"Version {version_id} does not say how well it is known: identify again.", code="nothing_held_out"
+        )
+    for one in wish.campaigns:
+        campaigns.get(session, one)
+    stated = None if wish.instrument is None else instruments.get(session, wish.instrument)
+    unseen: Unseen = Archive(session, robot_id).unseen([version_id])
+    if not wish.campaigns:
+        unseen = since_rezeroed(session, robot_id, report)(unseen)
+    parts, left_out = [], []
+    for key, rows in unseen.rows.items():
+        if wish.campaigns and key not in wish.campaigns:
+            continue
+        used = campaigns.instruments(session, [key]).get(key) or stated
+        try:
+            found = _judged((calibration, known, key in own), rows, unseen.places[key], used, wish)
+        except TooFewPosesError as error:
+            if wish.campaigns:
+                raise TooFewPosesError(words.too_few(key), campaign=key) from error
+            left_out.append(Remark(code="campaign_not_judged", message=words.too_few(key), campaigns=[key]))
+            continue
+        if found is not None:
+            parts.append(_part(session, key, found, used, wish.refit or ()))
+    return parts, left_out
+
+
+def _judged(
+    version: tuple[Calibration, predictive.Predictive, bool],
+    rows: Observations,
+    places: Ints,
+    used: Instrument | None,
+    wish: Wish,
+) -> Judged | None:
+    """Judge the rows of a campaign; the version with what it knows, and whether it was made from that campaign."""
+    calibration, known, own = version
+    here = calibration if own else calibration.for_another_campaign(rows)
+    return judged(here, known, rows, places, used, wish.refit or (), to_metres(wish.tolerance_mm))
+
+
+def _part(session: Session, key: str, found: Judged, used: Instrument | None, refit: Sequence[str]) -> Part:
+    record, uploads = campaigns.get(session, key), campaigns.uploads_of(session, key)
+    at = record.measured_at or max(one.created_at for one in uploads)
+    places, sizes = shown(found)
+    worst = found.conformity
+    campaign = JudgedCampaign(
+        id=key, name=record.name, when=sentences.when(at, days_since(at), stated=record.measured_at is not None),
+        instrument=used and used.name, rows=len(found.sizes), sha256=[one.sha256 for one in uploads], refit=[*refit],
+        before=Errors(**found.before), after=Errors(**found.after),
+        largest_mm=to_mm(float(found.sizes.max())), row=int(found.rows[worst.row]) + 1, error_mm=to_mm(worst.error),
+        guard_band_mm=to_mm(worst.guard), provable_mm=to_mm(worst.needed), budget=found.budget,
+        at_mm=to_mm(places).tolist(), error_at_mm=to_mm(sizes).tolist(),
+    )  # fmt: skip
+    return Part(campaign, remarks(used, record.measured_at, at), found)
+
+
+def _decision(parts: Sequence[Part]) -> tuple[Decision, JudgedCampaign, list[Remark]]:
+    """The decision of all campaigns, the one that it rests on, and what lacks for any."""
+    lacking = [said for one in parts for said in words.lacking_of(one.campaign, one.certificate)]
+    if lacking:
+        return "not_proved", parts[0].campaign, lacking
+    for decision in ("rejected", "not_proved", "accepted"):
+        for one in parts:
+            if one.judged.conformity.decision == decision:
+                return decision, one.campaign, []
+    raise AssertionError("unreachable")
+
+
+def _span(parts: Sequence[Part]) -> tuple[list[float], list[float]]:
+    low, high = span([one.judged for one in parts])
+    return to_mm(low).tolist(), to_mm(high).tolist()
+
+
+def _nothing(robot: str, version_id: str, wish: Wish) -> ServiceError:
+    named = f" of {', '.join(wish.campaigns)}" if wish.campaigns else ""
+    return ServiceError(
+        f"No row{named} with a measured place is left that version {version_id} was not fitted to, and rows that were fitted "
+        f"prove nothing. Measure some poses that are only checked (`kilter upload {robot} FILE --role confirmation`), or "
+        "identify with `--validation 0.3`.",
+        code="nothing_held_out",
+        version=version_id,
+    )

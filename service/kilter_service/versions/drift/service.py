@@ -1,0 +1,130 @@
+"""How robots stand by their checks: every surface shows what is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+from kilter_service.contract.drift import (
+    CheckOfRobot,
+    ControlChart,
+    DriftHistory,
+    DriftList,
+    DriftMark,
+    DriftSummary,
+    State,
+)
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db.row import days_since
+from kilter_service.robots import store as robots
+from kilter_service.versions.drift import store
+from kilter_service.versions.drift import wire_history as wire
+from kilter_service.versions.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
+from kilter_service.versions.drift.records import Activated, StoredCheck
+
+KEPT = KeptCharts()
+MOST_OF_MANY = 100  # checks of each robot in the list of all
+MOST_OF_LAST = 5  # looked through for the last one that counts
+WORST = ("moved", "cannot_tell", "creeping", "never", "ok")
+NEVER = "Not checked since its version was activated: measure five poses and send them (kilter check)."
+UNCORRECTED = "It has no active version that could be checked."
+
+
+def of_robot(database: Database, robot: str) -> DriftHistory:
+    """Return the checks of a robot, its charts, and how it stands."""
+    with database.reading() as session:
+        ((key, name),) = robots.names_by_key(session, robot).items()
+        made = store.checks(session, [key]).get(key, [])
+        log = store.activations(session, [key]).get(key, [])
+    own, charts = _own(made, log)
+    return DriftHistory(
+        **_summary(name, log, own, charts).model_dump(),
+        history=[wire.check(one) for one in made],
+        marks=sorted([*map(wire.mark, log), *_repairs(made)], key=lambda one: one.at),
+        charts=charts,
+        run_length=RUN_LENGTH,
+        false_alarm=FALSE_ALARM,
+    )
+
+
+def of_robots(database: Database) -> DriftList:
+    """Return how all robots stand, the worst first."""
+    with database.reading() as session:
+        names = robots.names_by_key(session, None)
+        made, log = store.checks(session, names, MOST_OF_MANY), store.activations(session, names)
+    found = []
+    for key, name in names.items():
+        own, charts = _own(made.get(key, []), log.get(key, []))
+        found.append(_summary(name, log.get(key, []), own, charts))
+    return DriftList(robots=sorted(found, key=_order))
+
+
+def last_checks(session: Session) -> dict[str, CheckOfRobot]:
+    """Return the last check of the active version of each robot, by name; reads few rows, for the metrics."""
+    names = robots.names_by_key(session, None)
+    made, log = store.checks(session, names, MOST_OF_LAST), store.activations(session, names)
+    own = {key: _of_active(found, log.get(key, [])) for key, found in made.items()}
+    return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}
+
+
+def _repairs(made: Sequence[StoredCheck]) -> list[DriftMark]:
+    """Checks that agree again with a version that the one before missed."""
+    return [
+        wire.repaired(after)
+        for before, after in pairwise(made)
+        if before.result.get("version_id") == after.result.get("version_id")
+        and before.result["verdict"] != "ok"
+        and after.result["verdict"] == "ok"
+    ]
+
+
+def _active(log: Sequence[Activated]) -> str | None:
+    return log[-1].version_id if log else None
+
+
+def _order(one: DriftSummary) -> tuple[int, float, str]:
+    chance = 1.0 if one.last is None else one.last.p_value
+    return WORST.index(one.state), chance, one.robot
+
+
+def _of_active(made: Sequence[StoredCheck], log: Sequence[Activated]) -> list[StoredCheck]:
+    active = _active(log)
+    return [one for one in made if active is not None and one.result.get("version_id") == active]
+
+
+def _own(made: Sequence[StoredCheck], log: Sequence[Activated]) -> tuple[list[StoredCheck], list[ControlChart]]:
+    """The checks of the active version, and their charts."""
+    own = _of_active(made, log)
+    return own, KEPT.of(own)
+
+
+def _summary(
+    robot: str, log: Sequence[Activated], own: Sequence[StoredCheck], charts: Sequence[ControlChart]
+) -> DriftSummary:
+    alarmed = [one for one in charts if one.alarms]
+    last = own[-1] if own else None
+    state, sentence = _stand(last.result if last else None, alarmed, bool(log))
+    return DriftSummary(
+        robot=robot,
+        state=state,
+        version_id=_active(log),
+        sentence=sentence,
+        checks=len(own),
+        last=None if last is None else wire.check(last),
+        age_days=None if last is None else days_since(last.at),
+    )
+
+
+def _stand(last: Mapping[str, Any] | None, alarmed: Sequence[ControlChart], corrected: bool) -> tuple[State, str]:
+    if last is None:
+        return "never", NEVER if corrected else UNCORRECTED
+    verdict: State = last["verdict"]
+    if verdict != "ok" or not alarmed:
+        return verdict, str(last["sentence"])
+    most = max(alarmed, key=height)
+    since = "" if most.since is None else f" since {most.since:%Y-%m-%d}"
+    return (
+        "creeping",
+        f"creeping: {most.words}{since}. No single check says so; all together do, by their cumulative sum.",
+    )

@@ -1,0 +1,103 @@
+"""Rows of checks: the jobs that made them, which are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import func, select
+
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
+from kilter_service.versions.drift.records import Activated, StoredCheck
+from kilter_service.versions.guard import REZEROED
+
+MOST = 1000  # checks of a robot, the newest
+MOST_LOOKED = 30  # looked through for the last one, and the last that agreed
+
+Digests = frozenset[str]  # of the uploads of a campaign
+
+
+def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int, list[StoredCheck]]:
+    """Return the newest checks by robot, by when their rows were measured: a clock that was set back changes no order of jobs.
+
+    Checks of frames that were set up anew are left out: the frames took up what they would have said; and those of campaigns
+    that were retired.
+    """
+    row = JobRow
+    place = func.row_number().over(partition_by=row.robot_id, order_by=(row.created_at.desc(), row.id))
+    newest = (
+        select(row.id, place.label("place"))
+        .where(row.robot_id.in_(of), row.kind == "drift", row.state == "succeeded")
+        .subquery()
+    )
+    query = (
+        select(row.robot_id, row.id, row.request, row.result)
+        .join(newest, newest.c.id == row.id)
+        .where(newest.c.place <= most)
+        .order_by(row.created_at, row.id)
+    )
+    found = [one for one in session.execute(query) if one.result and of_all_causes(one.result)]
+    at, digests = measured(session, {one.request["campaigns"][0] for one in found})
+    out: dict[int, list[StoredCheck]] = {}
+    for one in found:
+        campaign = one.request["campaigns"][0]
+        if campaign in at:
+            out.setdefault(one.robot_id, []).append(StoredCheck(one.id, campaign, at[campaign], one.result))
+    return {robot: _newest_of_each(made, digests) for robot, made in out.items()}
+
+
+def of_version(session: Session, robot: int, version: str, besides: Collection[str]) -> list[StoredCheck]:
+    """Return the newest checks of a robot against a version, but for those of some campaigns; by when measured."""
+    found = checks(session, [robot], MOST_LOOKED).get(robot, [])
+    return [one for one in found if one.result.get("version_id") == version and one.campaign_id not in besides]
+
+
+def _newest_of_each(made: list[StoredCheck], digests: Mapping[str, Digests]) -> list[StoredCheck]:
+    """Of several checks of the same rows against a version the last, however often these were sent; by when measured."""
+    newest = {(digests[one.campaign_id], one.result.get("version_id")): one for one in made}
+    return sorted(newest.values(), key=lambda one: one.at)
+
+
+def measured(session: Session, campaigns: Collection[str]) -> tuple[dict[str, datetime], dict[str, Digests]]:
+    """When campaigns in use were measured, or the last of their rows came; and what tells the same rows sent twice."""
+    row = CampaignRow
+    query = (
+        select(row.id, row.measured_at, UploadRow.created_at, UploadRow.sha256)
+        .join(UploadRow, UploadRow.campaign_id == row.id)
+        .where(row.id.in_(campaigns), row.retired_at.is_(None))
+    )
+    at: dict[str, datetime] = {}
+    digests: dict[str, Digests] = {}
+    for key, stated, came, sha256 in session.execute(query):
+        at[key] = stated or max(came, at.get(key, came))
+        digests[key] = digests.get(key, frozenset()) | {sha256}
+    return at, digests
+
+
+def activations(session: Session, of: Collection[int]) -> dict[int, list[Activated]]:
+    """Return the logs of active versions, oldest first, by robot."""
+    row = ActivationRow
+    rezeroed = VersionRow.report[REZEROED]["campaign"].as_string()
+    query = (
+        select(row.robot_id, row.version_id, row.at, row.action, rezeroed)
+        .join(VersionRow, VersionRow.id == row.version_id)
+        .where(row.robot_id.in_(of))
+        .order_by(row.id)
+    )
+    out: dict[int, list[Activated]] = {}
+    for robot, version, at, action, campaign in session.execute(query):
+        out.setdefault(robot, []).append(Activated(version, at, action, campaign is not None))
+    return out
+
+
+def of_all_causes(result: dict[str, Any]) -> bool:
+    """Whether nothing was fitted first, and places were measured: a joint log alone has other numbers to sum.
+
+    What an earlier release stored of such a log shows only by the base, which no log sees.
+    """
+    joint_log = result.get("joint_log")
+    if joint_log is None:
+        joint_log = "base" in (result.get("unseen") or [])
+    return not result.get("new_setup") and not joint_log

@@ -1,0 +1,181 @@
+"""What a check of an arm says, in words and in the units of the wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kilter_service.ground.wire import DEG, MM, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.watch import Check, Rezeroed
+    from kilter_core.watch.causes import Cause
+    from kilter_core.watch.check import Judged
+    from kilter_core.watch.poses import Faint
+
+PPM = 1e6
+LEAST_CHANCE = 1e-300
+ZERO, SLIDE = math.radians(0.03), 5e-5  # steps that a check should show (kilter_core.watch.poses, which loads scipy)
+FRAME = ("x", "y", "z", "rx", "ry", "rz")
+KINDS = {"zero": "zero of joint {}", "sag": "sag of joint {}", "base": "base", "tool": "tool", "scale": "scale"}
+MORE_POSES = "Measure more poses that differ in every joint, far from each other, and check again."
+MASTERING = (
+    "No measurement on the tool tells them apart. Look at the mastering marks of joint {joint} and at {place}, or measure "
+    "targets on {thing} with the instrument."
+)
+SEARCH = (
+    "Measure a campaign of 40 poses or more and search it (kilter gap --start VERSION): several things have changed, or one "
+    "that a check does not know."
+)
+MOVED = (
+    "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
+    "corrects an arm that is no longer there."
+)
+
+
+DATED_BEFORE = {
+    "dated_before_last_check": "before the last check of this version ({other:%Y-%m-%d %H:%M}). It stands at its date in the "
+    "history, and the later check says how the arm stands",
+    "dated_before_fit": "before rows that the version was fitted to ({other:%Y-%m-%d %H:%M}): it says how the arm was then",
+}
+
+
+def dated_before(code: str, campaign: str, at: datetime, other: datetime) -> str:
+    """Say that rows are dated before what they should come after, and what to do where the date is wrong."""
+    return (
+        f"Campaign {campaign} is dated {at:%Y-%m-%d %H:%M}, {DATED_BEFORE[code].format(other=other)}. If the date is wrong, "
+        f"as of a clock that was set back, retire it (`kilter campaigns retire {campaign}`) and check again with the right "
+        "--measured-at."
+    )
+
+
+def cause_words(cause: Cause) -> str:
+    """Return a cause as people say it."""
+    return KINDS[cause.kind].format(cause.joint)
+
+
+def unit_of(cause: Cause, place: int = 0) -> tuple[str, float]:
+    """Return the unit of a number of a cause on the wire, and what converts SI to it."""
+    if cause.kind == "scale":
+        return "ppm", PPM
+    if cause.frame:
+        return ("mm", MM) if place < 3 else ("deg", DEG)
+    unit, factor = ("mm", MM) if cause.slides else ("deg", DEG)
+    if cause.kind == "sag":
+        return (f"{unit}/N" if cause.slides else f"{unit}/(N m)"), factor
+    return unit, factor
+
+
+def cause_document(one: Judged) -> dict[str, Any]:
+    """Return a cause as the contract has it."""
+    names = FRAME if one.cause.frame else ("value",)
+    numbers = []
+    for place, (name, change, sigma) in enumerate(zip(names, one.change, one.u95, strict=True)):
+        unit, factor = unit_of(one.cause, place)
+        u95 = float(sigma * factor) if np.isfinite(sigma) else None
+        numbers.append({"name": name, "unit": unit, "change": float(change * factor), "u95": u95})
+    return {
+        "name": one.cause.name, "kind": one.cause.kind, "joint": one.cause.joint, "words": cause_words(one.cause),
+        "numbers": numbers, "gain": one.gain, "bic": one.bic, "refuted": one.refuted,
+    }  # fmt: skip
+
+
+def smallest_documents(found: Check) -> list[dict[str, Any]]:
+    """Return the smallest changes that the rows show, in the order of the causes."""
+    causes = {one.cause.name: one.cause for one in found.judged}
+    out = []
+    for name, value in found.smallest.items():
+        unit, factor = unit_of(causes[name])
+        out.append({"name": name, "words": cause_words(causes[name]), "value": float(value * factor), "unit": unit})
+    return out
+
+
+def sentence(found: Check, agreed_at: datetime | None = None) -> str:
+    """Return the verdict in one sentence."""
+    if found.verdict == "ok":
+        return (
+            f"ok: {found.poses} poses agree with the version, {to_mm(found.misfit):.3g} mm rms. An arm that has not moved "
+            f"shows as much with a chance of {chance_words(found.p_value, 2)}."
+        )
+    after = "" if agreed_at is None else f" since {agreed_at:%Y-%m-%d}"
+    chance = f" An arm that has not moved shows as much with a chance of {chance_words(found.p_value)}."
+    if found.verdict == "moved":
+        return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"
+    if not found.causes:
+        return f"cannot tell: it has moved{after}, and no single cause explains the rows.{chance}"
+    return f"cannot tell: {joined_by_or([by_how_much(one) for one in found.causes])}{after}.{chance}"
+
+
+def chance_words(p_value: float, digits: int = 1) -> str:
+    """Return a chance in a few digits; what no number can hold is still not nothing."""
+    return f"{p_value:.{digits}g}" if p_value > 0.0 else f"less than {LEAST_CHANCE:g}"
+
+
+def rezero_sentence(found: Rezeroed, start: str) -> str:
+    """Return what was changed in a version."""
+    judged = {one.cause: one for one in found.before.judged}
+    changes = " and ".join(by_how_much(judged[cause]) for cause in found.causes)
+    return f"Version {start} re-zeroed: {changes}; everything else is as it was identified."
+
+
+def by_how_much(one: Judged) -> str:
+    """Return a cause with its change: `zero of joint 3 by 0.21 deg (0.19 to 0.23)`; of a frame its shift and its rotation."""
+    words = cause_words(one.cause)
+    if not one.cause.frame:
+        unit, factor = unit_of(one.cause)
+        value, u95 = float(one.change[0] * factor), float(one.u95[0] * factor)
+        return f"{words} by {value:.3g} {unit} ({value - u95:.3g} to {value + u95:.3g})"
+    seen = np.isfinite(one.sigma)
+    parts = []
+    shift, rotation = one.size_u95
+    for places, u95, factor, unit in ((slice(0, 3), shift, MM, "mm"), (slice(3, 6), rotation, DEG, "deg")):
+        if seen[places].any():
+            size = float(np.linalg.norm(one.change[places][seen[places]]))
+            low, high = max(0.0, size - u95) * factor, (size + u95) * factor
+            parts.append(f"{size * factor:.3g} {unit} ({low:.3g} to {high:.3g})")
+    return f"{words} by {' and '.join(parts)}" if parts else words
+
+
+def joined_by_or(words: Sequence[str]) -> str:
+    """Return alternatives: `a`, `a or b`, `a, b or c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def remedy(found: Check) -> str | None:
+    """Return what to do about a verdict, or what would settle it."""
+    if found.verdict == "ok":
+        return None
+    if found.verdict == "moved":
+        return MOVED
+    if not found.causes:
+        return SEARCH
+    kinds = {one.cause.kind: one.cause for one in found.causes}
+    zeros = [one.cause.joint for one in found.causes if one.cause.kind == "zero"]
+    if "base" in kinds and zeros:
+        return MASTERING.format(joint=zeros[0], place="the bolts of the base", thing="the base")
+    if "tool" in kinds and zeros:
+        return MASTERING.format(joint=zeros[0], place="the bolts of the tool", thing="the flange")
+    return MORE_POSES
+
+
+def faint_sentence(one: Faint) -> str:
+    """Return what poses do not show of a zero, why, and what would."""
+    words, (unit, factor) = cause_words(one.cause), unit_of(one.cause)
+    if one.seen is None:
+        off = "" if one.lever is None else f" The measured point is {to_mm(one.lever):.2g} mm off that axis."
+        return f"The {words} is not seen at all, whatever the poses.{off}"
+    step = (SLIDE if one.cause.slides else ZERO) * factor
+    begins = (
+        f"A step of {step:.2g} {unit} of the {words} does not alarm in 95 % of the checks: that begins at "
+        f"{one.seen * factor:.2g} {unit}."
+    )
+    if one.lever is None or one.needed is None:
+        return f"{begins} About {one.poses} such poses would show it."
+    return (
+        f"{begins} The measured point is at most {to_mm(one.lever):.3g} mm off that axis; {to_mm(one.needed):.3g} mm would "
+        f"show it, or about {one.poses} such poses."
+    )

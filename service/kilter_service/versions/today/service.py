@@ -1,0 +1,178 @@
+"""How good robots are today. Every surface shows what is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from kilter_service.contract.fits import Metrics, StageErrors
+from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, SearchToday, Today
+from kilter_service.contract.units import ControllerCompensation
+from kilter_service.contract.written import as_written
+from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db.row import days_since
+from kilter_service.robots import store as arms
+from kilter_service.robots.compensation import compensation_in, sentence
+from kilter_service.versions.own_errors import larger
+from kilter_service.versions.today import missing, sentences, store
+from kilter_service.versions.today.store import Active, Evaluated, Measured
+
+Campaigns = Mapping[str, Measured]
+
+
+def of_robot(database: Database, robot: str) -> Today:
+    """Say how good a robot is today, and what is missing in its active version."""
+    with database.reading() as session:
+        robots = arms.names_by_key(session, robot)
+        (key,) = robots
+        active = store.active(session, robots).get(key)
+        found = store.newest_search(session, key)
+        searched = None if found is None else missing.against(found, active)
+        compensation = compensation_in(arms.compensation_of(session, key))
+        known = _all(session, robots, searched)[robots[key]]
+        return _with_controller(known, compensation)
+
+
+def _with_controller(today: Today, compensation: ControllerCompensation) -> Today:
+    """What is said of a robot, with what its controller corrects by itself."""
+    said = sentence(today.robot, compensation)
+    sentences = [*today.sentences, said] if said else today.sentences
+    return today.model_copy(update={"controller_compensation": compensation, "sentences": sentences})
+
+
+def of_robots(database: Database) -> dict[str, Today]:
+    """Say the same of all robots in use, by name, without their searches; however many, it takes a few queries."""
+    with database.reading() as session:
+        return _all(session, arms.names_by_key(session, None), None)
+
+
+def _all(session: Session, robots: Mapping[int, str], searched: SearchToday | None) -> dict[str, Today]:
+    active, measured = store.active(session, robots), store.measured(session, robots)
+    evaluated = store.evaluations(session, [one.id for one in active.values()])
+    out = {}
+    for key, name in robots.items():
+        version, campaigns = active.get(key), measured.get(key, {})
+        if version is None:
+            out[name] = _uncorrected(name, searched)
+        else:
+            out[name] = _today(name, version, campaigns, evaluated.get(version.id, []), searched)
+    return out
+
+
+def _uncorrected(robot: str, searched: SearchToday | None) -> Today:
+    found = Today(
+        robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, compared="",
+        not_evaluated=[], missing=searched, sentences=[],
+    )  # fmt: skip
+    return found.model_copy(update={"sentences": sentences.sentences_on(found)})
+
+
+def _today(
+    robot: str, version: Active, campaigns: Campaigns, evaluated: Sequence[Evaluated], searched: SearchToday | None
+) -> Today:
+    own = _own(version, campaigns)
+    candidates = [one for one in _evaluations(version, campaigns, evaluated) if one.errors.identified is not None]
+    if own is not None and own.source == "held_out":
+        candidates.append(own)
+    newest = max(candidates, key=_age, default=own)
+    agreeing = {one.job_id for one in evaluated if one.agrees}  # a few poses are judged by their check
+    alike = own is None or newest is None or newest is own or newest.job_id in agreeing
+    more = None if alike or newest is None or own is None else _larger(newest, own)
+    found = Today(
+        robot=robot,
+        version_id=version.id,
+        newest=newest,
+        own=own,
+        changed=more is not None,
+        larger_by_mm=more,
+        compared=sentences.compared(robot, newest, own, more),
+        not_evaluated=_not_evaluated(version, campaigns, newest, candidates),
+        missing=searched,
+        sentences=[],
+    )
+    return found.model_copy(update={"sentences": sentences.sentences_on(found)})
+
+
+def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:
+    """What is of the newest rows is of today; of the same rows, what was computed last."""
+    measured = max((one.measured_at for one in found.campaigns), default=None)
+    return measured is not None, measured or found.at, found.at
+
+
+def _own(version: Active, campaigns: Campaigns) -> ErrorsToday | None:
+    """What the job of a version said of it: of rows it held out, else of those it was fitted to."""
+    metrics = as_written(Metrics, version.metrics)
+    held = metrics.validation is not None and metrics.validation.identified is not None
+    errors = metrics.validation if held else metrics.train
+    if errors is None or errors.identified is None:
+        return None
+    named = [one for use in ("validation", "train") for one in version.campaigns if one["use"] == use]
+    uses = {one["use"] for one in named}
+    wanted = "validation" if held and "validation" in uses else "train"
+    used = [one["id"] for one in named if one["use"] == wanted]
+    return _errors(
+        version, "held_out" if held else "fitted", version.job_id, version.created_at, used, campaigns, errors
+    )
+
+
+def _evaluations(version: Active, campaigns: Campaigns, evaluated: Iterable[Evaluated]) -> Iterable[ErrorsToday]:
+    """The errors of each campaign of each evaluation or check of which the version's line was fitted to no file."""
+    for one in evaluated:
+        for campaign, metrics in one.metrics.items():
+            known = campaigns.get(campaign)
+            if known is None or known.hashes & version.fitted:
+                continue
+            errors = as_written(StageErrors, metrics)
+            if errors.fitted:  # the same rows in another file
+                continue
+            source = "check" if one.kind == "drift" else "evaluation"
+            found = _errors(version, source, one.job_id, one.at, [campaign], campaigns, errors, one.refit)
+            yield found.model_copy(update={"alarm": one.said})
+
+
+def _errors(
+    version: Active,
+    source: Any,
+    job: str,
+    at: Any,
+    used: list[str],
+    campaigns: Campaigns,
+    errors: StageErrors,
+    refit: list[str] | None = None,
+) -> ErrorsToday:
+    found = [campaigns[one] for one in used if one in campaigns]
+    return ErrorsToday(
+        source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [],
+        rows=sentences.rows(source, refit or []), errors=errors,
+    )  # fmt: skip
+
+
+def _campaign(found: Measured) -> MeasuredCampaign:
+    days = days_since(found.measured_at)
+    return MeasuredCampaign(
+        id=found.id, name=found.name, measured_at=found.measured_at, stated=found.stated, age_days=days,
+        when=sentences.when(found.measured_at, days, stated=found.stated),
+    )  # fmt: skip
+
+
+def _larger(newest: ErrorsToday, own: ErrorsToday) -> float | None:
+    """By how much today's mean error, mm, is larger than at the fit; None: by no more than chance explains."""
+    blocks = (one.errors.model_dump(mode="json") for one in (newest, own))
+    return larger(*blocks)
+
+
+def _not_evaluated(
+    version: Active, campaigns: Campaigns, newest: ErrorsToday | None, candidates: Iterable[ErrorsToday]
+) -> list[MeasuredCampaign]:
+    """Campaigns newer than the rows of today's number that say nothing yet; not what is left of one in use."""
+    since = max((one.measured_at for one in newest.campaigns), default=version.created_at) if newest else None
+    known = {one.id for found in candidates for one in found.campaigns} | {one["id"] for one in version.campaigns}
+    found = [
+        one
+        for one in campaigns.values()
+        if one.id not in known
+        and one.whole is None
+        and not one.hashes & version.fitted
+        and (since is None or one.measured_at > since)
+    ]
+    return [_campaign(one) for one in sorted(found, key=lambda one: one.measured_at)]

@@ -1,0 +1,170 @@
+"""What is stored about today: evaluations, campaigns and what versions were fitted to, of many robots in a few queries."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import func, select
+
+from kilter_service.campaigns import rest
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
+
+ALARMS = ("moved", "cannot_tell")  # verdicts of a check
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A campaign in use with rows: the hashes of its files, and when it was measured; not ``stated``: when they came."""
+
+    id: str
+    name: str
+    measured_at: datetime
+    stated: bool
+    hashes: frozenset[str]
+    whole: str | None = None  # the campaign in use that it is the rest of
+
+
+@dataclass(frozen=True)
+class Active:
+    """The version a robot is corrected with: its report's parts that count here, and what its line was fitted to."""
+
+    id: str
+    job_id: str
+    created_at: datetime
+    campaigns: list[dict[str, Any]]
+    metrics: Mapping[str, Any]
+    effects: list[dict[str, Any]]
+    fitted: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """An evaluation of a version, or a check against it (``kind``): errors by campaign, and the frames that were refitted."""
+
+    kind: str
+    job_id: str
+    at: datetime
+    version_id: str
+    metrics: Mapping[str, Any]
+    refit: list[str]
+    agrees: bool = False  # of a check: what the version does not know of itself, and the noise, explain the errors
+    said: str | None = None  # of a check that alarmed, its verdict in words
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A gap search that was completed."""
+
+    job_id: str
+    at: datetime
+    campaigns: list[str]
+    result: Mapping[str, Any]
+
+
+def active(session: Session, of: Collection[int]) -> dict[int, Active]:
+    """Return the active versions, by robot."""
+    last = select(func.max(ActivationRow.id)).where(ActivationRow.robot_id.in_(of)).group_by(ActivationRow.robot_id)
+    row = VersionRow
+    columns = (
+        row.robot_id, row.id, row.job_id, row.created_at, row.campaigns, row.report["metrics"], row.calibration["effects"],
+    )  # fmt: skip
+    query = select(*columns).join(ActivationRow, ActivationRow.version_id == row.id).where(ActivationRow.id.in_(last))
+    line = _lines(session, of)
+    return {
+        robot: Active(key, job, at, used, metrics or {}, effects or [], _fitted(line, key))
+        for robot, key, job, at, used, metrics, effects in session.execute(query)
+    }
+
+
+def _lines(session: Session, of: Collection[int]) -> dict[str, tuple[str | None, list[dict[str, Any]]]]:
+    query = select(VersionRow.id, VersionRow.parent_id, VersionRow.campaigns).where(VersionRow.robot_id.in_(of))
+    return {key: (parent, used) for key, parent, used in session.execute(query)}
+
+
+def _fitted(lines: Mapping[str, tuple[str | None, list[dict[str, Any]]]], version: str) -> frozenset[str]:
+    """Hashes of the files that a version, or one that it continues, was fitted to."""
+    found: set[str] = set()
+    following: str | None = version
+    while following is not None and following in lines:
+        following, used = lines[following]
+        found.update(sha256 for one in used if one["use"] == "train" for sha256 in one["sha256"])
+    return frozenset(found)
+
+
+def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measured]]:
+    """Return the campaigns in use that have rows, by robot and id."""
+    row = CampaignRow
+    begins = func.substr(row.notes, 1, rest.READ)
+    query = (
+        select(
+            row.robot_id, row.id, row.name, row.measured_at, row.retired_at, begins, UploadRow.sha256, UploadRow.created_at
+        )
+        .join(UploadRow, UploadRow.campaign_id == row.id)
+        .where(row.robot_id.in_(of), row.staged.is_(False))
+    )  # fmt: skip
+    retired: set[str] = set()
+    out: dict[int, dict[str, Measured]] = {}
+    for robot, key, name, stated, ended, notes, sha256, sent in session.execute(query):
+        at, whole = stated or sent, rest.whole_of(notes)
+        retired |= {key} if ended is not None else set()
+        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, stated is not None, frozenset(), whole))
+        out[robot][key] = replace(known, measured_at=max(known.measured_at, at), hashes=known.hashes | {sha256})
+    return {robot: _together(found, retired) for robot, found in out.items()}
+
+
+def _together(found: Mapping[str, Measured], retired: Collection[str]) -> dict[str, Measured]:
+    """Campaigns in use. What is left of one was measured when the whole one was, and rows of either are rows of the other."""
+    out = dict(found)
+    for key, one in found.items():
+        whole = found.get(one.whole or "")
+        told = None if whole is None or whole.id in retired else whole.id
+        out[key] = replace(out[key], whole=told)
+        if whole is not None:
+            out[key] = replace(out[key], measured_at=whole.measured_at, hashes=out[key].hashes | whole.hashes)
+            out[whole.id] = replace(out[whole.id], hashes=out[whole.id].hashes | one.hashes)
+    return {key: one for key, one in out.items() if key not in retired}
+
+
+def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluated]]:
+    """Return the evaluations and checks of versions that gave errors, oldest first; the rows in them stay unread."""
+    row = JobRow
+    version = row.result["version_id"].as_string()
+    query = (
+        select(
+            row.kind,
+            row.id,
+            row.finished_at,
+            version,
+            row.result["metrics"],
+            row.result["refit"],
+            row.result["verdict"],
+            row.result["sentence"],
+        )
+        .where(row.kind.in_(("evaluate", "drift")), row.state == "succeeded", version.in_(of))
+        .order_by(row.created_at, row.id)
+    )
+    out: dict[str, list[Evaluated]] = {}
+    for kind, key, at, evaluated, metrics, refit, verdict, sentence in session.execute(query):
+        if metrics:
+            said = sentence if verdict in ALARMS else None
+            one = Evaluated(kind, key, at, evaluated, metrics, refit or [], verdict == "ok", said)
+            out.setdefault(evaluated, []).append(one)
+    return out
+
+
+def newest_search(session: Session, robot_id: int) -> Searched | None:
+    """Return the newest gap search of a robot that was completed, however many jobs came after it."""
+    query = (
+        select(JobRow)
+        .where(JobRow.robot_id == robot_id, JobRow.kind == "gap", JobRow.state == "succeeded")
+        .order_by(JobRow.created_at.desc(), JobRow.id)
+        .limit(1)
+    )
+    row = session.execute(query).scalar_one_or_none()
+    if row is None or row.result is None or row.finished_at is None:
+        return None
+    return Searched(row.id, row.finished_at, list(row.request.get("campaigns", [])), row.result)

@@ -1,0 +1,1 @@
+"""What a request passes before a feature sees it: gate, tokens, roles, limits; and problems, audit, health."""

@@ -1,0 +1,120 @@
+"""The gate of every route: who sends the request, and whether that is enough, before its body is read."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Annotated, NamedTuple
+
+from fastapi import Depends, Request
+from fastapi.concurrency import run_in_threadpool
+
+from kilter_service.ground.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.settings import Settings
+from kilter_service.web.auth.forwarded import address_of, is_direct
+from kilter_service.web.auth.policy import Rule, rule_of
+from kilter_service.web.auth.scope import check_path
+from kilter_service.web.logins import service as logins
+from kilter_service.web.tokens import service as tokens
+
+PLAIN_READS = frozenset({"GET", "HEAD"})
+
+
+class Credentials(NamedTuple):
+    """What a request was let in with: the hash of its token (None: without one), and the login that stands for it, if any."""
+
+    token_sha256: str | None
+    login: str
+
+
+async def admit(request: Request, path: str) -> Rule:
+    """Let a request in, or refuse it; whoever sends it is its caller from then on.
+
+    Raises:
+        ServiceError: no token or one that does not hold, a role that is too low, another robot, or too often.
+
+    """
+    route = f"{request.method} {path}"
+    rule = rule_of(route)
+    caller = await _caller(request, rule, route)
+    request.state.caller = caller
+    CALLER.set(caller)
+    if rule.role is None:
+        return rule
+    _check_role(caller, rule, route)
+    if rule.computes:
+        sender = caller.address if caller.actor == ANYBODY else caller.token_id or caller.actor
+        request.app.state.rates.take(sender)
+    if caller.robots is not None:
+        if rule.server:
+            raise ServiceError(
+                f"Token {caller.actor!r} is limited to robots {', '.join(sorted(caller.robots))}, and {route} concerns the "
+                "whole server: use a token that is not limited.",
+                code="token_limited",
+                robots=sorted(caller.robots),
+            )
+        state = request.app.state
+        await run_in_threadpool(check_path, state.database, state.look_up, request.path_params)
+    return rule
+
+
+async def _caller(request: Request, rule: Rule, route: str) -> Caller:
+    settings: Settings = request.app.state.settings
+    address, ids = address_of(request, settings), {name: str(value) for name, value in request.path_params.items()}
+    nobody = Caller(ANYBODY, "viewer", None, "", address, route, ids)
+    if rule.role is None:
+        return nobody
+    scheme, _, given = request.headers.get("authorization", "").partition(" ")
+    secret = given.strip()
+    bearer = scheme.lower() == "bearer" and bool(secret)
+    sha256 = tokens.hash_of(secret) if bearer else await _logged_in(request)
+    request.state.credentials = Credentials(sha256, "" if bearer else request.cookies.get(logins.COOKIE, ""))
+    if sha256 is None:
+        if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
+            return nobody
+        raise ServiceError(
+            f"This needs a token of role {rule.role}: send `Authorization: Bearer ...` with your token, or with the content "
+            "of the `token` file in the server's data folder (the client does so when KILTER_TOKEN is set or it runs on the "
+            "same machine). Plain reads on the server's own machine need none, unless a proxy passes them on.",
+            code="token_missing",
+            role=rule.role,
+        )
+    if secrets.compare_digest(sha256, tokens.hash_of(request.app.state.token)):
+        return Caller(ADMIN, "admin", None, "", address, route, ids)
+    found = await run_in_threadpool(tokens.known, request.app.state.database, sha256)
+    robots = None if found.robots is None else frozenset(found.robots)
+    return Caller(found.name, found.role, robots, found.id, address, route, ids)
+
+
+async def _logged_in(request: Request) -> str | None:
+    """Return the hash of the token that whoever uses this browser logged in with; None: nobody did."""
+    kept = request.cookies.get(logins.COOKIE, "")
+    found = await run_in_threadpool(logins.token_of, request.app.state.database, kept) if kept else None
+    if found is not None and request.method not in PLAIN_READS:
+        logins.check_csrf(kept, request.headers.get(logins.CSRF_HEADER, ""))
+    return found
+
+
+def _check_role(caller: Caller, rule: Rule, route: str) -> None:
+    if rule.role is not None and RANK[caller.role] < RANK[rule.role]:
+        raise ServiceError(
+            f"Token {caller.actor!r} has the role {caller.role}, and {route} needs {rule.role}: ask an admin for such a "
+            f"token (`kilter token add NAME --role {rule.role}`).",
+            code="role_too_low",
+            role=caller.role,
+            needed=rule.role,
+        )
+
+
+def caller_of(request: Request) -> Caller:
+    """Return who sends a request."""
+    caller: Caller = request.state.caller
+    return caller
+
+
+async def actor(request: Request) -> str:
+    """Return what the records call whoever sends a request."""
+    return caller_of(request).actor
+
+
+Admin = Annotated[str, Depends(actor)]  # what the records call whoever makes a change; `policy` says who may

@@ -1,0 +1,154 @@
+"""Bodies of requests: measured before and while they are read, and parsed in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from fastapi import Request
+from fastapi.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.limits import MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS
+from kilter_service.web.request_values import MOST_PLACE, TOO_DEEP, check_document
+
+UPLOAD, DOCUMENT = "KILTER_MAX_UPLOAD_MB", "KILTER_MAX_DOCUMENT_MB"
+MESH = "a mesh"
+REMEDY = {
+    MESH: "simplify the mesh, it is only drawn",
+    UPLOAD: "split it (`kilter upload` sends long recordings in parts), or raise KILTER_MAX_UPLOAD_MB",
+    DOCUMENT: "leave out what is not needed, or raise KILTER_MAX_DOCUMENT_MB",
+}
+SILENT_S = 60.0  # a sender that is silent for so long has gone
+JSON_TYPES = ("/json", "+json")
+PIECE_BYTES = 1 << 20
+
+
+async def spool_upload(request: Request, path: Path, limit_mb: int, setting: str = UPLOAD) -> str:
+    """Write the body to ``path`` and return its SHA-256.
+
+    Raises:
+        ServiceError: the body is larger than the limit, packed, or it broke off.
+
+    """
+    digest, waiting = hashlib.sha256(), bytearray()
+    with path.open("wb") as file:
+
+        def keep(piece: bytes) -> None:
+            digest.update(piece)
+            file.write(piece)
+
+        async for part in parts(request, limit_mb, setting):
+            waiting += part
+            if len(waiting) >= PIECE_BYTES:
+                await run_in_threadpool(keep, bytes(waiting))
+                waiting.clear()
+        await run_in_threadpool(keep, bytes(waiting))
+    return digest.hexdigest()
+
+
+async def parts(request: Request, limit_mb: int, setting: str) -> AsyncIterator[bytes]:
+    """Yield the body piece by piece, as far as it may go, whatever its length is said to be.
+
+    Raises:
+        ServiceError: as for `spool_upload`.
+
+    """
+    encoding = request.headers.get("content-encoding", "identity").strip().lower()
+    if encoding != "identity":
+        raise ServiceError(
+            f"Content-Encoding {encoding[:40]} is not read: send the body as it is (Parquet is packed already).",
+            code="media_type_unsupported",
+        )
+    limit, size = limit_mb << 20, 0
+    _check_size(int(request.headers.get("content-length") or 0), limit, setting)
+    stream = request.stream()
+    try:
+        while True:
+            async with asyncio.timeout(SILENT_S):
+                part = await anext(stream, None)
+            if part is None:
+                return
+            size += len(part)
+            _check_size(size, limit, setting)
+            yield part
+    except (ClientDisconnect, TimeoutError) as error:
+        raise ServiceError("The upload broke off; nothing was stored.", code="upload_incomplete") from error
+
+
+def _check_size(size: int, limit: int, setting: str) -> None:
+    if size > limit:
+        raise ServiceError(
+            f"The body is larger than {limit >> 20} MB: {REMEDY[setting]}.",
+            code="upload_too_large",
+            limit_mb=limit >> 20,
+        )
+
+
+async def read_document(request: Request, limit_mb: int) -> bytes:
+    """Return the whole body of a request that holds a document.
+
+    Raises:
+        ServiceError: as for `spool_upload`.
+
+    """
+    return b"".join([part async for part in parts(request, limit_mb, DOCUMENT)])
+
+
+def is_json(request: Request) -> bool:
+    """Whether the body says that it is JSON."""
+    plain = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    return plain.startswith("application/") and plain.endswith(JSON_TYPES)
+
+
+async def parsed(body: bytes) -> Any:
+    """Parse a JSON document in a thread, not on the event loop.
+
+    Raises:
+        ServiceError: it is not JSON, or has a shape that no document of Kilter has.
+
+    """
+    return await run_in_threadpool(_parsed, body)
+
+
+def _parsed(body: bytes) -> Any:
+    # No other thread runs while the parser does, so a document with too many parts is counted and refused, not parsed.
+    if max(body.count(b":"), body.count(b"{") + body.count(b"[")) > MAX_DOCUMENT_PARTS:
+        raise ServiceError(
+            f"The body has more than {MAX_DOCUMENT_PARTS} fields, lists and objects: leave out what is not needed.",
+            code="payload_invalid",
+        )
+    try:
+        document = json.loads(body, object_pairs_hook=_few, parse_constant=_no_constant)
+    except RecursionError as error:
+        raise ServiceError(TOO_DEEP, code="payload_invalid") from error
+    except ValueError as error:
+        raise ServiceError(f"The body is not JSON: {error}.", code="payload_invalid") from error
+    check_document(document)
+    return document
+
+
+def _few(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(pairs) > MAX_DOCUMENT_KEYS:
+        raise ServiceError(
+            f"An object of the body has {len(pairs)} fields, at most {MAX_DOCUMENT_KEYS} are allowed.",
+            code="payload_invalid",
+        )
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in document if names.count(name) > 1)
+        raise ServiceError(
+            f"An object of the body has the field {twice[:MOST_PLACE]!r} twice: keep one of them.",
+            code="payload_invalid",
+        )
+    return document
+
+
+def _no_constant(name: str) -> float:
+    raise ServiceError(f"The body holds {name}, which is not JSON: give a number or null.", code="payload_invalid")

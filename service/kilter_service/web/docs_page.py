@@ -1,0 +1,87 @@
+"""`/docs`: the description of the HTTP interface to read and to try, without internet and without inline script.
+
+The page that FastAPI makes loads Swagger UI from a host on the internet and starts it from a script in the page. Servers
+run in halls without internet, and no foreign script should run beside a page that can set the arm in motion.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from html import escape
+from importlib.util import find_spec
+from pathlib import Path
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import FileResponse, HTMLResponse
+
+from kilter_service.ground.errors import ServiceError
+from kilter_service.web.routing import GuardedRoute
+
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
+
+# Swagger UI's style sheet holds two arrows as data: addresses; everything else comes from this server.
+POLICY = "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
+FILES = {"swagger-ui.css": "text/css", "swagger-ui-bundle.js": "text/javascript"}
+
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<link rel="stylesheet" href="{root}/docs/swagger-ui.css">
+</head>
+<body>
+<div id="swagger-ui"></div>
+<noscript>This page needs JavaScript. The description itself is at <a href="{root}/openapi.json">openapi.json</a>.</noscript>
+<script src="{root}/docs/swagger-ui-bundle.js"></script>
+<script src="{root}/docs/start.js"></script>
+</body>
+</html>
+"""
+
+# validatorUrl: Swagger UI would send the description to a host on the internet to have it judged.
+START = """SwaggerUIBundle({{
+  url: {url},
+  dom_id: "#swagger-ui",
+  deepLinking: true,
+  validatorUrl: null,
+  presets: [SwaggerUIBundle.presets.apis],
+}});
+"""
+
+
+@router.get("/docs")
+def page(request: Request) -> HTMLResponse:
+    """Return the page, which loads everything from this server."""
+    text = PAGE.format(title=escape(request.app.title), root=escape(_root(request)))
+    return HTMLResponse(text, headers={"Content-Security-Policy": POLICY})
+
+
+@router.get("/docs/start.js")
+def start(request: Request) -> Response:
+    """Return the script that starts Swagger UI."""
+    return Response(START.format(url=json.dumps(f"{_root(request)}/openapi.json")), media_type="text/javascript")
+
+
+@router.get("/docs/{name}")
+def file(name: str) -> FileResponse:
+    """Return a file of Swagger UI."""
+    if name not in FILES:
+        raise ServiceError(f"/docs/{name} does not exist: see /docs.", code="not_found")
+    return FileResponse(_folder() / name, media_type=FILES[name])
+
+
+def _root(request: Request) -> str:
+    """Return the path under which a proxy shows this server, empty without one."""
+    return str(request.scope.get("root_path", "")).rstrip("/")
+
+
+@cache
+def _folder() -> Path:
+    """Return where fastapi-offline keeps Swagger UI; its code, which keeps inline script, is not used."""
+    spec = find_spec("fastapi_offline")
+    if spec is None or spec.origin is None:
+        raise FileNotFoundError("fastapi-offline is not installed: it brings the files of /docs")
+    return Path(spec.origin).parent / "static"

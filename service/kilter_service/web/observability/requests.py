@@ -1,0 +1,100 @@
+"""Around every request: its identifier, its line in the access log, its numbers, its span."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+import uuid
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from kilter_service.web.observability import logs, metrics, tracing
+
+access = logging.getLogger(logs.ACCESS)
+
+# What a caller may name a request; anything else could not be told from the rest of a log line.
+GIVEN = re.compile(r"[A-Za-z0-9._-]{1,64}")
+HEADER = b"x-request-id"
+NOSNIFF = (b"x-content-type-options", b"nosniff")  # what somebody uploaded is never taken for a page
+UNKNOWN = "(none)"  # one name for all that no route takes, or whoever asks for random paths would fill the memory
+METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+
+
+def new_request_id() -> str:
+    """Return the identifier that ties an answer to the logs."""
+    return uuid.uuid4().hex[:16]
+
+
+class Observed:
+    """Watches what an application answers."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request_id = _given(scope) or new_request_id()
+        scope.setdefault("state", {})["request_id"] = request_id
+        answer = _Answer(send)
+        began = time.perf_counter()
+        metrics.OPEN.inc()
+        try:
+            with logs.about(request_id=request_id), tracing.request(scope):
+                await self.app(scope, receive, answer.send)
+        finally:
+            metrics.OPEN.dec()
+            _note(scope, answer, time.perf_counter() - began, request_id)
+
+
+class _Answer:
+    """What was sent."""
+
+    def __init__(self, send: Send) -> None:
+        self._send = send
+        self.status = 499  # the caller went away before there was an answer
+        self.bytes = 0
+
+    async def send(self, message: Message) -> None:
+        """Pass a message on and note it."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            headers = message.get("headers", ())
+            if not any(name.lower() == NOSNIFF[0] for name, _ in headers):
+                message["headers"] = [*headers, NOSNIFF]
+        else:
+            self.bytes += len(message.get("body", b""))
+        await self._send(message)
+
+
+def _given(scope: Scope) -> str | None:
+    for name, value in scope["headers"]:
+        if name == HEADER:
+            text = value.decode("latin-1")
+            return text if GIVEN.fullmatch(text) else None
+    return None
+
+
+def _note(scope: Scope, answer: _Answer, seconds: float, request_id: str) -> None:
+    route = getattr(scope.get("route"), "path", UNKNOWN)
+    method = scope["method"] if scope["method"] in METHODS else UNKNOWN
+    metrics.REQUESTS.labels(method, route, str(answer.status)).inc()
+    metrics.DURATION.labels(method, route).observe(seconds)
+    if not access.disabled:
+        client = scope.get("client")
+        access.info(
+            "%s %s %d",
+            scope["method"],
+            scope["path"],
+            answer.status,
+            extra={
+                "request_id": request_id,
+                "client": client[0] if client else None,
+                "actor": getattr(scope["state"].get("caller"), "actor", None),
+                "duration_s": round(seconds, 6),
+                "bytes": answer.bytes,
+            },
+        )

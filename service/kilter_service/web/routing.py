@@ -1,0 +1,86 @@
+"""The route of every feature: who may send, how much, and where it is worked on, before the endpoint sees anything."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from fastapi import Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.dependencies.utils import get_flat_params
+from fastapi.exceptions import RequestValidationError
+from fastapi.params import Query
+from fastapi.routing import APIRoute
+
+from kilter_service.contract.problems import REFUSALS
+from kilter_service.web.auth.access import admit
+from kilter_service.web.bodies import is_json, parsed, read_document
+from kilter_service.web.concurrency import in_turn, slots_of
+from kilter_service.web.request_values import check_address, check_names
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+class GuardedRoute(APIRoute):
+    """A route of Kilter.
+
+    Who sends the request, and whether that is enough, is settled before the body is read. A JSON document is read up to the
+    size limit, parsed and validated in a thread, and answered when a slot is free. Endpoints receive files themselves.
+    """
+
+    def __init__(self, path: str, endpoint: Callable[..., Any], **more: Any) -> None:
+        if more.get("include_in_schema", True):
+            more["responses"] = {**REFUSALS, **(more.get("responses") or {})}
+        super().__init__(path, endpoint, **more)
+
+    def get_route_handler(self) -> Callable[[Request], Any]:
+        """Return what answers a request."""
+        answer: Handler = super().get_route_handler()
+        takes_file = "requestBody" in (self.openapi_extra or {})
+        # Views of the page are opened with whatever other sites append to a link; they pass over what they do not know.
+        strict = self.path.startswith(("/v1/", "/metrics"))
+        known = frozenset(
+            field.alias for field in get_flat_params(self.dependant) if isinstance(field.field_info, Query)
+        )
+
+        async def handle(request: Request) -> Response:
+            check_address(request)  # before the database sees what is in it
+            request.state.rule = await admit(request, self.path)
+            if strict:
+                check_names(request, known)
+            if takes_file:
+                with slots_of(request).files.entered():
+                    return await answer(request)
+            if self.body_field is not None:
+                return await self._answer_document(request, answer)
+            if request.state.rule.instead:
+                room = slots_of(request).reads
+                with room.entered():
+                    return await in_turn(request, room, lambda: answer(request))
+            return await answer(request)
+
+        return handle
+
+    async def _answer_document(self, request: Request, answer: Handler) -> Response:
+        slots = slots_of(request)
+        room = slots.checks if request.state.rule.instead else slots.documents
+        with room.entered():
+            body = await read_document(request, request.app.state.settings.max_document_mb)
+
+            async def answered() -> Response:
+                return await answer(await self._checked(request, body))
+
+            return await in_turn(request, room, answered)
+
+    async def _checked(self, request: Request, body: bytes) -> Request:
+        """Return the request with its document parsed; FastAPI finds both where it would have put them."""
+        found = Request(request.scope, request.receive)
+        found._body = body
+        if body and is_json(request):
+            found._json = await parsed(body)
+            assert self.body_field is not None
+            # FastAPI checks on the event loop. What is wrong, and may be so in many places, is found here.
+            _, errors = await run_in_threadpool(self.body_field.validate, found._json, loc=("body",))
+            if errors:
+                raise RequestValidationError(errors, body=found._json)
+        return found
