@@ -91,7 +91,7 @@ coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report
 
-check: $(KERNELS) ## style, types, import rules
+check: $(READY) ## style, types, import rules
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
