@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import NormalDist
 from typing import Any
 
 from kilter_files.robots.exported import lists_of_export
 
 SURE, WITHIN_95 = 3.0, 1.96  # standard deviations
+FARTHEST_BELOW = 8.0  # standard deviations below 0, where the tail of a normal distribution is still a number
 LEAST_BACKLASH_DEG, LEAST_SAG_DEG, LEAST_TICKS = 0.1, 0.1, 2
 TICK_DEG = 360.0 / 4095.0
 G = 9.81
@@ -124,7 +126,17 @@ def _no_backlash(parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[M
         elif low > 0.0:
             yield f"{name} may have a little backlash: {low:.2f} to {high:.2f} deg (95 %)"
         else:
-            yield f"{name}: no backlash seen (95 %: 0 to {max(high, 0.0):.2f} deg)"
+            most = max(high, _at_most(0.5 * (low + high), (high - low) / (2.0 * WITHIN_95)))
+            within = f"95 %: 0 to {most:.2f} deg" if most >= 0.005 else "95 %: below 0.01 deg"
+            yield f"{name}: no backlash seen ({within})"
+
+
+def _at_most(value: float, sigma: float) -> float:
+    """What a width is below with 95 %, known that it is not below 0: an estimate below 0 leaves more than nothing."""
+    if sigma <= 0.0:
+        return max(value, 0.0)
+    normal, below = NormalDist(), max(value / sigma, -FARTHEST_BELOW)
+    return sigma * (below - normal.inv_cdf(0.05 * normal.cdf(below)))
 
 
 def _width(half: Mapping[str, Any]) -> tuple[float | None, float | None]:
