@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,25 @@ def test_every_pose_that_is_advised_shows_the_whole_board(tmp_path: Path, seen: 
             for side in (-1.0, 1.0):
                 for kg in (0.0, 0.2):
                     assert project(WORN.settled(np.array(example), np.full(5, side), kg)) is not None, example
+
+
+def test_a_joint_that_moved_too_little_gets_poses_that_show_the_board(tmp_path: Path, seen: list[View]) -> None:
+    """The elbow and the first joint, kept within 30 degrees: they move far enough at every pose that is advised."""
+    for joint in (0, 2):
+        little = [view for view in seen if abs(view.reading[joint] - seen[0].reading[joint]) < 15.0]
+        more = [view for view in views(WORN, 30, np.random.default_rng(12), (0.0,), 0.5) if abs(
+            view.reading[joint] - seen[0].reading[joint]) < 15.0]  # fmt: skip
+        rows, rig = written(tmp_path, f"little-{joint}", little + more)
+        capture = captured([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text()))
+        told = next(line for line in capture.missing if line.startswith(f"motion of joint {joint + 1} "))
+        assert told.endswith("deg, where the camera sees the board")
+        wanted = float(told.split(" would do")[0].split(" ")[-1])
+        stood = np.array([view.reading[joint] for view in little + more])
+        for text in re.findall(r"\(([-0-9, ]+)\)", told.split("near ")[1]):
+            example = np.array([float(one) for one in text.split(",")])
+            assert np.ptp([*stood, example[joint]]) > wanted - 1.0
+            for side in (-1.0, 1.0):
+                assert project(WORN.settled(example, np.full(5, side), 0.2)) is not None, example
 
 
 def test_views_that_do_not_say_where_the_camera_stands_leave_that_to_the_person(

@@ -11,6 +11,7 @@ from typing import Any
 
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.later import np
+from kilter_files.rig.kit.examples import Limits, Sought, near
 from kilter_files.rig.kit.loads import Pulled, pulled
 from kilter_files.rig.kit.moments import flange
 from kilter_files.rig.kit.sight import sights
@@ -65,23 +66,18 @@ def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Ma
     poses = {tuple(round(value / LEAST_DEG) for value in row) for row in q}
     payloads = [row.get("payload_kg") for row in rows]
     known = tuple(sorted({value for value in payloads if value is not None}))
-    loads = _pulled(rows, q, joints, chain, rig) if rows else []
+    held, limits = [value or 0.0 for value in payloads], [_limits(joint) for joint in joints]
+    loads, short, sought = pulled(chain, q, held, limits) if rows else [], _short(q, limits), None
+    if loads and (short or any(one.wanted for one in loads)):
+        seen = np.array(q, dtype=float)
+        sought = Sought(chain, seen, limits, sights(rows, flange(chain, seen), rig))
+        loads = pulled(chain, q, held, limits, sought.sights) if sought.sights else loads
     missing = [
-        *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints), *_travel(q, joints),
+        *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints),
+        *(_travel(one, joints[one[0]]["name"], sought) for one in short),
         *(one.missing for one in loads if one.missing),
     ]  # fmt: skip
     return Capture(len(rows), len(poses), known, tuple(missing), tuple(loads))
-
-
-def _pulled(
-    rows: Sequence[Row], q: Sequence[Sequence[float]], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any], rig: Rig
-) -> list[Pulled]:  # fmt: skip
-    payloads, limits = [row.get("payload_kg") or 0.0 for row in rows], [_limits(joint) for joint in joints]
-    loads = pulled(chain, q, payloads, limits)
-    if not any(one.wanted for one in loads):
-        return loads
-    placed = sights(rows, flange(chain, np.array(q, dtype=float)), rig)
-    return pulled(chain, q, payloads, limits, placed) if placed else loads
 
 
 def wanted(joints: int, rig: Rig) -> list[str]:
@@ -157,16 +153,29 @@ def _sides(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]]) -> Iterator
             yield f"views in which joint {j + 1} ({joint['name']}) came from {side}: a quarter of them at least"
 
 
-def _travel(q: Sequence[Sequence[float]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    for j, joint in enumerate(joints):
-        limits = _limits(joint)
-        if limits is None or not q:
-            continue
-        low, high = limits
-        moved = max(row[j] for row in q) - min(row[j] for row in q)
-        if moved < LEAST_TRAVEL * (high - low):
-            wanted = LEAST_TRAVEL * (high - low)
-            yield f"motion of joint {j + 1} ({joint['name']}): it moved by {moved:.0f} deg, {wanted:.0f} would do"
+Short = tuple[int, float, float, float]  # joint from 0, its lowest and highest reading, how far it should move, deg
+
+
+def _short(q: Sequence[Sequence[float]], limits: Limits) -> list[Short]:
+    """Joints that moved too little."""
+    found = []
+    for j, pair in enumerate(limits if q else ()):
+        least, most = min(row[j] for row in q), max(row[j] for row in q)
+        if pair is not None and most - least < LEAST_TRAVEL * (pair[1] - pair[0]):
+            found.append((j, least, most, LEAST_TRAVEL * (pair[1] - pair[0])))
+    return found
+
+
+def _travel(short: Short, name: str, sought: Sought | None) -> str:
+    j, least, most, wanted = short
+    told = f"motion of joint {j + 1} ({name}): it moved by {math.floor(most - least)} deg, {math.ceil(wanted)} would do"
+    if sought is None or not sought.sights:
+        return told
+    examples, shown = sought.beyond(j, most - wanted, least + wanted)
+    if examples:
+        return f"{told}, for example near {near(examples)}, where the camera sees the board"
+    unseen = "; at no such pose does the camera see the board: move it, or fix the board to another side of the gripper"
+    return told + (unseen if shown is False else "")
 
 
 def _limits(joint: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
-from kilter_files.rig.kit.moments import flange, gravity_moments
+from kilter_files.rig.kit.examples import Examples, Limits, Sought, near
+from kilter_files.rig.kit.moments import gravity_moments
 from kilter_files.rig.kit.sight import Sight
 
 LEAST_LOAD_NM = 0.05  # well beyond the friction of a servo: it rests on one flank then
 FEWEST_EITHER_WAY = 6  # views
 CLEARLY = 0.5  # of the most that gravity can pull so: whoever comes near an example still has the other way
-OFF_STOPS = 0.03  # of a joint's range
-MOST_EXAMPLES, APART_DEG = 3, 30.0
-STEPS_OF_A_JOINT = 13  # of the poses among which an example is sought
-WAYS_TO_SHOW = 13  # of the first joint and of the last, which rotate the board and change no load
-LEAST_SHOWN = 0.1  # of the score of a board that faces the camera in the middle of the picture
 
 
 @dataclass(frozen=True)
@@ -37,7 +32,7 @@ class Pulled:
     more: int
     fewer: int
     wanted: int
-    examples_deg: tuple[tuple[float, ...], ...]
+    examples_deg: Examples
     shown: bool | None = None
 
     @property
@@ -45,7 +40,6 @@ class Pulled:
         """What to photograph; None where nothing is missing, or the arm cannot."""
         if not self.examples_deg:
             return None
-        near = " or ".join(f"({', '.join(f'{value:.0f}' for value in one)})" for one in self.examples_deg)
         sees = (
             "where the camera sees the board"
             if self.shown
@@ -53,7 +47,7 @@ class Pulled:
         )
         return (
             f"views in which gravity pulls joint {self.joint} ({self.name}) the other way: it does in {self.fewer} of "
-            f"{self.views}, take {self.wanted} more, for example near {near} deg, {sees}"
+            f"{self.views}, take {self.wanted} more, for example near {near(self.examples_deg)}, {sees}"
         )
 
     @property
@@ -82,7 +76,7 @@ def pulled(
     chain: Mapping[str, Any],
     q_deg: Sequence[Sequence[float]] | Floats,
     payloads_kg: Sequence[float],
-    limits_deg: Sequence[tuple[float, float] | None],
+    limits_deg: Limits,
     sights: Sequence[Sight] = (),
 ) -> list[Pulled]:
     """Count the views by the way in which gravity pulls each joint; nothing where ``chain`` does not tell its loads.
@@ -103,79 +97,20 @@ def pulled(
             lacking[joint] = 1.0 if up < down else -1.0
         name = str(chain["joints"][joint - 1]["name"])
         found.append((joint, name, len(q), max(up, down), min(up, down), wanted))
-    pull = _Sought(chain, q, sorted(set(payloads_kg)), limits_deg).examples(lacking, sights) if lacking else {}
-    return [Pulled(*one, *pull.get(one[0], ((), None))) for one in found]
+    examples = _examples(Sought(chain, q, limits_deg, sights), sorted(set(payloads_kg)), lacking) if lacking else {}
+    return [Pulled(*one, *examples.get(one[0], ((), None))) for one in found]
 
 
-Examples = tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True)
-class _Sought:
-    """Where examples are sought: views ``seen`` (N, n), deg, of an arm, with payloads and limits of its joints."""
-
-    chain: Mapping[str, Any]
-    seen: Floats
-    payloads: Sequence[float]
-    limits: Sequence[tuple[float, float] | None]
-
-    def examples(
-        self, lacking: Mapping[int, float], sights: Sequence[Sight]
-    ) -> dict[int, tuple[Examples, bool | None]]:
-        """For each joint the poses nearest to those seen, at which gravity pulls it the way that is lacking, and whether
-        the board is seen there: None where nothing says so, False where it is at none of them.
-        """
-        inner = [joint - 1 for joint in loaded(self.seen.shape[1])]
-        grid = np.array(list(itertools.product(*(self._steps(k, STEPS_OF_A_JOINT) for k in inner))))
-        poses = np.unique(self.seen, axis=0)
-        away = np.stack([np.max(np.abs(grid - pose[inner]), axis=1) for pose in poses])
-        tried = poses[np.argmin(away, axis=0)]
-        tried[:, inner] = grid
-        ends = sorted({self.payloads[0], self.payloads[-1]})
-        moments = [gravity_moments(self.chain, tried, np.full(len(tried), kg)) for kg in ends]
-        cost = {
-            joint: np.where(
-                _pulls([sign * one[:, joint - 1] for one in moments if one is not None]), away.min(axis=0), np.inf
-            )
-            for joint, sign in lacking.items()
-        }
-        if not sights:
-            return {joint: (_apart(tried, grid, one), None) for joint, one in cost.items()}
-        wanted = np.flatnonzero(np.isfinite(list(cost.values())).any(axis=0))
-        hidden = np.ones(len(tried), dtype=bool)
-        tried[wanted], hidden[wanted] = self._shown(tried[wanted], sights)
-        return {joint: self._of_shown(tried, grid, one, hidden) for joint, one in cost.items()}
-
-    def _of_shown(self, tried: Floats, grid: Floats, cost: Floats, hidden: Bools) -> tuple[Examples, bool | None]:
-        within = bool(np.isfinite(cost).any())
-        found = _apart(tried, grid, np.where(hidden, np.inf, cost))
-        return found, (bool(found) if within else None)
-
-    def _shown(self, poses: Floats, sights: Sequence[Sight]) -> tuple[Floats, Bools]:
-        """The poses (N, n) with first and last joint where the board is seen best, and which (N,) show it nowhere."""
-        out, last = poses.copy(), poses.shape[1] - 1
-        pans, rolls = self._steps(0, WAYS_TO_SHOW), self._steps(last, WAYS_TO_SHOW)
-        at_zero = np.linalg.inv(self._flanges(0, np.zeros(1))[0])
-        before, after = self._flanges(0, pans) @ at_zero, at_zero @ self._flanges(last, rolls)
-        straight = poses.copy()
-        straight[:, [0, last]] = 0.0
-        best = np.zeros(len(poses))
-        for k, own in enumerate(flange(self.chain, straight)):
-            score = np.max([one.score(before[:, None] @ (own @ after)) for one in sights], axis=0)
-            a, b = np.unravel_index(np.argmax(score), score.shape)
-            best[k], out[k, 0], out[k, last] = score[a, b], pans[a], rolls[b]
-        return out, np.asarray(best <= LEAST_SHOWN)
-
-    def _flanges(self, joint: int, readings: Floats) -> Floats:
-        """Poses (N, 4, 4) of the flange with one joint at readings (N,), deg, and all others at zero."""
-        q = np.zeros((len(readings), self.seen.shape[1]))
-        q[:, joint] = readings
-        return flange(self.chain, q)
-
-    def _steps(self, k: int, steps: int) -> Floats:
-        low, high = self.limits[k] or (-180.0, 180.0)
-        off = OFF_STOPS * (high - low)
-        return np.linspace(low + off, high - off, steps)
+def _examples(
+    sought: Sought, payloads: Sequence[float], lacking: Mapping[int, float]
+) -> dict[int, tuple[Examples, bool | None]]:
+    """For each joint poses at which gravity pulls it the way that is lacking, and whether the board is seen there."""
+    ends, tried = sorted({payloads[0], payloads[-1]}), sought.tried
+    moments = [gravity_moments(sought.chain, tried, np.full(len(tried), kg)) for kg in ends]
+    return {
+        joint: sought.nearest(_pulls([sign * one[:, joint - 1] for one in moments if one is not None]))
+        for joint, sign in lacking.items()
+    }
 
 
 def _pulls(each: Sequence[Floats]) -> Bools:
@@ -183,13 +118,3 @@ def _pulls(each: Sequence[Floats]) -> Bools:
     weakest, strongest = np.min(each, axis=0), np.max(each, axis=0)
     pull = weakest if weakest.max() > LEAST_LOAD_NM else strongest
     return np.asarray(pull > max(CLEARLY * float(pull.max()), LEAST_LOAD_NM))
-
-
-def _apart(poses: Floats, inner: Floats, cost: Floats) -> tuple[tuple[float, ...], ...]:
-    """The cheapest of the poses (N, n) whose inner joints (N, m) are apart; those of infinite cost never."""
-    chosen, left = list[tuple[float, ...]](), cost.copy()
-    while len(chosen) < MOST_EXAMPLES and np.isfinite(left).any():
-        k = int(np.argmin(left))
-        chosen.append(tuple(round(float(value), 1) for value in poses[k]))
-        left[np.max(np.abs(inner - inner[k]), axis=1) < APART_DEG] = np.inf
-    return tuple(chosen)

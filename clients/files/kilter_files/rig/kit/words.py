@@ -58,9 +58,9 @@ def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
 
 
 def off_by(before_mm: float, after_mm: float) -> str:
-    """How far off the tool is, on views held out."""
-    digits = 1 if after_mm >= 1.0 else 2  # 0.0 mm would be a perfect arm
-    return f"the tool is off by {before_mm:.1f} mm, corrected by {after_mm:.{digits}f} mm (views held out)"
+    """How far off the tool is, on views held out; 0.00 mm would be a perfect arm."""
+    left = f"{after_mm:.{1 if after_mm >= 1.0 else 2}f} mm" if after_mm >= 0.005 else "less than 0.01 mm"
+    return f"the tool is off by {before_mm:.1f} mm, corrected by {left} (views held out)"
 
 
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"
