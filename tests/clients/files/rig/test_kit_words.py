@@ -66,3 +66,12 @@ def test_what_a_joint_could_have_at_most_is_of_a_width_that_cannot_be_negative(v
     assert said(value=value, sigma=0.03) == [
         f"joint 2 (lift): no backlash seen (95 %: 0 to {max(most, two_sided):.2f} deg)"
     ]
+
+
+@pytest.mark.parametrize(
+    ("half_deg", "within"), [(0.03, "(95 %: +0.57 to +0.63)"), (0.2, "(95 %: +0.4 to +0.8)")], ids=["narrow", "wide"]
+)
+def test_the_interval_of_a_zero_has_a_width(half_deg: float, within: str) -> None:
+    zero = {"joint": "lift", "offset_deg": 0.6, "half_width_deg": half_deg, "state": "known"}
+    (line,) = lines_of({"parameters": []}, JOINTS, [zero], 0.3, {})
+    assert line.startswith(f"the zero of joint 2 (lift) is off by +0.6 deg {within}: 7 ticks (")

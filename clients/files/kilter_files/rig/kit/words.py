@@ -176,7 +176,8 @@ def _zeros(
         steps = (
             f"{abs(ticks)} ticks ({low / TICK_DEG:.0f} to {high / TICK_DEG:.0f}) of its homing offset (kilter homing)"
         )
-        within = f"95 %: {offset - half:+.1f} to {offset + half:+.1f}"
+        digits = 1 if half >= 0.1 else 2
+        within = f"95 %: {offset - half:+.{digits}f} to {offset + half:+.{digits}f}"
         yield (
             abs(offset),
             f"the zero of joint {numbers[name]} ({name}) is off by {offset:+.1f} deg ({within}){held}: {steps}",
