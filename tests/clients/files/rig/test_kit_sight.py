@@ -35,7 +35,7 @@ def seen() -> list[View]:
 
 
 def test_every_pose_that_is_advised_shows_the_whole_board(tmp_path: Path, seen: list[View]) -> None:
-    """On the worn arm, from both sides and with both payloads, although only the arm as drawn was known."""
+    """On the worn arm, from both sides and with both payloads, although only the nominal arm was known."""
     rows, rig = written(tmp_path, "views", seen)
     capture = captured([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text()))
     asked = [one for one in capture.pulled if one.wanted]

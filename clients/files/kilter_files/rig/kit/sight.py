@@ -1,4 +1,4 @@
-"""Which poses show the board to the camera: where both stand follows from the views, by the arm as drawn.
+"""Which poses show the board to the camera: where both stand follows from the views, by the nominal arm.
 
 Good for choosing poses, and for no more: the arm's errors stay in it, and what they are worth in the picture is the margin.
 """
@@ -28,7 +28,7 @@ class Sight:
     """A board and a camera: ``tool_side`` A and ``world_side`` B (4, 4) of what is on the flange and of what stands, mm.
 
     ``facing`` is the least cosine between line of sight and the board's normal that was seen, its sign the side that is
-    printed; ``depths_mm`` the nearest and farthest corner seen; ``margin_px`` how far off the arm as drawn puts a corner.
+    printed; ``depths_mm`` the nearest and farthest corner seen; ``margin_px`` how far off the nominal arm puts a corner.
     """
 
     camera: Mapping[str, Any]
@@ -106,7 +106,7 @@ def _sight(
 
 
 def _judged(sight: Sight, flange: Floats, pixels: Floats) -> Sight | None:
-    """With what was seen of the board, and how well the arm as drawn says where; None where it does not."""
+    """With what was seen of the board, and how well the nominal arm says where; None where it does not."""
     off = np.linalg.norm(_left(sight, flange, pixels), axis=2)
     worst = np.where(np.isnan(off), 0.0, off).max(axis=1)
     margin = float(np.quantile(worst, 0.9))
