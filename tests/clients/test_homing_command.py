@@ -121,6 +121,9 @@ def test_from_measured_poses_to_ticks(k: Kilter, command: Command, tmp_path: Pat
     text = command(*asked)
     assert "It is another calibration" in text
     assert "not told: shared with base or tool" in text
+    half = after["j2"]["half_width_ticks"]
+    assert f"±{half:.0f} " in text if half >= 1.0 else f"±{max(half, 0.1):.1f} " in text
+    assert "±0 " not in text
     assert "is the calibration itself" in command.json(*asked[:4], path, *asked[5:], code=2)["detail"]
     told = command.json("export", version, "--format", "mdh-csv", "-o", tmp_path / "table.csv")["zero_offsets"]
     assert [one["state"] for one in told] == [after[name]["state"] for name in JOINTS]

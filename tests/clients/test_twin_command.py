@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -97,6 +98,12 @@ def test_the_twin_is_as_good_as_the_version_and_another_model_as_bad_as_the_nomi
     own = errors[str(tmp_path / "twin.xml")]
     assert own["mean_mm"] == pytest.approx(errors["identified"]["mean_mm"], abs=0.002)
     assert own["mean_mm"] < 0.05 < 0.2 < errors["nominal"]["mean_mm"]
+
+    stiff = re.sub(r'kp="[^"]*"', 'kp="1e9"', (tmp_path / "twin.xml").read_text())
+    (tmp_path / "stiff.xml").write_text(stiff)
+    without = command.json("twin", "compare", tmp_path / "stiff.xml", *asked)["errors"][str(tmp_path / "stiff.xml")]
+    assert without["mean_mm"] == pytest.approx(errors["rigid"]["mean_mm"], abs=1e-3)
+    assert without["mean_mm"] > 2.0 * own["mean_mm"]
 
     (tmp_path / "theirs.xml").write_text(rigid(arm))
     refused = command.json("twin", "compare", tmp_path / "theirs.xml", *asked, "--site", "flange", code=1)

@@ -216,7 +216,7 @@ def test_nested_columns_and_text_are_refused(tmp_path: Path) -> None:
     for column in ([[1.0, 2.0]], [{"a": 1.0}], ["1"], [b"1"], [True]):
         buffer = io.BytesIO()
         parquet.write_table(pa.table({"q1_deg": column}), buffer)
-        assert "not numbers" in refused(tmp_path, buffer.getvalue(), reading.PARQUET)
+        assert "not numbers. Send a column for each number" in refused(tmp_path, buffer.getvalue(), reading.PARQUET)
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0"])

@@ -26,7 +26,7 @@ MOST_ROWS = 2000  # of a list of poses, evenly chosen
 def evaluate(
     calibration: Calibration, observations: Observations, refit: Sequence[str] = (), known: Predictive | None = None
 ) -> dict[str, Any]:
-    """Metrics of a calibration on observations beside those of the nominal robot and of registration alone.
+    """Metrics of a calibration on observations beside those of the nominal robot, of registration alone and without effects.
 
     ``rows`` has the error of each row, measured minus predicted, and the half width of the 95 % interval in which what is
     ``known`` of the calibration expects it, None without; ``within_u95`` is the share of the coordinates that are there.
@@ -46,6 +46,9 @@ def evaluate(
         "registration_only": refitted(nominal, measurement, ("base", "tool")),
         "identified": refitted(calibration, measurement, anew),
     }
+    rigid = calibration.with_effects([one for one in calibration.model.effects if one.stage == "measurement"])
+    if len(rigid.model.effects) < len(calibration.model.effects):
+        stages["geometry_only"] = refitted(rigid, measurement, anew)
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))

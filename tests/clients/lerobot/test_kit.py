@@ -97,6 +97,7 @@ def test_views_of_a_joint_that_gravity_pulls_one_way_are_asked_for_until_they_ar
     document, enough = advised(ask, forwards, lambda examples: views_near(ARM, examples, rng, PAYLOADS, 0.5))
     lift = next(line for line in asked[1] if "gravity pulls joint 2" in line)
     assert "it does in 0 of " in lift
+    assert lift.endswith("deg, where the camera sees the board")
     assert asked[-1] == []
     assert len(enough) - len(forwards) <= 20
     assert any("joint 2 (shoulder_lift): no backlash seen" in line for line in document["lines"])

@@ -1,6 +1,7 @@
 """`kilter kit` over many simulated SO-101: what it finds of play and stiffness, and that it names nothing on clean arms.
 
-`make test-kit ARMS=200`: each arm takes about ten processor seconds, so `make test` leaves it out.
+`make test-kit ARMS=200`: each arm takes about ten processor seconds, so `make test` leaves it out. `FIRST=1000` takes
+other arms than those of numbers from 0.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from tests.clients.lerobot.so101_twin import Twin
 from tests.clients.lerobot.webcam import View, advised, views, views_near, written
 from tests.clients.test_cli import Command
 
-ARMS = int(os.environ.get("ARMS", "20"))
+ARMS, FIRST = int(os.environ.get("ARMS", "20")), int(os.environ.get("FIRST", "0"))
 POSES, PAYLOADS, CORNER_PX, PLAY_DEG = 20, (0.0, 0.2), 0.5, 1.0
 LOADED = (2, 3, 4)  # joints that gravity loads
 STIFF = 3000.0
@@ -79,7 +80,7 @@ def test_play_stiffness_and_the_right_joint(
 ) -> None:
     right, play_off, stiffness_off, after = 0, [], [], []
     for k in range(ARMS):
-        rng = np.random.default_rng([34, k])
+        rng = np.random.default_rng([34, FIRST + k])
         joint, soft, zeros = int(rng.choice(LOADED)), rng.uniform(23.0, 47.0, 3), rng.uniform(-2.0, 2.0, 3)
         play = [PLAY_DEG if j == joint else 0.0 for j in range(1, 6)]
         twin = Twin([0.0, *zeros, 0.0], [300.0, *soft, 300.0], play)
@@ -90,7 +91,7 @@ def test_play_stiffness_and_the_right_joint(
         after.append(document["after_mm"])
         with capsys.disabled():
             print(
-                f"\nworn {k}: {document['views']} views, joint {joint}, named {named(document['lines'])}, "
+                f"\nworn {FIRST + k}: {document['views']} views, joint {joint}, named {named(document['lines'])}, "
                 f"play {play_off[-1]:+.0%}, "
                 f"stiffness {', '.join(f'{one:+.0%}' for one in stiffness_off[-3:])}, "
                 f"{document['before_mm']:.1f} to {document['after_mm']:.2f} mm; right {share(right, k + 1)}, "
@@ -109,7 +110,7 @@ def test_nothing_is_named_on_clean_arms(
 ) -> None:
     names = 0
     for k in range(ARMS):
-        rng = np.random.default_rng([35, k])
+        rng = np.random.default_rng([35, FIRST + k])
         twin = Twin([0.0] * 5, [STIFF] * 5, [0.0] * 5)
         document, _ = asked(kilter, command, tmp_path, f"clean-{k}", twin, rng)
         said = [
@@ -117,5 +118,5 @@ def test_nothing_is_named_on_clean_arms(
         ]
         names += bool(said)
         with capsys.disabled():
-            print(f"\nclean {k}: {said}; named {share(names, k + 1)}", flush=True)
+            print(f"\nclean {FIRST + k}: {said}; named {share(names, k + 1)}", flush=True)
     assert names == 0

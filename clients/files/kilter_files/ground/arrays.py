@@ -1,4 +1,4 @@
-"""Arrays of numbers, whose shapes docstrings state."""
+"""Arrays of numbers and of truth values, whose shapes docstrings state."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    Bools = NDArray[np.bool_]
     Floats = NDArray[np.float64]
 else:
+    Bools = "NDArray[np.bool_]"
     Floats = "NDArray[np.float64]"  # nobody asks for it while the program runs

@@ -92,5 +92,8 @@ def _numeric(schema: pa.Schema) -> None:
         text = field.name in NAMED and (pa.types.is_string(field.type) or pa.types.is_large_string(field.type))
         if not (text or pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
             raise ObservationError(
-                f"Column {field.name[:64]!r} is {str(field.type)[:64]}, not numbers.", column=field.name[:64]
+                f"Column {field.name[:64]!r} is {str(field.type)[:64]}, not numbers. Send a column for each number, named as "
+                "in the reference of observations; files of other programs (a data set of LeRobot) become such columns by "
+                "`kilter match`, `kilter see` or `kilter upload`.",
+                column=field.name[:64],
             )

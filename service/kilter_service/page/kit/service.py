@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -30,19 +30,26 @@ BACKLASH = "backlash_load_"
 _rows = Recent[list[coverage.Row]](40)
 _tables = Recent[bytes](40)
 _chains = Recent[dict[str, Any]](40)
+_captures = Recent[coverage.Capture](40)
 Views = Mapping[str, Sequence[coverage.Row]]  # by the id of their campaign
 
 
 @dataclass(frozen=True)
 class _Arm:
-    """Joints of a robot, and its document of convention ``chain``."""
+    """Digest of a robot, its joints, and its document of convention ``chain``."""
 
+    sha256: str
     joints: Sequence[Mapping[str, Any]]
     chain: Mapping[str, Any]
 
-    def capture(self, views: Views, campaigns: Iterable[str]) -> coverage.Capture:
+    def capture(self, views: Views, used: Sequence[Campaign]) -> coverage.Capture:
         """What the views of some campaigns cover."""
-        return coverage.coverage([row for one in campaigns for row in views[one]], self.joints, self.chain)
+        key = (self.sha256, *map(key_of, used))
+        return _captures.get(key, partial(self._capture, views, used))
+
+    def _capture(self, views: Views, used: Sequence[Campaign]) -> coverage.Capture:
+        rows = [row for one in used for row in views[one.id]]
+        return coverage.coverage(rows, self.joints, self.chain, _rig(used))
 
 
 @dataclass(frozen=True)
@@ -86,9 +93,9 @@ def shown_kit(database: Database, name: str) -> Kit:
         if views:
             used.append(campaign)
             rows[campaign.id] = views
-    arm = _Arm(joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
-    capture = arm.capture(rows, rows) if rows else None
-    return Kit(robot, used, capture, _found(database, name, rows, arm))
+    arm = _Arm(robot.sha256, joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
+    capture = arm.capture(rows, used) if rows else None
+    return Kit(robot, used, capture, _found(database, name, rows, used, arm))
 
 
 def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage.Row]:
@@ -97,7 +104,7 @@ def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage
         return []
     table = looking.stored(database, campaign.id).table
     columns: dict[str, Sequence[float | None]] = {}
-    for name in coverage.wanted(joints):
+    for name in coverage.wanted(joints, _rig([campaign])):
         in_rad = name.replace("_deg", "_rad")
         if name in table.column_names:
             columns[name] = table[name].to_pylist()
@@ -106,11 +113,19 @@ def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage
     return [{name: values[k] for name, values in columns.items()} for k in range(table.num_rows)]
 
 
-def _found(database: Database, robot: str, views: Views, arm: _Arm) -> Found | None:
+def _rig(used: Sequence[Campaign]) -> coverage.Rig:
+    """Cameras and boards of some campaigns: those of the newest, where they differ."""
+    some = next((one.conditions for one in reversed(used) if one.conditions.cameras), None)
+    parts = {"cameras": some and some.cameras, "boards": some and some.boards}
+    return {name: [one.model_dump() for one in listed or []] for name, listed in parts.items()}
+
+
+def _found(database: Database, robot: str, views: Views, used: Sequence[Campaign], arm: _Arm) -> Found | None:
     """What the newest version says that was made from such views with backlash among its effects."""
     for summary in versions.list_versions(database, robot, NEWEST).versions:
         version = versions.get(database, summary.id)
-        from_views = [one.id for one in version.campaigns if one.id in views]
+        named = {one.id for one in version.campaigns}
+        from_views = [one for one in used if one.id in named]
         if from_views and any(one.name.startswith(BACKLASH) for one in version.parameters):
             return _said(database, version, arm.joints, arm.capture(views, from_views).untold)
     return None

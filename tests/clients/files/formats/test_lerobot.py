@@ -22,6 +22,7 @@ from kilter_files.formats.joints.lerobot.log import blocks, opened
 from kilter_files.formats.reader import Hints, LogHints
 from kilter_files.ground.errors import FileError
 from kilter_files.look.inspection import inspect
+from tests.clients.test_cli import Command
 
 Floats = NDArray[np.float64]
 
@@ -196,6 +197,9 @@ def test_what_nobody_stated_is_refused_with_what_to_state(tmp_path: Path) -> Non
     assert "an action is what the leader commanded" in refusal(folder, hints(json_file, topic="action"))
     leader = calibration(tmp_path / "calibration/teleoperators/so101_leader")
     assert "is of a leader, the data set of so101_follower" in refusal(folder, hints(leader))
+    taught = dataset(tmp_path / "taught", "v3.0", [recorded(ticks_of([20])[0], "DEGREES")], robot="so101_leader")
+    assert f"is of a leader, so101_leader, and nothing says that {json_file} is" in refusal(taught, hints(json_file))
+    assert len(read_joints(taught, hints=hints(leader))) == 20
     other = calibration(tmp_path, "koch.json")
     other.write_text(other.read_text().replace("wrist_flex", "wrist_bend"))
     told = refusal(folder, hints(other))
@@ -334,11 +338,13 @@ def test_memory_is_that_of_a_block_however_long_the_data_set(tmp_path: Path) -> 
     assert peaks[1] < 1.5 * peaks[0]
 
 
-def test_inspect_says_what_they_are(tmp_path: Path) -> None:
+def test_inspect_says_what_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = dataset(tmp_path / "set", "v3.0", [recorded(ticks_of([40])[0], "DEGREES")])
     path = calibration(tmp_path / "calibration/robots/so101_follower")
     found = inspect(folder)
     assert (found["kind"], found["rows"], found["rate_hz"]) == ("joint-log", 40, FPS)
+    assert found["duration_s"] == pytest.approx(40 / FPS)
+    assert "30 Hz, 1.333 s" in Command(capsys)("inspect", folder)
     assert "give --calibration JSON and --norm-mode RANGE_M100_100 or DEGREES" in found["warnings"][0]
     read = inspect(folder, Hints(log=hints(path)))
     assert [one["name"] for one in read["columns"]][:2] == ["q1_deg", "q2_deg"]

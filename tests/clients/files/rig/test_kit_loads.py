@@ -67,7 +67,8 @@ def test_a_pose_is_named_at_which_gravity_pulls_the_other_way() -> None:
     told = " or ".join(f"({', '.join(f'{value:.0f}' for value in example)})" for example in lift.examples_deg)
     assert lift.missing == (
         "views in which gravity pulls joint 2 (shoulder_lift) the other way: it does in 0 of 40, take 6 more, for example "
-        f"near {told} deg"
+        f"near {told} deg, rotating the first and the last joint until the camera sees the board: these views do not say "
+        "where it stands"
     )
     assert lift.untold is not None
     assert "cannot be told from its zero: gravity pulls it the other way in 0 of 40 views only" in lift.untold

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from kilter_files.rig.kit.words import lines_of, off_by
 
@@ -23,8 +25,9 @@ def said(**parameter: Any) -> list[str]:
         ({"value": 0.033, "sigma": 0.014},
          "joint 2 (lift): no backlash seen beyond a step of its reading (95 %: 0.01 to 0.12 deg)"),
         ({"value": 0.02, "sigma": 0.1}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.43 deg)"),
-        ({"value": -0.02, "sigma": 0.02}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.04 deg)"),
-        ({"value": -0.05, "sigma": 0.018}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.00 deg)"),
+        ({"value": -0.02, "sigma": 0.02}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.06 deg)"),
+        ({"value": -0.05, "sigma": 0.018}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.03 deg)"),
+        ({"value": -0.045, "sigma": 0.001}, "joint 2 (lift): no backlash seen (95 %: below 0.01 deg)"),
         ({"value": -0.02, "sigma": 0.1, "lower": -0.1, "upper": 0.2},
          "joint 2 (lift): no backlash seen (95 %: 0 to 0.40 deg)"),
         ({"value": 0.02, "sigma": None}, "how well the backlash of joint 2 (lift) is known cannot be said"),
@@ -51,4 +54,24 @@ def test_of_a_joint_that_gravity_pulls_one_way_no_backlash_is_told() -> None:
 
 def test_an_arm_that_is_left_off_by_little_is_not_called_perfect() -> None:
     assert off_by(31.94, 0.034) == "the tool is off by 31.9 mm, corrected by 0.03 mm (views held out)"
+    assert off_by(18.5, 0.002) == "the tool is off by 18.5 mm, corrected by less than 0.01 mm (views held out)"
     assert off_by(31.94, 2.34) == "the tool is off by 31.9 mm, corrected by 2.3 mm (views held out)"
+
+
+@pytest.mark.parametrize("value", [-0.09, -0.05, -0.02, 0.0])
+def test_what_a_joint_could_have_at_most_is_of_a_width_that_cannot_be_negative(value: float) -> None:
+    """Against the truncated normal distribution of SciPy; a two-sided interval cut at 0 ended at 0.00 degrees."""
+    most = 2.0 * float(truncnorm.ppf(0.95, -value / 0.03, np.inf, loc=value, scale=0.03))
+    two_sided = 2.0 * (value + 1.96 * 0.03)
+    assert said(value=value, sigma=0.03) == [
+        f"joint 2 (lift): no backlash seen (95 %: 0 to {max(most, two_sided):.2f} deg)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("half_deg", "within"), [(0.03, "(95 %: +0.57 to +0.63)"), (0.2, "(95 %: +0.4 to +0.8)")], ids=["narrow", "wide"]
+)
+def test_the_interval_of_a_zero_has_a_width(half_deg: float, within: str) -> None:
+    zero = {"joint": "lift", "offset_deg": 0.6, "half_width_deg": half_deg, "state": "known"}
+    (line,) = lines_of({"parameters": []}, JOINTS, [zero], 0.3, {})
+    assert line.startswith(f"the zero of joint 2 (lift) is off by +0.6 deg {within}: 7 ticks (")

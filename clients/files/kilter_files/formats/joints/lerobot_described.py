@@ -22,7 +22,9 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
     ]
     modes = " or ".join(NORM_MODES)
     warnings = [f"nothing says what its numbers mean: give --calibration JSON and --norm-mode {modes}"]
-    return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "notes": notes, "warnings": warnings}
+    duration_s = dataset.frames / dataset.fps if dataset.fps else None
+    return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "duration_s": duration_s, "notes": notes,
+            "warnings": warnings}  # fmt: skip
 
 
 def describe_calibration(path: Path) -> Document:

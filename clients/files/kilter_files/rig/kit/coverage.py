@@ -10,7 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import FileError
+from kilter_files.ground.later import np
+from kilter_files.rig.kit.examples import Limits, Sought, near
 from kilter_files.rig.kit.loads import Pulled, pulled
+from kilter_files.rig.kit.moments import flange
+from kilter_files.rig.kit.sight import sights
 
 FEWEST_VIEWS, FEWEST_POSES = 40, 20
 LEAST_SHARE = 0.25  # of the views, from either side of a joint, and with either payload
@@ -19,7 +23,9 @@ LEAST_TRAVEL = 0.3  # of a joint's limits
 LEAST_DEG = 0.5  # readings that differ by less are one pose
 
 
-Row = Mapping[str, float | None]
+Row = Mapping[str, Any]
+Rig = Mapping[str, Sequence[Mapping[str, Any]]]  # cameras and boards, as a campaign names them
+NAMED = ("camera", "board")  # columns that may hold names
 
 
 @dataclass(frozen=True)
@@ -38,40 +44,51 @@ class Capture:
         return {one.joint: one.untold for one in self.pulled if one.untold}
 
 
-def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any]) -> Capture:
+def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any], rig: Rig) -> Capture:
     """Look at views of an arm in files of ``kilter see``; ``joints`` as the server tells them, ``chain`` as it converts it.
+
+    ``rig`` names ``cameras`` and ``boards`` as a campaign does.
 
     Raises:
         FileError: a file without the joints of the arm, or without corners.
 
     """
-    return coverage([row for file in files for row in _rows(file, len(joints))], joints, chain)
+    return coverage([row for file in files for row in _rows(file, len(joints), rig)], joints, chain, rig)
 
 
-def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any]) -> Capture:
+def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any], rig: Rig) -> Capture:
     """Look at views of an arm: joints in degrees (``q1_deg`` ...), sides (``dir1`` ...), ``payload_kg``, None where empty.
 
-    ``chain`` is its robot document of convention ``chain``, of which gravity's pull follows.
+    ``chain`` is its robot document of convention ``chain``, of which gravity's pull follows, and with the pixels of ``rig``
+    where camera and board stand.
     """
     q = [[row[f"q{j + 1}_deg"] or 0.0 for j in range(len(joints))] for row in rows]
     poses = {tuple(round(value / LEAST_DEG) for value in row) for row in q}
     payloads = [row.get("payload_kg") for row in rows]
     known = tuple(sorted({value for value in payloads if value is not None}))
-    loads = pulled(chain, q, [value or 0.0 for value in payloads], [_limits(joint) for joint in joints]) if rows else []
+    held, limits = [value or 0.0 for value in payloads], [_limits(joint) for joint in joints]
+    loads, short, sought = pulled(chain, q, held, limits) if rows else [], _short(q, limits), None
+    if loads and (short or any(one.wanted for one in loads)):
+        seen = np.array(q, dtype=float)
+        sought = Sought(chain, seen, limits, sights(rows, flange(chain, seen), rig))
+        loads = pulled(chain, q, held, limits, sought.sights) if sought.sights else loads
     missing = [
-        *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints), *_travel(q, joints),
+        *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints),
+        *(_travel(one, joints[one[0]]["name"], sought) for one in short),
         *(one.missing for one in loads if one.missing),
     ]  # fmt: skip
     return Capture(len(rows), len(poses), known, tuple(missing), tuple(loads))
 
 
-def wanted(joints: int) -> list[str]:
+def wanted(joints: int, rig: Rig) -> list[str]:
     """Columns that say something of coverage."""
     numbers = range(1, joints + 1)
-    return [*(f"q{j}_deg" for j in numbers), *(f"dir{j}" for j in numbers), "payload_kg"]
+    corners = range(1, 1 + max((len(board["corners_mm"]) for board in rig.get("boards") or []), default=1))
+    pixels = [f"{axis}{k}_px" for k in corners for axis in "uv"]
+    return [*(f"q{j}_deg" for j in numbers), *(f"dir{j}" for j in numbers), "payload_kg", *NAMED, *pixels]
 
 
-def _rows(file: Path, joints: int) -> Iterator[Row]:
+def _rows(file: Path, joints: int, rig: Rig) -> Iterator[Row]:
     with file.open(encoding="utf-8", newline="") as lines:
         reader = csv.DictReader(lines)
         names = set(reader.fieldnames or ())
@@ -83,8 +100,12 @@ def _rows(file: Path, joints: int) -> Iterator[Row]:
                 f"this arm ({joints}).",
                 file=str(file),
             )
+        told = wanted(joints, rig)
         for row in reader:
-            yield {name: _number(file, reader.line_num, name, row.get(name)) for name in wanted(joints)}
+            yield {
+                name: row.get(name) if name in NAMED else _number(file, reader.line_num, name, row.get(name))
+                for name in told
+            }
 
 
 def _number(file: Path, line: int, name: str, text: str | None) -> float | None:
@@ -132,16 +153,29 @@ def _sides(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]]) -> Iterator
             yield f"views in which joint {j + 1} ({joint['name']}) came from {side}: a quarter of them at least"
 
 
-def _travel(q: Sequence[Sequence[float]], joints: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    for j, joint in enumerate(joints):
-        limits = _limits(joint)
-        if limits is None or not q:
-            continue
-        low, high = limits
-        moved = max(row[j] for row in q) - min(row[j] for row in q)
-        if moved < LEAST_TRAVEL * (high - low):
-            wanted = LEAST_TRAVEL * (high - low)
-            yield f"motion of joint {j + 1} ({joint['name']}): it moved by {moved:.0f} deg, {wanted:.0f} would do"
+Short = tuple[int, float, float, float]  # joint from 0, its lowest and highest reading, how far it should move, deg
+
+
+def _short(q: Sequence[Sequence[float]], limits: Limits) -> list[Short]:
+    """Joints that moved too little."""
+    found = []
+    for j, pair in enumerate(limits if q else ()):
+        least, most = min(row[j] for row in q), max(row[j] for row in q)
+        if pair is not None and most - least < LEAST_TRAVEL * (pair[1] - pair[0]):
+            found.append((j, least, most, LEAST_TRAVEL * (pair[1] - pair[0])))
+    return found
+
+
+def _travel(short: Short, name: str, sought: Sought | None) -> str:
+    j, least, most, wanted = short
+    told = f"motion of joint {j + 1} ({name}): it moved by {math.floor(most - least)} deg, {math.ceil(wanted)} would do"
+    if sought is None or not sought.sights:
+        return told
+    examples, shown = sought.beyond(j, most - wanted, least + wanted)
+    if examples:
+        return f"{told}, for example near {near(examples)}, where the camera sees the board"
+    unseen = "; at no such pose does the camera see the board: move it, or fix the board to another side of the gripper"
+    return told + (unseen if shown is False else "")
 
 
 def _limits(joint: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -37,6 +37,11 @@ def gravity_moments(chain: Mapping[str, Any], q_deg: Floats, payload_kg: Floats)
     return np.column_stack(told)
 
 
+def flange(chain: Mapping[str, Any], q_deg: Floats) -> Floats:
+    """Frames (N, 4, 4) of the flange in the base, mm, at readings (N, n) of an arm that is as its document says."""
+    return _frames(chain["elements"], q_deg, [joint["name"] for joint in chain["joints"]])[-1]
+
+
 def _frames(elements: Sequence[Mapping[str, Any]], q_deg: Floats, names: Sequence[str]) -> list[Floats]:
     """Frames (N, 4, 4) right after each joint, and last that of the flange; lengths in mm."""
     T, frames = np.tile(np.eye(4), (len(q_deg), 1, 1)), []

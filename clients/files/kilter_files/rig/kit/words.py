@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import NormalDist
 from typing import Any
 
 from kilter_files.robots.exported import lists_of_export
 
 SURE, WITHIN_95 = 3.0, 1.96  # standard deviations
+FARTHEST_BELOW = 8.0  # standard deviations below 0, where the tail of a normal distribution is still a number
 LEAST_BACKLASH_DEG, LEAST_SAG_DEG, LEAST_TICKS = 0.1, 0.1, 2
 TICK_DEG = 360.0 / 4095.0
 G = 9.81
@@ -56,9 +58,9 @@ def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
 
 
 def off_by(before_mm: float, after_mm: float) -> str:
-    """How far off the tool is, on views held out."""
-    digits = 1 if after_mm >= 1.0 else 2  # 0.0 mm would be a perfect arm
-    return f"the tool is off by {before_mm:.1f} mm, corrected by {after_mm:.{digits}f} mm (views held out)"
+    """How far off the tool is, on views held out; 0.00 mm would be a perfect arm."""
+    left = f"{after_mm:.{1 if after_mm >= 1.0 else 2}f} mm" if after_mm >= 0.005 else "less than 0.01 mm"
+    return f"the tool is off by {before_mm:.1f} mm, corrected by {left} (views held out)"
 
 
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"
@@ -124,7 +126,17 @@ def _no_backlash(parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[M
         elif low > 0.0:
             yield f"{name} may have a little backlash: {low:.2f} to {high:.2f} deg (95 %)"
         else:
-            yield f"{name}: no backlash seen (95 %: 0 to {max(high, 0.0):.2f} deg)"
+            most = max(high, _at_most(0.5 * (low + high), (high - low) / (2.0 * WITHIN_95)))
+            within = f"95 %: 0 to {most:.2f} deg" if most >= 0.005 else "95 %: below 0.01 deg"
+            yield f"{name}: no backlash seen ({within})"
+
+
+def _at_most(value: float, sigma: float) -> float:
+    """What a width is below with 95 %, known that it is not below 0: an estimate below 0 leaves more than nothing."""
+    if sigma <= 0.0:
+        return max(value, 0.0)
+    normal, below = NormalDist(), max(value / sigma, -FARTHEST_BELOW)
+    return sigma * (below - normal.inv_cdf(0.05 * normal.cdf(below)))
 
 
 def _width(half: Mapping[str, Any]) -> tuple[float | None, float | None]:
@@ -164,7 +176,8 @@ def _zeros(
         steps = (
             f"{abs(ticks)} ticks ({low / TICK_DEG:.0f} to {high / TICK_DEG:.0f}) of its homing offset (kilter homing)"
         )
-        within = f"95 %: {offset - half:+.1f} to {offset + half:+.1f}"
+        digits = 1 if half >= 0.1 else 2
+        within = f"95 %: {offset - half:+.{digits}f} to {offset + half:+.{digits}f}"
         yield (
             abs(offset),
             f"the zero of joint {numbers[name]} ({name}) is off by {offset:+.1f} deg ({within}){held}: {steps}",

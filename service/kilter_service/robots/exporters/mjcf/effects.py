@@ -9,25 +9,35 @@ from kilter_core.arm.loads.slopes import with_masses, with_payload
 from kilter_core.arm.robot import Payload, Robot
 from kilter_core.arm.run_time import Conditions, JointForm, RunTimeForm, Shape
 from kilter_core.effects import Effect
+from kilter_service.robots.exporters.mjcf.drives import largest_loads
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.types import Floats
 
+# Share of a joint's largest load over which its side may change and still be taken as changing at once: where a joint
+# carries three such widths, a seventh of what it carries at most, the two are within half a per cent.
+SHARP = 0.05
 BY_THE_STEP = ("tilt", "radial_compliance", "hardening", "compliance_by_direction")
 
 
 @dataclass(frozen=True)
 class ExportedEffects:
-    """What the effects do at rest, the arm as it weighs, and the effects by where they went."""
+    """What the effects do at rest, the arm as it weighs, and the effects by where they went.
+
+    ``in_both`` are those that elements hold of some joints only; ``sharpened`` the joints whose side changes at once here,
+    with the load, N m (N), over which it does in a prediction.
+    """
 
     form: RunTimeForm
     robot: Robot
     payload: Payload
     in_elements: tuple[Effect, ...]
+    in_both: tuple[Effect, ...]
     in_step: tuple[Effect, ...]
     left_out: tuple[Effect, ...]
     beyond_drives: tuple[Effect, ...]  # of those in elements: what needs more than a frame, a mass and a gain
+    sharpened: tuple[tuple[str, float], ...]
 
 
 def exported_effects(calibration: Calibration) -> ExportedEffects:
@@ -35,31 +45,47 @@ def exported_effects(calibration: Calibration) -> ExportedEffects:
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     load = model.robot.load or Payload(0.0)
     form = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
-    sorted_out: dict[str, list[Effect]] = {"elements": [], "step": [], "nowhere": []}
-    beyond = []
+    sorted_out: dict[str, list[Effect]] = {"elements": [], "both": [], "step": [], "nowhere": []}
+    beyond, loads = [], largest_loads(model.load_robot)
     for effect, at in model.placed:
         if effect.stage != "measurement":
             alone = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
-            place = _place(effect, values[at], load, alone)
+            place = _place(effect, values[at], load, alone, loads)
             sorted_out[place].append(effect)
-            if place == "elements" and _beyond_a_drive(alone):
+            if place in ("elements", "both") and _beyond_a_drive(alone):
                 beyond.append(effect)
             effect.at_run_time(form, values[at])
     weighed = model.load_robot
     if form.link_errors is not None:
         weighed = with_masses(weighed, form.link_errors.tolist())
     mass, com = with_payload(load.mass, load.com, form.payload_errors.tolist())
-    placed = (tuple(found) for found in (*sorted_out.values(), beyond))
-    return ExportedEffects(form, weighed, Payload(mass, (com[0], com[1], com[2])), *placed)
+    sharpened = _sharpened(form, loads)
+    elements, both, step, nowhere, past = (tuple(found) for found in (*sorted_out.values(), beyond))
+    carried = Payload(mass, (com[0], com[1], com[2]))
+    return ExportedEffects(form, weighed, carried, elements, both, step, nowhere, past, sharpened)
 
 
-def _place(effect: Effect, values: Floats, load: Payload, form: RunTimeForm) -> str:
+def _sharpened(form: RunTimeForm, loads: Floats) -> tuple[tuple[str, float], ...]:
+    """Let sides that change over little of the largest load (n,) change at once, as those of a hinge with limits do."""
+    found = []
+    for joint, own, load in zip(form.robot.joints, form.joints, loads, strict=True):
+        if own.backlash > 0.0 and 0.0 < own.backlash_softening_nm <= SHARP * load:
+            found.append((joint.name, own.backlash_softening_nm))
+            own.backlash_softening_nm = 0.0
+    return tuple(found)
+
+
+def _place(effect: Effect, values: Floats, load: Payload, form: RunTimeForm, loads: Floats) -> str:
     """Where an effect goes, alone in ``form``. What follows a payload follows the one that the robot carries."""
     if "payload_kg" in effect.needs and load.mass <= 0.0:
         return "nowhere"
     if not effect.at_run_time(form, values) or any(curve.shape is Shape.LAG for curve in form.curves):
         return "nowhere"
-    return "step" if form.curves or form.bending or any(_needs_the_step(joint) for joint in form.joints) else "elements"
+    _sharpened(form, loads)
+    if not (form.curves or form.bending or any(_needs_the_step(joint) for joint in form.joints)):
+        return "elements"
+    held = any(part.compliance or part.reversal or part.backlash for part in map(elements_of, form.joints))
+    return "both" if held else "step"
 
 
 def _beyond_a_drive(form: RunTimeForm) -> bool:

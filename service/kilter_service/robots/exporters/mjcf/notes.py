@@ -36,9 +36,19 @@ def in_mujoco(exported: ExportedEffects) -> Placed:
     """Where the effects went in a model of MuJoCo."""
     return (
         ("In the model", exported.in_elements),
+        ("In the model, and of some joints added by the step in Python (kilter.twin.apply) only", exported.in_both),
         ("Added by the step in Python (kilter.twin.apply) only", exported.in_step),
         ("Left out", exported.left_out),
     )
+
+
+def of_sharpened(exported: ExportedEffects) -> tuple[str, ...]:
+    """Which joints change their side at once here, and over a load in a prediction."""
+    if not exported.sharpened:
+        return ()
+    names = ", ".join(f"{name} {width:g} N m" for name, width in exported.sharpened)
+    told = "The side of a backlash changes at once; a prediction lets it change over a load"
+    return (f"{told} ({names}), so where less than three times that loads the joint the two may differ.",)
 
 
 KNOWN_OF_MUJOCO = (

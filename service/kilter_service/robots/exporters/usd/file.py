@@ -8,7 +8,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.mjcf.drives import drives
 from kilter_service.robots.exporters.mjcf.effects import elements_of, exported_effects
-from kilter_service.robots.exporters.mjcf.notes import notes
+from kilter_service.robots.exporters.mjcf.notes import notes, of_sharpened
 from kilter_service.robots.exporters.usd.stage import LEAST_MASS, Stage
 
 _KNOWN = (
@@ -41,13 +41,15 @@ def usd(version: Exportable) -> Written:
     driven = drives(exported.robot, [elements_of(joint) for joint in exported.form.joints])
     stage = Stage(f"{version.version.robot} {version.version.id}", calibration, exported, driven)
     held = [effect for effect in exported.in_elements if effect not in exported.beyond_drives]
+    partly = [effect for effect in exported.in_both if effect not in exported.beyond_drives]
     beyond = [*exported.beyond_drives, *exported.in_step]
     placed = (
         ("In the stage", held),
+        ("In the stage, and of some joints in attributes only (kilter:*), which no simulator reads by itself", partly),
         ("In attributes only (kilter:*), which no simulator reads by itself", beyond),
         ("Left out", exported.left_out),
     )
     light = (f"Bodies whose masses the robot does not state weigh {LEAST_MASS * 1e3:g} g.",) if stage.light else ()
-    written = notes(version.version, calibration, placed, (*_KNOWN, *light))
+    written = notes(version.version, calibration, placed, (*of_sharpened(exported), *_KNOWN, *light))
     head = f"Calibrated by Kilter: version {version.version.id} of robot {version.version.robot}."
     return Written(stage.text("\n".join((head, *written))), written)

@@ -88,6 +88,12 @@ def opened(path: Path, hints: LogHints) -> Recorded:
     if calibration.of_a_leader and "leader" not in dataset.robot_type:
         what = f"is of a leader, the data set of {dataset.robot_type or 'a follower'}"
         raise fault(calibration.path, what, "Give the calibration of the follower, in .../calibration/robots/.")
+    if "leader" in dataset.robot_type and not calibration.of_a_leader:
+        what = f"is of a leader, {dataset.robot_type}, and nothing says that {calibration.path} is"
+        remedy = (
+            "Give the data set of the follower, or the calibration of the leader, in .../calibration/teleoperators/."
+        )
+        raise fault(dataset.folder, what, remedy)
     servos = tuple(servo_of(calibration, joint) for joint in joints)
     return Recorded(dataset, joints, places, calibration, hints.norm_mode, servos)
 

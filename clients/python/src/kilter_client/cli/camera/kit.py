@@ -74,11 +74,12 @@ def kit(
                 "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
             )
         refuse_other_servos(calibration, [joint["name"] for joint in arm["joints"]])
-        seen = kit_coverage.captured(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"))
+        rig = rig_conditions(cameras)
+        seen = kit_coverage.captured(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig)
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing), "loads": [asdict(one) for one in seen.pulled]}  # fmt: skip
         if not seen.missing or anyway:
-            conditions = rig_conditions(cameras) | servo_conditions(calibration)
+            conditions = rig | servo_conditions(calibration)
             sent = [_sent(robot, file, conditions, as_json) for file in views]
             document |= _page(kilter, arm, sent, seen.untold, as_json)
     emit(document, as_json, _show)

@@ -116,10 +116,15 @@ def _state(one: Mapping[str, Any]) -> str:
     return f"{one['joint']} {exported.STATES[one['state']]}"
 
 
+def _within(half_ticks: float) -> str:
+    """Half the width of an interval, which is never nothing."""
+    return f"±{half_ticks:.0f}" if half_ticks >= 1.0 else f"±{max(half_ticks, 0.1):.1f}"
+
+
 def _show(document: Mapping[str, Any]) -> None:
     rows = []
     for one in document["servos"]:
-        half = "–" if one["half_width_ticks"] is None or one["state"] == "held" else f"±{one['half_width_ticks']:.0f}"
+        half = "–" if one["half_width_ticks"] is None or one["state"] == "held" else _within(one["half_width_ticks"])
         rows.append(
             (one["servo"], str(one["before"]), str(one["after"]), f"{one['after'] - one['before']:+d}", half,
              f"{one['left_deg']:+.4f}", exported.STATES[one["state"]])

@@ -1,0 +1,243 @@
+"""Which poses show the board to the camera: where both stand follows from the views, by the nominal arm.
+
+Good for choosing poses, and for no more: the arm's errors stay in it, and what they are worth in the picture is the margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_files.ground.arrays import Bools, Floats
+from kilter_files.ground.later import np
+from kilter_files.rig.see.optics.lens import projected
+
+FEWEST_VIEWS, FEWEST_CORNERS = 6, 6
+PASSES, FAR = 4, 4.0  # times the median, beyond which a view does not count
+ROUNDS, STEP = 8, 1e-6
+MOST_MARGIN = 0.15  # of the picture's shorter side: beyond, the views do not say where camera and board stand
+EDGE_PX = 5.0
+FLAT = 1e-6  # of a board's size
+ONE_AXIS = 0.02  # share of the spread of rotations below which they are about one axis
+SLACK = 1.2  # of the distances at which the board was seen
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A board and a camera: ``tool_side`` A and ``world_side`` B (4, 4) of what is on the flange and of what stands, mm.
+
+    ``facing`` is the least cosine between line of sight and the board's normal that was seen, its sign the side that is
+    printed; ``depths_mm`` the nearest and farthest corner seen; ``margin_px`` how far off the nominal arm puts a corner.
+    """
+
+    camera: Mapping[str, Any]
+    corners: Floats
+    tool_side: Floats
+    world_side: Floats
+    margin_px: float = 0.0
+    facing: float = 0.0
+    depths_mm: tuple[float, float] = (0.0, np.inf)
+
+    def score(self, flange: Floats) -> Floats:
+        """How clearly the board is seen with the flange at poses (..., 4, 4): 1 at best, below 0 where it is not whole."""
+        corners = self.corners[_outline(self.corners)]
+        before = self._before_the_camera(flange)
+        points = corners @ np.swapaxes(before[..., :3, :3], -1, -2) + before[..., None, :3, 3]
+        size = np.array([self.camera["width_px"], self.camera["height_px"]], dtype=float)
+        pixels = projected(points, _intrinsics(self.camera), _model(self.camera))
+        room = np.minimum(pixels, size - 1.0 - pixels).min(axis=(-1, -2)) - self.margin_px - EDGE_PX
+        least = abs(self.facing)
+        faces = (np.sign(self.facing) * _facing(before) - least) / max(1.0 - least, 1e-9)
+        near, far = self.depths_mm
+        depths = points[..., 2]
+        there = (depths.min(axis=-1) > near / SLACK) & (depths.max(axis=-1) < far * SLACK) & self._within(points)
+        return np.where(there, np.minimum(2.0 * room / size.min(), faces), -1.0)
+
+    def _within(self, points: Floats) -> Bools:
+        """Whether points are so near the middle that a lens does not fold them back into the picture."""
+        away = np.hypot(points[..., 0], points[..., 1]) / np.maximum(points[..., 2], 1e-9)
+        diagonal = np.hypot(self.camera["width_px"], self.camera["height_px"]) / float(self.camera["fx_px"])
+        return np.asarray((away < diagonal).all(axis=-1))
+
+    def _before_the_camera(self, flange: Floats) -> Floats:
+        before = np.linalg.inv(self.world_side) @ flange @ self.tool_side
+        return before if self.camera["mount"] == "fixed" else np.asarray(np.linalg.inv(before), dtype=float)
+
+
+def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Sight]:
+    """Cameras and boards of ``rig`` where views show them, one of them on the flange; none of which the views tell too little.
+
+    ``views`` have ``u1_px``, ``v1_px`` ..., and ``camera`` and ``board`` where there are several; ``flange`` (N, 4, 4), mm.
+    """
+    found = []
+    for c, camera in enumerate(rig.get("cameras") or [], 1):
+        for b, board in enumerate(rig.get("boards") or [], 1):
+            if camera.get("mount") == board.get("mount"):
+                continue
+            named = {"camera": (camera.get("name"), c), "board": (board.get("name"), b)}
+            own = [k for k, row in enumerate(views) if _is_of(row, named)]
+            one = _sight(camera, board, [views[k] for k in own], flange[own])
+            if one is not None:
+                found.append(one)
+    return found
+
+
+def _is_of(row: Mapping[str, Any], named: Mapping[str, tuple[Any, int]]) -> bool:
+    """Whether a view is of this camera and this board, which rows call by name or number."""
+    return all(row.get(column) in (None, "", name, number, str(number)) for column, (name, number) in named.items())
+
+
+def _sight(
+    camera: Mapping[str, Any], board: Mapping[str, Any], views: Sequence[Mapping[str, Any]], flange: Floats
+) -> Sight | None:
+    corners = np.array(board["corners_mm"], dtype=float)
+    if corners.ndim != 2 or np.ptp(corners[:, 2]) > FLAT * np.ptp(corners):
+        return None
+    names = [[f"{axis}{k + 1}_px" for axis in "uv"] for k in range(len(corners))]
+    pixels = np.array([[[_number(row.get(name)) for name in pair] for pair in names] for row in views])
+    usable = [k for k, view in enumerate(pixels) if np.isfinite(view).all(axis=1).sum() >= FEWEST_CORNERS]
+    if len(usable) < FEWEST_VIEWS:
+        return None
+    pixels, flange = pixels[usable], flange[usable]
+    boards = np.array([_board_pose(camera, corners, view) for view in pixels])
+    sides = _hand_eye(flange, boards if camera["mount"] == "fixed" else np.linalg.inv(boards))
+    return None if sides is None else _judged(_refined(Sight(camera, corners, *sides), flange, pixels), flange, pixels)
+
+
+def _judged(sight: Sight, flange: Floats, pixels: Floats) -> Sight | None:
+    """With what was seen of the board, and how well the nominal arm says where; None where it does not."""
+    off = np.linalg.norm(_left(sight, flange, pixels), axis=2)
+    worst = np.where(np.isnan(off), 0.0, off).max(axis=1)
+    margin = float(np.quantile(worst, 0.9))
+    if not margin < MOST_MARGIN * min(sight.camera["width_px"], sight.camera["height_px"]):
+        return None
+    before = sight._before_the_camera(flange)
+    facing, depths = _facing(before), before[:, 2, 3]
+    side = 1.0 if np.median(facing) > 0.0 else -1.0
+    least = side * float(np.quantile(np.maximum(side * facing, 0.0)[side * facing > 0.0], 0.1))
+    return Sight(sight.camera, sight.corners, sight.tool_side, sight.world_side, margin, least,
+                 (float(depths.min()), float(depths.max())))  # fmt: skip
+
+
+def _facing(before: Floats) -> Floats:
+    """Cosine between the normal of boards before a camera and the line of sight."""
+    place = before[..., :3, 3]
+    return np.asarray(np.sum(before[..., :3, 2] * place, axis=-1) / np.linalg.norm(place, axis=-1))
+
+
+def _outline(corners: Floats) -> list[int]:
+    """The corners farthest out in eight directions: where they are in the picture, all are."""
+    ways = np.array([[x, y, 0.0] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
+    return sorted({int(k) for k in np.argmax(corners @ ways.T, axis=0)})
+
+
+def _board_pose(camera: Mapping[str, Any], corners: Floats, pixels: Floats) -> Floats:
+    """Pose (4, 4) of a flat board before the camera, by the homography of its corners."""
+    seen = np.isfinite(pixels).all(axis=1)
+    size, plain = float(np.abs(corners).max()), _plain(camera, pixels[seen])
+    flat = np.column_stack([corners[seen, :2] / size, np.ones(int(seen.sum()))])
+    nil = np.zeros_like(flat)
+    rows = [np.hstack([flat, nil, -plain[:, :1] * flat]), np.hstack([nil, flat, -plain[:, 1:] * flat])]
+    H = np.linalg.svd(np.vstack(rows))[2][-1].reshape(3, 3) / np.array([size, size, 1.0])
+    H *= np.sign(H[2, 2]) / np.linalg.norm(H[:, :2], axis=0).mean()
+    return _pose(_nearest(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])])), H[:, 2])
+
+
+def _plain(camera: Mapping[str, Any], pixels: Floats) -> Floats:
+    """Directions (n, 2) of pixels, the lens undone by fixed-point steps."""
+    intrinsics, model = _intrinsics(camera), _model(camera)
+    plain = (pixels - intrinsics[2:4]) / intrinsics[:2]
+    for _ in range(20):
+        through = projected(np.column_stack([plain, np.ones(len(plain))]), intrinsics, model)
+        plain = plain + (pixels - through) / intrinsics[:2]
+    return np.asarray(plain)
+
+
+def _hand_eye(T: Floats, M: Floats) -> tuple[Floats, Floats] | None:
+    """A and B of T A = B M, all (4, 4): rotations by the Kronecker product (Shah 2013), lengths by least squares."""
+    spread = np.linalg.svd((T[0, :3, :3].T @ T[:, :3, :3]).reshape(len(T), 9) - np.eye(3).ravel(), compute_uv=False)
+    if spread[2] <= ONE_AXIS * spread[0]:
+        return None
+    used = np.ones(len(T), dtype=bool)
+    for _ in range(PASSES):
+        K = np.einsum("nij,nkl->ikjl", T[used, :3, :3], M[used, :3, :3]).reshape(9, 9)
+        U, _, Vt = np.linalg.svd(K)
+        B, A = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
+        sign = np.sign(np.linalg.det(A))
+        A, B = _nearest(sign * A), _nearest(sign * B)
+        left = np.concatenate([T[used, :3, :3], np.broadcast_to(-np.eye(3), (int(used.sum()), 3, 3))], axis=2)
+        right = M[used, :3, 3] @ B.T - T[used, :3, 3]
+        t = np.linalg.lstsq(left.reshape(-1, 6), right.ravel(), rcond=None)[0]
+        off = np.linalg.norm(T[:, :3, :3] @ t[:3] + T[:, :3, 3] - M[:, :3, 3] @ B.T - t[3:], axis=1)
+        near = off <= FAR * np.median(off)
+        if np.array_equal(near, used) or near.sum() < FEWEST_VIEWS:
+            break
+        used = near
+    return _pose(A, t[:3]), _pose(B, t[3:])
+
+
+def _refined(sight: Sight, flange: Floats, pixels: Floats) -> Sight:
+    """Both poses moved until corners fit best, by Gauss-Newton with steps that gain only."""
+    seen = np.isfinite(pixels)
+
+    def left(one: Sight) -> Floats:
+        found = _left(one, flange, pixels)[seen]
+        return found / np.sqrt(1.0 + np.abs(found) / 20.0)  # a corner far off pulls less
+
+    best = left(sight)
+    for _ in range(ROUNDS):
+        moves = np.eye(12) * np.tile([STEP, STEP, STEP, 1e3 * STEP, 1e3 * STEP, 1e3 * STEP], 2)
+        slopes = np.column_stack([(left(_moved(sight, move)) - best) / move.sum() for move in moves])
+        step = np.linalg.lstsq(slopes, -best, rcond=None)[0]
+        tried = _moved(sight, step)
+        now = left(tried)
+        if not now @ now < best @ best:
+            break
+        sight, best = tried, now
+    return sight
+
+
+def _moved(sight: Sight, step: Floats) -> Sight:
+    A, B = (side @ _pose(_rotation(own[:3]), own[3:]) for side, own in
+            ((sight.tool_side, step[:6]), (sight.world_side, step[6:])))  # fmt: skip
+    return Sight(sight.camera, sight.corners, A, B)
+
+
+def _left(sight: Sight, flange: Floats, pixels: Floats) -> Floats:
+    """What is left of corners (N, m, 2), px; NaN of those not seen."""
+    before = sight._before_the_camera(flange)
+    points = sight.corners @ np.swapaxes(before[:, :3, :3], 1, 2) + before[:, None, :3, 3]
+    return np.asarray(projected(points, _intrinsics(sight.camera), _model(sight.camera)) - pixels)
+
+
+def _intrinsics(camera: Mapping[str, Any]) -> Floats:
+    names = ("fx_px", "fy_px", "cx_px", "cy_px")
+    lens = camera.get("distortion") or ([0.0] * 4 if _model(camera) == "fisheye" else [])
+    return np.array([*(float(camera[name]) for name in names), *map(float, lens)])
+
+
+def _model(camera: Mapping[str, Any]) -> str:
+    return str(camera.get("distortion_model") or "none")
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value in (None, "") else float(value)
+
+
+def _rotation(vector: Floats) -> Floats:
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector / max(angle, 1e-300)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
+
+
+def _nearest(M: Floats) -> Floats:
+    u, _, vt = np.linalg.svd(M)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+
+
+def _pose(R: Floats, p: Floats) -> Floats:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T
