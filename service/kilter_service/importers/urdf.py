@@ -57,7 +57,7 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
     """Convert URDF text to a ``chain`` document (mm, degrees) of the arm from ``base_link`` to ``tip_link``.
 
     Each moving joint's origin becomes six named elements ``<joint>_x, _y, _z, _yaw, _pitch, _roll``, of which those that say
-    what others say too are spare; fixed joints
+    what others say too are dependent; fixed joints
     become fixed elements. Fixed rotations bring an axis not along x, y or z there, and back after the joint.
 
     Raises:

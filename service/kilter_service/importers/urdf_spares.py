@@ -41,7 +41,7 @@ def spares(path: Sequence[UrdfJoint]) -> frozenset[str]:
 def _by_itself(joint: UrdfJoint, *, last: bool) -> Iterator[Floats]:
     """Twists (6,) behind the origin that the zero offset says, or the next origin: shifts (3,), then rotations (3,)."""
     prismatic, axis = MOVING[joint.kind] == "prismatic", joint.axis
-    follows = joint.mimic is not None  # its zero offset is no parameter
+    follows = joint.mimic is not None  # its zero offset is not a parameter
     if prismatic and not last:
         yield from np.eye(6)[:3]
         yield np.r_[0.0, 0.0, 0.0, axis]
