@@ -8,6 +8,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from kilter_client.cli.reports.job_check import show_check
 from tests.clients.conftest import WriteCampaign
 
 
@@ -39,3 +40,27 @@ def test_a_check_of_a_job_that_would_fail_exits_with_1(
     assert "would fail" in capsys.readouterr().out
     told = kilter.jobs.check("identify", robot, ["few"], options={"level": 2})
     assert [one["code"] for one in told["problems"]] == ["too_few_poses"]
+
+
+def test_a_remedy_is_said_once_with_all_that_it_is_for(capsys: pytest.CaptureFixture[str]) -> None:
+    lacks = [{"what": f"p{k}", "reason": f"p{k} cannot be told from q{k}.", "remedy": "Hold it."} for k in range(30)]
+    sums = [
+        {"parameters": [{"name": f"d_{k}", "coefficient": 1.0} for k in range(count)], "sentence": f"A sum of {count}."}
+        for count in (2, 9)
+    ]
+    seen = {
+        "parameters": 40, "identifiable": ["a"], "rank": 39, "noise_mm": 0.05, "noise_from": "assumed",
+        "null_directions": [{"sums": sums}],
+    }  # fmt: skip
+    told = {
+        "kind": "identify", "robot": "arm", "would_run": True, "problems": [], "campaigns": [], "limited": [],
+        "held_out": {"how": "none"}, "identifiability": seen, "missing": lacks,
+        "duration_s": {"expected": 1.0, "low": 1.0, "high": 2.0, "basis": "a rule"},
+    }  # fmt: skip
+    show_check(told)
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("Hold it.") == 1
+    assert all(f"p{k}" in said for k in range(30))
+    assert "(30 in all)" in said
+    assert "A sum of 2." in said
+    assert "A sum of 9." not in said

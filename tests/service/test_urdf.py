@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.errors import RobotError
-from kilter_core.model import Calibration
+from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_service.robots.importers.urdf import UrdfImport, chain_document
 
@@ -148,6 +148,50 @@ def test_elements_of_a_joint_are_six_named_constants() -> None:
     assert named == [f"joint0_{suffix}" for suffix in ("x", "y", "z", "yaw", "pitch", "roll")]
     assert document["joints"][0]["limits_deg"] == pytest.approx([-114.591559, 143.239449])
     assert document["joints"][1]["limits_mm"] == [-2000, 2500]
+
+
+def seen(result: UrdfImport, *, spare: bool) -> Floats:
+    """How poses move with the constants of the chain, by differences of the predictions: columns of metres and radians."""
+    model = RobotModel(robot_from_document(result.document))
+    values, rows = model.values0(), []
+    low, high = np.clip(model.robot.limits, -2.0, 2.0).T
+    batch = Observations(q=np.random.default_rng(1).uniform(low, high, (40, len(low))))
+    dependent = {e.name for e in model.robot.chain.elements if e.dependent}
+    for k, name in list(enumerate(model.names))[6 : model.n_geometric - 6]:
+        if spare or name not in dependent:
+            ends = [model.predict(batch, values + step * (np.arange(len(values)) == k)) for step in (-1e-5, 1e-5)]
+            moved = [one.position for one in ends] + [one.rotation for one in ends]
+            rows.append(np.concatenate([(moved[1] - moved[0]).ravel(), (moved[3] - moved[2]).ravel()]) / 2e-5)
+    return np.array(rows).T
+
+
+def rank(columns: Floats) -> int:
+    size = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), compute_uv=False)
+    return int(np.sum(size > 1e-6 * size[0]))
+
+
+@pytest.mark.parametrize(("seed", "mimic"), [*((k, False) for k in range(10)), *((k, True) for k in range(5))])
+def test_what_is_identified_of_an_arm_says_all_and_nothing_twice(seed: int, mimic: bool) -> None:
+    result = chain_document(random_urdf(seed, mimic), "base", "tip", "random")
+    kept = seen(result, spare=False)
+    assert rank(kept) == kept.shape[1] == rank(seen(result, spare=True))
+
+
+def test_an_arm_of_revolute_joints_has_four_numbers_each_and_two_more() -> None:
+    """Six of the flange are the tool's: 4 R + 6 less what only those say (Mooring, Roth and Driels 1991)."""
+    rng = np.random.default_rng(3)
+    parts = [LINK.format(name="l0", xyz="0 0 0", rpy="0 0 0", mass=1.0)]
+    for k in range(6):
+        parts.append(
+            JOINT.format(
+                name=f"j{k}", kind="revolute", parent=f"l{k}", child=f"l{k + 1}", xyz=numbers(rng.uniform(-0.4, 0.4, 3)),
+                rpy=numbers(rng.uniform(-1.5, 1.5, 3)), axis=str(rng.choice(AXES)), mimic="",
+            )
+        )  # fmt: skip
+        parts.append(LINK.format(name=f"l{k + 1}", xyz="0 0 0", rpy="0 0 0", mass=1.0))
+    result = chain_document(f'<robot name="six">{"".join(parts)}</robot>', "l0", "l6", "six")
+    kept = seen(result, spare=False)
+    assert rank(kept) == kept.shape[1] == 4 * 6 + 2
 
 
 def bad() -> Iterator[tuple[str, str, str, str]]:

@@ -19,6 +19,7 @@ from kilter_core.types import Floats
 SHARE, LEAST_M = 0.01, 1e-3  # robots are truer than one part in a hundred
 FEWEST_LENGTHS = 8  # readings of a bar
 MARGIN = 6.0  # 2 log of a Bayes factor of 20, in favour of another length than was read
+LARGEST_M = 1e-2  # left by a fit that says nothing of its rows: arms err by millimetres before they are calibrated
 SMALLEST_M = 1e-7  # no bar and no arm leaves less
 FLAT = 1e-3  # of the spread across a plane: the bar went round in it
 
@@ -46,8 +47,11 @@ def scaled(rows: Observations, bar: int, factor: float) -> Observations:
 
 
 def explains_better(other: Fit, fit: Fit) -> bool:
-    """Whether a fit with another length says the same rows better, with parameters as plausible: by likelihood and priors."""
-    return _badness(other) < _badness(fit) - MARGIN
+    """Whether a fit with another length says the same rows better, with parameters as plausible: by likelihood and priors.
+
+    Of two fits of which neither comes near the rows, as of one circle that tells an arm too little, none says a length.
+    """
+    return _left(other) < LARGEST_M and _badness(other) < _badness(fit) - MARGIN
 
 
 def _badness(fit: Fit) -> float:
@@ -56,6 +60,12 @@ def _badness(fit: Fit) -> float:
     problem, rows = fit.problem, len(fit.residual.points)
     moved = (fit.values[problem.free] - problem.prior_mean) / problem.prior_sigma
     return rows * float(np.log(max(float(left @ left) / rows, SMALLEST_M**2))) + float(moved @ moved)
+
+
+def _left(fit: Fit) -> float:
+    """What a fit leaves of its rows, rms, m."""
+    left = fit.residual.points[np.isfinite(fit.residual.points)]
+    return float(np.sqrt(np.mean(left**2))) if len(left) else np.inf
 
 
 def _radius(p: Floats) -> float | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.report import still_joints
+from kilter_core.identify.report import known_of_fit, null_rows, still_joints
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
@@ -67,13 +67,14 @@ class Unknown:
 class IdentificationCheck:
     """What the rows can tell. ``names`` are the parameters to identify, ``known`` those among them that the rows see.
 
+    ``directions`` stand with the sums that the rows tell, as an identification has them (:func:`null_rows`).
     ``noise`` m is the standard deviation of a coordinate that this was judged with: "stated", from "repeats" or "assumed".
     """
 
     names: tuple[str, ...]
     known: tuple[str, ...]
     rank: int
-    directions: tuple[NullDirection, ...]
+    directions: tuple[dict[str, Any], ...]
     unknown: tuple[Unknown, ...]
     noise: float
     noise_source: Literal["stated", "repeats", "assumed"]
@@ -117,7 +118,7 @@ def check_identification(
         names=tuple(name for name, own in zip(names, asked, strict=True) if own),
         known=tuple(name for name, told in zip(names, known & asked, strict=True) if told),
         rank=int(np.count_nonzero(asked)) - sum(d.structural for d in directions),
-        directions=directions,
+        directions=tuple(null_rows(directions, replace(known_of_fit(fit.calibration(), fit), fitted=False))),
         unknown=tuple(_unknown(whole, fit, directions, known | ~asked, options)),
         noise=noise,
         noise_source=source,

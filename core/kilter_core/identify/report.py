@@ -76,10 +76,11 @@ def _change(name: str, change: float) -> float:
 
 def known_of(calibration: Calibration, names: Sequence[str], covariance: Floats, prior_sigma: Floats) -> Known:
     """What is known of the free parameters ``names`` of a calibration, for the sums of :func:`null_rows`."""
-    every = dict(zip(calibration.names, calibration.values, strict=True))
-    values = np.array([float(every.get(name, np.nan)) for name in names])
-    units = [reported(calibration.model.parameter(name).unit) for name in names]
-    return Known(names, values, units, covariance, prior_sigma)
+    model, every = calibration.model, _absolute(calibration)
+    values = np.array([every.get(name, np.nan) for name in names])
+    units = [reported(model.parameter(name).unit) for name in names]
+    axes = {frame: T[:3, :3] for frame, T in (("base", model.T_base), ("tool", model.T_tool))}
+    return Known(names, values, units, covariance, prior_sigma, axes)
 
 
 def known_of_fit(calibration: Calibration, fit: Fit) -> Known:

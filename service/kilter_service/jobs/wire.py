@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from kilter_core.parameters import reported
-from kilter_service.contract.fits import Member, NullDirection
+from kilter_service.contract.fits import NullDirection
 from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import (
     CheckedCampaign,
@@ -154,14 +154,7 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
         rank=found.rank,
         identifiable=list(found.known),
         not_identifiable=[UnknownParameter(name=u.name, reason=u.reason, remedy=u.remedy) for u in found.unknown],
-        null_directions=[
-            NullDirection(
-                parameters=[Member(name=name, weight=weight) for name, weight in d.weights],
-                structural=d.structural,
-                sentence=d.sentence(),
-            )
-            for d in found.directions
-        ],
+        null_directions=[NullDirection(**direction) for direction in found.directions],
         noise_mm=to_mm(found.noise),
         noise_from=found.noise_source,
     )

@@ -84,6 +84,33 @@ def test_candidates_take_what_least_squares_says(taken: tuple[int, ...]) -> None
         assert signed or S[0, k] == pytest.approx(left(list(taken)) - left(both), abs=1e-8)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_member_beside_the_others_is_as_sure_as_a_scan_of_them_says(seed: int) -> None:
+    gram, selector = world(seed)
+    rng = np.random.default_rng(seed)
+    for count in (1, 3, 5):
+        chosen = tuple(map(int, rng.choice(len(selector.scorer.candidates), count, replace=False)))
+        for k, p in zip(chosen, selector.tails(gram, chosen), strict=True):
+            rest = gram.given(selector.columns([m for m in chosen if m != k]))
+            expected = selector.scorer.scores(rest).p[k] if selector.signed(gram, chosen, k) else 1.0
+            assert p == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("smallest", [1e-2, 1e-5, 1.5 * VISIBLE, 0.5 * VISIBLE, 1e-9, 0.0, -1e-12])
+def test_one_data_set_is_scanned_as_many_are(smallest: float) -> None:
+    """A loop over small triangles, and numpy's eigenvalues of many matrices: with directions near the limit, and taken ones."""
+    selector = world(2)[1]
+    A = with_eigenvalues(np.r_[smallest, np.linspace(0.1, 3.0, 23)], seed=3)
+    data = np.random.default_rng(4).standard_normal((3, 24)) @ np.linalg.cholesky(A + 1e-9 * np.eye(24)).T
+    for taken in ((), (2,), (0, 7, 11, 19)):
+        given = Gram(A, data[0], 30.0, 100.0).given(taken)
+        S, d = selector.scorer.reductions(given, data)
+        for one, each in zip(data, S, strict=True):
+            alone, degrees = selector.scorer.reductions(given, one[None])
+            assert np.array_equal(degrees, d)
+            assert np.allclose(alone[0], each, rtol=1e-6, atol=1e-9)
+
+
 def test_scans_push_no_inverse_out() -> None:
     """A scan takes many times the bytes of an inverse, which every comparison of two sets asks for again."""
     made, selector = world(5)
@@ -97,10 +124,8 @@ def test_scans_push_no_inverse_out() -> None:
 
 
 @pytest.mark.parametrize("taken", [(), (4,), (1, 7, 16)])
-def test_parts_that_are_kept_are_those_of_the_whole(taken: tuple[int, ...]) -> None:
+def test_parts_are_those_of_the_whole(taken: tuple[int, ...]) -> None:
     gram = world(6)[0].given(taken)
     columns = np.array([[0, 3], [5, 11], [8, 2], [20, 21]])
     expected = gram.A[columns[:, :, None], columns[:, None, :]]
-    for _ in range(2):
-        assert np.allclose(gram.blocks(columns, "pairs"), expected, rtol=0.0, atol=1e-12)
-    assert np.array_equal(gram.blocks(columns, "pairs"), gram.blocks(columns))
+    assert np.allclose(gram.blocks(columns), expected, rtol=0.0, atol=1e-12)

@@ -67,3 +67,13 @@ def test_a_right_bar_beside_an_arm_mastered_wrong_is_not_doubted(seed: int) -> N
     [(_, read, found)] = other_lengths(nominal, wrong)
     again = identify(robot, scaled(wrong, 1, found / read), None, asked).fit
     assert explains_better(again, identify(robot, wrong, None, asked).fit)
+
+
+@pytest.mark.parametrize("seed", [21, 22, 25])
+def test_a_right_bar_in_one_plane_that_tells_the_arm_too_little_is_not_doubted(seed: int) -> None:
+    """With zeros wrong by degrees neither length has a fit that comes near such rows, and one that fails says no length."""
+    robot, asked = robot_from_document(ur10().document()), IdentifyOptions(level=1)
+    right = rows(True, seed=seed, offset=0.05)
+    [(_, read, found)] = other_lengths(Calibration.nominal(robot), right)
+    fit = identify(robot, right, None, asked).fit
+    assert not explains_better(identify(robot, scaled(right, 1, found / read), None, asked).fit, fit)

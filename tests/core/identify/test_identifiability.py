@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.identify import identify
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.identify.check import check_identification
 from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
 from kilter_core.identify.identifiable.identifiable_sums import Known
 from kilter_core.observations import Observations
@@ -90,11 +92,11 @@ def test_what_aliases_do_together_is_known_as_least_squares_says() -> None:
     assert found["sentence"].startswith("Together they are known: ")
 
 
-def test_no_sum_is_told_of_frames_or_where_another_direction_hides_it() -> None:
+def test_no_sum_is_told_of_angles_of_frames_or_where_another_direction_hides_it() -> None:
     J = jacobian(np.random.default_rng(6))
     J[:, 1] = J[:, 0]
     prior = np.full(4, 1e-2)
-    names = ("d_6", "tool_z", "c", "d")
+    names = ("theta_offset_6", "tool_rz", "c", "d")
     covariance = np.linalg.inv(J.T @ J + np.diag(prior**-2))
     known = Known(names, np.ones(4), [("mm", 1e3)] * 4, covariance, prior)
     assert known.sums(null_directions(J, names, prior)) == [[]]
@@ -136,7 +138,9 @@ def test_a_sum_that_is_known_better_than_rounding_shows_still_has_a_number(seed:
 
 
 def test_of_parallel_axes_the_sum_of_distances_is_known() -> None:
-    """A UR10 by its Denavit-Hartenberg rows in plain numpy: 1 mm in all along joints 2 to 4, which nobody can divide."""
+    """A UR10 by its Denavit-Hartenberg rows in plain numpy: 1 mm in all along joints 2 to 4, which nobody can divide; and
+    the tracker stands askew 2 m away, so the height of the first axis is one with the place of the base along its own z.
+    """
     half = np.pi / 2
     rows = [
         (0.1273, 0, half),
@@ -153,10 +157,26 @@ def test_of_parallel_axes_the_sum_of_distances_is_known() -> None:
         for angle, (d, a, alpha) in zip(angles, rows, strict=True):
             c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
             T = T @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-        position.append(T[:3, 3] + T[:3, :3] @ [0.05, 0.03, 0.1] + 2e-5 * rng.standard_normal(3))
+        position.append(T[:3, 3] + T[:3, :3] @ [0.0, 0.0, 0.1] + 2e-5 * rng.standard_normal(3))
     robot = robot_from_document(scene(poses=2, again=1).drawn.document())
-    found = identify(robot, Observations(q=q, position=np.array(position))).to_document()["null_directions"]
-    (told,) = [one for direction in found for one in direction["sums"]]
+    askew, away = Rotation.from_euler("xyz", [0.02, -0.7, 1.1]).as_matrix(), np.array([1.6, -0.9, 0.4])
+    rows = Observations(q=q, position=np.array(position) @ askew.T + away)
+    found = identify(robot, rows).to_document()["null_directions"]
+    sums = {one["parameters"][-1]["name"]: one for direction in found for one in direction["sums"]}
+    assert {"d_1", "d_4", "tool_x", "tool_z"} <= set(sums)
+    told, base, tool = sums["d_4"], sums["d_1"], sums["tool_z"]
+    assert {one["name"]: one["coefficient"] for one in tool["parameters"]} == pytest.approx({"d_6": 1.0, "tool_z": 1.0})
+    assert tool["value"] == pytest.approx(192.2, abs=4 * tool["sigma"])
+    assert [one["name"] for one in base["parameters"]] == ["base_x", "base_y", "base_z", "d_1"]
+    scaled = np.array([one["coefficient"] for one in base["parameters"]]) / base["parameters"][-1]["coefficient"]
+    assert scaled[:3] == pytest.approx(askew[:, 2], abs=1e-4)
+    assert base["value"] == pytest.approx(1e3 * (0.1273 + askew[:, 2] @ away), abs=4 * base["sigma"] + 0.1)
+    assert max(base["sigma"], tool["sigma"]) < 0.1
+    before = check_identification(robot, rows, IdentifyOptions(noise_mm=0.02)).directions
+    promised = {one["parameters"][-1]["name"]: one for direction in before for one in direction["sums"]}
+    for name in ("d_1", "d_4", "tool_z"):
+        assert promised[name]["sigma"] == pytest.approx(sums[name]["sigma"], rel=0.3)
+        assert promised[name]["sentence"].startswith("Together these poses tell them: ")
     assert [one["name"] for one in told["parameters"]] == ["d_2", "d_3", "d_4"]
     assert [one["coefficient"] for one in told["parameters"]] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
     assert told["value"] == pytest.approx(164.941, abs=4 * told["sigma"])

@@ -97,12 +97,27 @@ class CandidateSets:
 
     def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
         """Tail probability of each member given the others; 1 where its sign contradicts physics."""
-        out = []
-        for k in chosen:
-            rest = tuple(m for m in chosen if m != k)
-            p = self.scorer.tail_of(self.without(gram, (k,)).given(self.columns(rest)), k)
-            out.append(p if self.signed(gram, chosen, k) else 1.0)
-        return out
+        return [self._tail(gram, chosen, k) if self.signed(gram, chosen, k) else 1.0 for k in chosen]
+
+    def _tail(self, gram: Gram, chosen: tuple[int, ...], place: int) -> float:
+        """Tail probability of one member given the others: from the inverse of the whole set where its columns are independent.
+
+        What a member takes beside the others is its coefficients in the inverse of its part of that inverse, so nothing is
+        projected off anything.
+        """
+        gram, columns = self.without(gram, (place,)), self.columns(chosen)
+        rest = self.columns([m for m in chosen if m != place])
+        inverse, rank = gram.inverse(columns)
+        if rank < len(columns):
+            return self.scorer.tail_of(gram.given(rest), place)
+        others = set(rest)
+        own = [n for n, k in enumerate(columns) if k not in others]
+        beta = inverse[own] @ gram.c[columns]
+        if not own or (self.scorer.one_sided[place] and beta[0] < 0.0):
+            return 1.0
+        taken = float(beta @ np.linalg.solve(inverse[np.ix_(own, own)], beta))
+        within = gram.yy - gram.reduction(columns)
+        return self.scorer.tail_of_ratio(place, len(own), within + taken, within, gram.nu - len(rest))
 
     def shown(self, gram: Gram, rest: Sequence[int], members: Sequence[int]) -> tuple[int, ...]:
         """Of joints beside the ``rest`` those that leave a trace, the faintest let go first; one at least.

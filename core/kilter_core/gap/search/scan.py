@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
+from kilter_core.gap.kernels.reductions import reductions
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.gram import SURELY, VISIBLE, Gram, triangular
@@ -29,7 +30,6 @@ CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
 _NUMBERS = itertools.count()
-FEW = 0.5  # share of the candidates of a size from which all are looked at, and kept for the next who asks
 WIDE = 4  # columns of a candidate from which a triangle is faster than eigenvalues of many candidates at once
 AT_A_TIME = 100  # flips of signs: all of thousands of poses fill the memory
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
@@ -107,32 +107,47 @@ class Scorer:
 
     def reductions(self, gram: Gram, data: Floats, among: Bools | None = None) -> tuple[Floats, Ints]:
         """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,); zero at will where not ``among`` them."""
+        if len(data) == 1:
+            return self._of_one(gram, np.ascontiguousarray(data[0]), among)
         S = np.zeros((len(data), len(self.candidates)))
         d = np.zeros(len(self.candidates), dtype=np.int64)
         for n, block in enumerate(self.blocks):
-            if among is not None and not among[block.place].any():
-                continue
-            half, degrees, block = self._halves(gram, n, among)
+            half, d[block.place] = self._halves(gram, n)
             z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
             taken = np.sum(z**2, axis=2).T
             if block.signed:
                 wrong = block.one_sided & (data[:, block.columns[:, 0]] < 0.0)
                 taken = np.where(wrong, 0.0, taken)
-            S[:, block.place], d[block.place] = taken, degrees
+            S[:, block.place] = taken
         return S, d
 
-    def _halves(self, gram: Gram, n: int, among: Bools | None) -> tuple[Floats, Ints, Block]:
-        """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, its rank (K,), and the block.
+    def _of_one(self, gram: Gram, c: Floats, among: Bools | None) -> tuple[Floats, Ints]:
+        """The same of one data set ``c (Q,)``: a selection asks tens of thousands of times."""
+        wanted = np.ones(len(self.candidates), dtype=bool) if among is None else among
+        S, d = np.zeros(len(wanted)), np.zeros(len(wanted), dtype=np.int64)
+        whole = gram.whole if gram.whole.flags.c_contiguous else gram.whole.T  # symmetric, so one form is compiled
+        reductions(
+            np.ascontiguousarray(whole), c, *gram.projected, wanted, *self._members, VISIBLE, SURELY / VISIBLE, S, d
+        )
+        S[self.one_sided & (c[self._first] < 0.0)] = 0.0
+        return S[None], d
 
-        Where few are ``among`` them, and all were not asked for yet, the block of these alone.
-        """
-        block, kind = self.blocks[n], ("halves", self.number, n)
-        wanted = None if among is None else among[block.place]
-        if wanted is not None and wanted.sum() <= FEW * len(wanted) and not gram.keeps(kind, ()):
-            few = Block(block.place[wanted], block.columns[wanted], block.one_sided[wanted])
-            return *_rooted(gram.blocks(few.columns)), few
-        own = ("blocks", self.number, n)
-        return *gram.kept(kind, (), lambda: _rooted(gram.blocks(block.columns, own))), block
+    @cached_property
+    def _members(self) -> tuple[Ints, Ints]:
+        """Where the columns of each candidate begin (K + 1,), and all of them one after the other."""
+        starts = np.cumsum([0, *(len(c.columns) for c in self.candidates)])
+        return starts, np.array([k for c in self.candidates for k in c.columns], dtype=np.int64)
+
+    @cached_property
+    def _first(self) -> Ints:
+        """First column of each candidate (K,)."""
+        starts, columns = self._members
+        return np.asarray(columns[starts[:-1]])
+
+    def _halves(self, gram: Gram, n: int) -> tuple[Floats, Ints]:
+        """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, and its rank (K,)."""
+        block = self.blocks[n]
+        return gram.kept(("halves", self.number, n), (), lambda: _rooted(gram.blocks(block.columns)))
 
     def new_columns(self, beside: Sequence[int]) -> Ints:
         """How many columns each candidate (K,) adds to some."""
@@ -269,6 +284,13 @@ def _rooted(A: Floats) -> tuple[Floats, Ints]:
     by = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
     root[left], degrees[left] = V * by[:, None, :], keep.sum(axis=1)
     return root, degrees
+
+
+def warm_up() -> None:
+    """Compile what a scan calls."""
+    kinds = [Candidate("", None, columns, "", False, False, "", ()) for columns in ((0,), (0, 1))]
+    gram = Gram(np.array([[1.0, 0.2], [0.2, 1.0]]), np.ones(2), 4.0, 9.0)
+    Scorer.of(kinds, absolute=True, freedom=np.inf).scores(gram.given([0]))
 
 
 def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:

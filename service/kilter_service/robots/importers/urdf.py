@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import RobotError
 from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
 from kilter_service.robots.importers.urdf_masses import in_frame, merged
+from kilter_service.robots.importers.urdf_spares import spares
 from kilter_service.robots.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
 
 Floats = NDArray[np.float64]
@@ -55,7 +56,8 @@ class _Chain:
 def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfImport:
     """Convert URDF text to a ``chain`` document (mm, degrees) of the arm from ``base_link`` to ``tip_link``.
 
-    Each moving joint's origin becomes six named elements ``<joint>_x, _y, _z, _yaw, _pitch, _roll``; fixed joints
+    Each moving joint's origin becomes six named elements ``<joint>_x, _y, _z, _yaw, _pitch, _roll``, of which those that say
+    what others say too are dependent; fixed joints
     become fixed elements. Fixed rotations bring an axis not along x, y or z there, and back after the joint.
 
     Raises:
@@ -76,6 +78,10 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
             f"{MAX_ELEMENTS} are allowed: merge fixed joints in a row.",
             field="urdf",
         )
+    dependent = spares(path)
+    for element in chain.elements:
+        if element.get("name") in dependent:
+            element["spare"] = True
     bodies = _bodies(tree, path, chain)
     primary = _primary(chain, drivers)
     return UrdfImport(

@@ -58,13 +58,17 @@ class Gram:
         A = self.whole - self.K @ self._rows
         return np.asarray(0.5 * (A + A.T))
 
-    def blocks(self, columns: Ints, kind: Hashable = None) -> Floats:
-        """Parts (N, d, d) of A that belong to sets of columns (N, d); those of ``whole`` are kept as a ``kind``."""
+    @property
+    def projected(self) -> tuple[Floats, Floats]:
+        """The two factors (Q, t) of what is taken, whose products are taken off ``whole``."""
+        if self.K is None:
+            nothing = np.empty((len(self.c), 0))
+            return nothing, nothing
+        return self.K, self._along
 
-        def own() -> Floats:
-            return np.asarray(self.whole[columns[:, :, None], columns[:, None, :]])
-
-        out = own() if kind is None else self.cache.get(((), kind, ()), own)
+    def blocks(self, columns: Ints) -> Floats:
+        """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
+        out = self.whole[columns[:, :, None], columns[:, None, :]]
         if self.K is not None:
             out = out - self.K[columns] @ self._along[columns].transpose(0, 2, 1)
         return np.asarray(out)
@@ -89,10 +93,6 @@ class Gram:
     def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
-
-    def keeps(self, kind: Hashable, columns: Sequence[int]) -> bool:
-        """Whether :meth:`kept` has it."""
-        return (self.taken, kind, tuple(columns)) in self.cache
 
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
         """Pseudo-inverse (d, d) of the columns' own block, and its rank."""

@@ -10,6 +10,8 @@ import typer
 from kilter_client.cli.terminal.output import emit, say
 from kilter_client.cli.terminal.tables import number, show_rows
 
+FEW_REASONS = 2  # of one remedy, from which they stand in the JSON alone
+MOST_TERMS = 4  # of a sum that anybody would read; longer ones stand in the JSON
 HOW = {
     "campaigns": "the campaigns named",
     "fraction": "as asked",
@@ -60,15 +62,23 @@ def _show_identifiability(told: Mapping[str, Any] | None) -> None:
             f"{told['parameters']} parameters, {len(told['identifiable'])} identifiable, rank {told['rank']}; judged with "
             f"{number(told['noise_mm'])} mm of noise ({told['noise_from']})"
         )
+        for one in (one for direction in told["null_directions"] for one in direction.get("sums") or ()):
+            if len(one["parameters"]) <= MOST_TERMS:
+                say(f"  {one['sentence']}")
 
 
 def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
-    """What the data do not tell, under the remedy that would."""
-    by_remedy: dict[tuple[str, str], list[str]] = {}
+    """What the data do not tell, under the remedy that would: the same for dozens of parameters is said once."""
+    by_remedy: dict[str, dict[str, list[str]]] = {}
     for one in missing:
-        by_remedy.setdefault((one["reason"], one["remedy"]), []).append(one["what"])
+        by_remedy.setdefault(one["remedy"], {}).setdefault(one["reason"], []).append(one["what"])
     if by_remedy:
         say("not determined by these data:")
-    for (reason, remedy), names in by_remedy.items():
-        say(f"  {', '.join(names)}: {reason}")
+    for remedy, reasons in by_remedy.items():
+        names = [name for own in reasons.values() for name in own]
+        if len(reasons) <= FEW_REASONS:
+            for reason, own in reasons.items():
+                say(f"  {', '.join(own)}: {reason}")
+        else:
+            say(f"  {', '.join(names)} ({len(names)} in all)")
         say(f"    {remedy}")

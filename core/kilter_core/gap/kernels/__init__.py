@@ -1,0 +1,1 @@
+"""Compiled scan of many small candidates."""
