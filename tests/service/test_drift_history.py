@@ -206,6 +206,23 @@ def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
     assert kept.of(made(values, days)) is not first  # of three, the oldest went
 
 
+def test_charts_sum_what_was_stored_to_be_summed_and_mix_it_with_nothing_else() -> None:
+    def made(summed: list[float | None]) -> list[StoredCheck]:
+        numbers = [{"name": "value", "unit": "deg", "change": 0.1 * k, "u95": 0.01, "summed": one}
+                   for k, one in enumerate(summed)]  # fmt: skip
+        return [
+            StoredCheck(f"job_{k}", "cmp", DAY + timedelta(days=k), {
+                "verdict": "ok", "looked_at": [{"name": "zero_1", "words": "zero of joint 1", "numbers": [one]}],
+            })
+            for k, one in enumerate(numbers)
+        ]  # fmt: skip
+
+    assert charts_of(made([3.0, 4.0, 5.0]))[0].values == [3.0, 4.0, 5.0]
+    assert charts_of(made([None, 4.0, 5.0]))[0].values == pytest.approx(
+        [0.0, 0.1, 0.2]
+    )  # the first of an earlier release
+
+
 def test_a_chance_that_no_number_holds_is_not_nothing() -> None:
     assert [chance_words(one) for one in (0.0, 2e-14, 0.31)] == ["less than 1e-300", "2e-14", "0.3"]
     assert chance_words(0.234, 2) == "0.23"
