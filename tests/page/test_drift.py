@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import httpx
@@ -13,11 +14,13 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
+from kilter_service.contract.drift import CheckOfRobot, DriftHistory, DriftMark
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
+from kilter_service.page.shared.control_chart import watched
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
-from tests.core.watch.drifting import some_arm
+from tests.core.watch.drifting import some_arm, some_poses
 from tests.service.conftest import new_database, ready, served
 from tests.service.watched_robot import Watched
 
@@ -94,6 +97,57 @@ def test_the_fleet_has_those_that_moved_first(server: httpx.Client) -> None:
         True
     ) == 1  # and none that a check clears
     assert "Checks as its version says Checked on 2026-09-01" in " ".join(cards)
+
+
+def test_a_dropped_file_of_few_poses_is_proposed_as_a_check(server: httpx.Client) -> None:
+    arm = some_arm(np.random.default_rng(3))
+
+    def proposed(robot: str, poses: int) -> tuple[str, str]:
+        q = some_poses(poses, np.random.default_rng(5))
+        rows = [[*np.degrees(one), *(1e3 * arm.point(one))] for one in q]
+        text = "\n".join([",".join([*(f"q{k}_deg" for k in range(1, 7)), "x_mm", "y_mm", "z_mm"]),
+                          *(",".join(map(repr, map(float, row))) for row in rows)])  # fmt: skip
+        answer = server.post(f"/robots/{robot}/campaigns/new/file", params={"name": "a.csv"}, content=text.encode())
+        form = server.get(answer.raise_for_status().json()["address"]).raise_for_status().text
+        return re.findall(r'<option value="(train|validation|confirmation)" selected', form)[0], words(form)
+
+    role, said = proposed("fine", 6)
+    assert (role, "So few poses beside an active version are a check" in said) == ("validation", True)
+    for robot, poses in (("fine", 30), ("fresh", 6)):
+        role, said = proposed(robot, poses)
+        assert (role, "are a check, as a rule" in said) == ("train", False), robot
+
+
+def test_a_date_of_years_ago_squeezes_nothing_and_is_said() -> None:
+    at = datetime(2026, 11, 1, 12, tzinfo=UTC)
+
+    def drawn(days: list[int]) -> tuple[str, str]:
+        history = [
+            CheckOfRobot(
+                job_id=f"job_{day}", campaign_id="cmp", version_id="ver", at=at + timedelta(days=day), verdict="ok",
+                sentence="ok", p_value=0.5, temperature_c=None,
+            )
+            for day in sorted(days)
+        ]  # fmt: skip
+        mark = DriftMark(at=at, what="activated", version_id="ver")
+        found = DriftHistory(
+            robot="arm", state="ok", version_id="ver", sentence="ok", checks=len(days), last=history[-1], age_days=0,
+            history=history, marks=[mark], charts=[], run_length=1000, false_alarm=1e-3,
+        )  # fmt: skip
+        seen = watched(found)
+        assert seen.checks is not None
+        return seen.checks.svg(), seen.begins
+
+    svg, begins = drawn([-2496, 1, 2, 3, 9])
+    assert begins.startswith("Not drawn: 2020-01-01, long before all others")
+    assert "2020" not in svg
+    assert (svg.count("2026-11-02: ok"), svg.count("<title>activated")) == (1, 1)
+    svg, begins = drawn([-2496, -2400, 1, 2, 3])
+    assert begins.startswith("Not drawn: 2 dates from 2020-01-01 to 2020-04-06")
+    for days in ([1, 2, 3, 9], [-50, 1, 2, 3], [-300, -200, -90, 1, 2], [-2496, -2495, -2494, 1]):
+        svg, begins = drawn(days)
+        assert begins == ""
+        assert svg.count(": ok</title>") == len(days)
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

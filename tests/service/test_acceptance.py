@@ -169,9 +169,37 @@ def test_the_first_page_of_the_report_has_the_numbers_of_the_interface(
     assert "CALIBRATION REPORT" in pages[1].upper()
     assert "CALIBRATION REPORT" not in pages[0].upper()
     assert f"report.pdf?{shown.partition('report.pdf?')[2].partition(chr(34))[0]}".count("tolerance_mm=0.3") == 1
-    plain_report = client.get(report).raise_for_status().text
-    assert 'id="acceptance"' not in plain_report
     assert client.get(report, params={"tolerance_mm": "-1"}).status_code == 422
+
+
+def first_page(client: httpx.Client, version: str) -> tuple[str, str]:
+    """The decision, and the first page of a report without a tolerance in plain words."""
+    shown = client.get(f"/versions/{version}/report").raise_for_status().text
+    part = shown.partition('class="first"')[2].partition("</section>")[0]
+    return part.partition('data-decision="')[2].partition('"')[0], plain(part)
+
+
+def test_the_first_page_without_a_tolerance_has_the_budget_and_says_how_to_have_it_decided(
+    client: httpx.Client, katana: Katana, arm: dict[str, str], until: Until
+) -> None:
+    decision, page = first_page(client, arm["version"])
+    found = decide(client, 5.0)  # of the 15 rows that were held out, which name no instrument
+    assert decision == "none"
+    assert "no tolerance was stated" in page
+    assert "kilter accept katana --tolerance 0.3" in page
+    assert f"As it is, these rows prove none: {found['lacking'][0]['message'][:40]}" in page
+    for number in (found["campaigns"][0]["budget"]["expanded_mm"], found["campaigns"][0]["after"]["mean_mm"]):
+        assert words.mm(number) in page
+    client.post(f"/v1/campaigns/{arm['second']}/retire").raise_for_status()
+    whole = done(client, until, kind="identify", campaigns=[arm["first"]], options={"level": 2})["result"]
+    decision, page = first_page(client, whole["version_id"])  # nothing is held out: the budget is that of the fit
+    assert (decision, "No row with a measured place is left" in page) == ("none", True)
+    for number in (
+        whole["metrics"]["train"]["budget"]["expanded_mm"],
+        whole["metrics"]["train"]["identified"]["mean_mm"],
+    ):
+        assert words.mm(number) in page
+    assert "fitted rows, calibrated" in page
 
 
 def test_a_campaign_of_too_few_poses_is_left_out_with_a_warning_or_refused_by_its_name(

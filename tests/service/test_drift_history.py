@@ -12,12 +12,15 @@ import pytest
 
 from kilter_service.ground.db import Database
 from kilter_service.jobs.retention import store as retention
+from kilter_service.robots import store as robots
+from kilter_service.versions import store as versions
 from kilter_service.versions.drift.charts import KeptCharts, charts_of
 from kilter_service.versions.drift.records import StoredCheck
 from kilter_service.versions.drift.store import of_all_causes
 from kilter_service.versions.drift.wire import chance_words
 from tests.core.watch.drifting import DriftingArm, some_arm
 from tests.service.conftest import WorkerProcess
+from tests.service.test_budgets import TRACKER
 from tests.service.watched_robot import DAY, Until, Watched
 
 
@@ -183,6 +186,33 @@ def test_the_number_of_today_is_that_of_the_newest_check(
     assert "Today: Mean error" in client.get(f"/versions/{version}").raise_for_status().text
 
 
+def test_the_poses_of_a_re_zeroing_measured_anew_are_new_rows_and_its_own_rows_are_not(
+    client: httpx.Client, arm: DriftingArm, database: Database
+) -> None:
+    client.post("/v1/instruments", json=TRACKER).raise_for_status()
+    watched = Watched(client, None, arm, "planned")
+    watched.calibrated(database)
+    moved = arm.after("zero_3", 4e-3)
+    said = watched.sent(moved, 6, 1, DAY, where=5)
+    made = watched.done_here(database, "rezero", [said])
+    assert made["metrics"]["train"]["budget"]["expanded_mm"] > 0.05
+    with database.reading() as session:
+        (version,) = [one.id for one in versions.of_robot(session, robots.get(session, "planned").id) if one.parent_id]
+    watched.activated(version)
+
+    def accepted() -> httpx.Response:
+        return client.get("/v1/robots/planned/acceptance", params={"tolerance_mm": 1.0, "instrument": "tracker"})
+
+    assert accepted().json()["code"] == "nothing_held_out"
+    watched.sent(moved, 6, 1, DAY + timedelta(days=1), where=5)  # the same numbers under another date
+    assert accepted().json()["code"] == "nothing_held_out"
+    later = watched.sent(moved, 6, 2, DAY + timedelta(days=2), where=5)  # the same poses on another day
+    watched.done_here(database, "drift", [later])
+    found = accepted().raise_for_status().json()
+    assert ([one["id"] for one in found["campaigns"]], found["decision"]) == ([later], "accepted")
+    assert found["campaigns"][0]["after"]["mean_mm"] < 0.2
+
+
 def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
     number = {"name": "value", "unit": "deg", "u95": 0.01}
 
@@ -204,6 +234,23 @@ def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
     other = made([0.1, 0.12, 0.9, 0.11, 0.13], [1, 2, 5, 3, 4])
     assert kept.of(sorted(other, key=lambda one: one.at))[0].values[-1] == 0.9
     assert kept.of(made(values, days)) is not first  # of three, the oldest went
+
+
+def test_charts_sum_what_was_stored_to_be_summed_and_mix_it_with_nothing_else() -> None:
+    def made(summed: list[float | None]) -> list[StoredCheck]:
+        numbers = [{"name": "value", "unit": "deg", "change": 0.1 * k, "u95": 0.01, "summed": one}
+                   for k, one in enumerate(summed)]  # fmt: skip
+        return [
+            StoredCheck(f"job_{k}", "cmp", DAY + timedelta(days=k), {
+                "verdict": "ok", "looked_at": [{"name": "zero_1", "words": "zero of joint 1", "numbers": [one]}],
+            })
+            for k, one in enumerate(numbers)
+        ]  # fmt: skip
+
+    assert charts_of(made([3.0, 4.0, 5.0]))[0].values == [3.0, 4.0, 5.0]
+    assert charts_of(made([None, 4.0, 5.0]))[0].values == pytest.approx(
+        [0.0, 0.1, 0.2]
+    )  # the first of an earlier release
 
 
 def test_a_chance_that_no_number_holds_is_not_nothing() -> None:

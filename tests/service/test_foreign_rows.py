@@ -8,8 +8,10 @@ from typing import Any
 import httpx
 import numpy as np
 
+from kilter_service.ground.db import Database
 from tests.core.watch.drifting import some_arm
 from tests.service.conftest import WorkerProcess
+from tests.service.test_budgets import TRACKER
 from tests.service.watched_robot import DAY, Until, Watched
 
 TOLERANCE = {"tolerance_mm": 1.0}
@@ -64,3 +66,35 @@ def test_rows_of_another_arm_are_taken_out_of_use_by_the_check_itself(
     assert "still in use, because it was sent to be fitted" in refused(watched, to_fit)["error"]["message"]
     assert in_use(watched, to_fit)
     assert watched.history()["checks"] == 1
+
+
+def test_nothing_is_accepted_beside_rows_of_another_arm_that_nobody_checked(
+    client: httpx.Client, database: Database
+) -> None:
+    arm, other = some_arm(np.random.default_rng(3)), some_arm(np.random.default_rng(99))
+    watched = Watched(client, None, arm, "watched")
+    watched.calibrated(database)
+    client.post("/v1/instruments", json=TRACKER).raise_for_status()
+    own = watched.sent(arm, 8, 2, DAY + timedelta(days=1))
+    asked = {**TOLERANCE, "instrument": "tracker"}
+
+    def judged(**more: str) -> dict[str, Any]:
+        return dict(client.get("/v1/robots/watched/acceptance", params={**asked, **more}).raise_for_status().json())
+
+    assert judged()["decision"] == "accepted"
+    foreign = watched.sent(other, 8, 3, DAY + timedelta(days=2))
+    found = judged()
+    assert found["decision"] == "not_proved"
+    assert [one["id"] for one in found["campaigns"]] == [own]
+    assert [(one["code"], one["campaigns"]) for one in found["lacking"]] == [("rows_of_another_arm", [foreign])]
+    assert f"kilter campaigns retire {foreign}" in found["sentence"]
+    assert judged(campaign=foreign)["decision"] == "rejected"
+    assert judged(campaign=own)["decision"] == "accepted"
+    crashed = watched.sent(arm.after("zero_2", 0.2), 8, 4, DAY + timedelta(days=3))
+    assert crashed in [
+        one["id"] for one in judged()["campaigns"]
+    ]  # far off, and one cause explains it: this arm has moved
+    client.post(f"/v1/campaigns/{foreign}/retire").raise_for_status()
+    assert judged()["decision"] == "rejected"
+    client.post(f"/v1/campaigns/{crashed}/retire").raise_for_status()
+    assert judged()["decision"] == "accepted"

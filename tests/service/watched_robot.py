@@ -29,9 +29,12 @@ class Watched:
         self.client, self.until, self.arm, self.name = client, until, arm, name
         client.post("/v1/robots", json={**arm.document(), "name": name}).raise_for_status()
 
-    def sent(self, arm: DriftingArm, poses: int, seed: int, at: datetime, role: str = "validation") -> str:
+    def sent(
+        self, arm: DriftingArm, poses: int, seed: int, at: datetime, role: str = "validation", where: int | None = None
+    ) -> str:
+        """Send rows of random poses, those of the seed ``where`` if it is given."""
         rng = np.random.default_rng(seed)
-        q = some_poses(poses, rng)
+        q = some_poses(poses, rng if where is None else np.random.default_rng(where))
         seen = arm.measured(q, rng, NOISE).position
         assert seen is not None
         body = {"name": f"{at:%Y-%m-%d}", "numbered": True, "role": role, "measured_at": at.isoformat()}

@@ -33,6 +33,7 @@ EXACT = 1e5  # freedom of a scale beyond which it counts as known
 PASSES = 3  # about the change found: a large one bends the derivatives
 FOREIGN = 0.02  # of the reach: rows that miss it by more, and that no one cause brings near, are not of this arm
 BROUGHT_NEAR = 0.1  # share of the misfit that the cause may leave
+ANOTHER_ARM = "rows_of_another_arm"  # the code of that refusal
 SEEN_LEAST = 1e-6  # of what a frame shows in all directions, what it must show in each to be seen in all
 
 Verdict = Literal["ok", "moved", "cannot_tell"]
@@ -45,6 +46,9 @@ class Judged:
 
     ``change (K,)`` has standard deviations ``sigma (K,)``, infinite where nothing measured shows that number. Of a frame
     ``size_sigma (2,)`` are those of the lengths of its shift (m) and rotation (rad), else it is empty.
+
+    ``summed (K,)`` is the change by weights that do not depend on the temperature of the rows. What is compared over many days
+    has to hold the errors of the version in the same proportion each day, and the allowance for expansion changes that.
     """
 
     cause: Cause
@@ -55,6 +59,7 @@ class Judged:
     sigma: Floats
     size_sigma: Floats
     refuted: bool
+    summed: Floats
 
     @property
     def u95(self) -> Floats:
@@ -167,6 +172,9 @@ def check(
         linear, left = _about_the_best(linear, innovation, calibration, anew)
         _refuse_foreign(calibration, misfit, left)
     judged = _judged(linear)
+    if innovation.allows and p_value > FALSE_ALARM:
+        plain = _Linear.of(Innovation.of(calibration, rows, known, noise, counts=counts), calibration, anew)
+        judged = _summed(judged, plain)
     causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
@@ -205,14 +213,19 @@ def _about_the_best(
     return linear, left
 
 
+def far_off(calibration: Calibration, misfit: float) -> bool:
+    """Whether rows miss a version by so much (m, rms) that they are of another arm, unless one cause explains it."""
+    return misfit > FOREIGN * reach(calibration.robot)
+
+
 def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> None:
-    if misfit > FOREIGN * reach(calibration.robot) and left > BROUGHT_NEAR * misfit:
+    if far_off(calibration, misfit) and left > BROUGHT_NEAR * misfit:
         raise ObservationError(
             f"The rows miss what the version predicts by {mm(misfit):.4g} mm (rms), and no one cause explains it: they "
             "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
             'of this robot with the tool of its version, or say what was set up anew, new_setup ["base"] or '
             '["base", "tool"].',
-            code="rows_of_another_arm", misfit_m=misfit,
+            code=ANOTHER_ARM, misfit_m=misfit,
         )  # fmt: skip
 
 
@@ -243,8 +256,16 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
         change, refuted = one.change(r), _refuted(linear, one, best, REFUTED / len(linear.columns))
         sizes = one.size_deviations(change)
         gain = _gain(r, one.span)
-        found.append(Judged(one.cause, gain, one.span.shape[1], value, change, one.deviations(), sizes, refuted))
+        found.append(
+            Judged(one.cause, gain, one.span.shape[1], value, change, one.deviations(), sizes, refuted, change)
+        )
     return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
+
+
+def _summed(judged: Sequence[Judged], plain: _Linear) -> tuple[Judged, ...]:
+    """All causes with their changes as ``plain``, the problem without an allowance for expansion, has them."""
+    changes = {one.cause: one.change(plain.r) for one in plain.columns}
+    return tuple(replace(one, summed=changes.get(one.cause, one.change)) for one in judged)
 
 
 def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bool:

@@ -38,8 +38,8 @@ def refuse_another_tool(calibration: Calibration, rows: Observations) -> None:
 
 def expansion(calibration: Calibration, rows: Observations, fitted_c: tuple[float, float] | None) -> Floats | None:
     """Displacements (N, 6, n + 1) of one standard deviation each that the temperature of rows explains beyond that of the
-    fit, (lowest, highest): growth of the arm about its base, and its zeros. None where nobody knows the temperatures, or
-    where the version models them.
+    fit, (lowest, highest): growth of the arm about its base, and its zeros. None where nobody knows the temperatures, where
+    the version models them, and where none is beyond.
 
     Raises:
         ObservationError: more than 15 K outside.
@@ -58,6 +58,8 @@ def expansion(calibration: Calibration, rows: Observations, fitted_c: tuple[floa
             "of the version, or identify one with thermal_growth and thermal_drift from rows of several temperatures.",
             code="another_temperature", row=worst + 1, column="temperature_c", fitted_c=[low, high],
         )  # fmt: skip
+    if not beyond.any():
+        return None
     found, motions = calibration.model.joint_jacobian(rows, calibration.values)
     grown = np.zeros((len(rows), 6, 1))
     grown[:, :3, 0] = GROWTH * (found.position - calibration.model.T_base[:3, 3])

@@ -31,7 +31,8 @@ class Innovation:
     (N, m, 3) were measured; of views these are six numbers of the tool's position and rotation.
     ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
     the scale of the covariance: a fit of few rows does not know well what it left. ``counts`` says what of the coordinates
-    does: of rows that sockets held, their differences.
+    does: of rows that sockets held, their differences. ``allows``: the covariance has what the arm expands beyond the
+    temperatures of the fit.
     """
 
     measurement: Measurement
@@ -43,6 +44,7 @@ class Innovation:
     freedom: float
     noise: float
     counts: Measured
+    allows: bool
 
     @staticmethod
     def of(
@@ -92,7 +94,9 @@ class Innovation:
         lower = np.asarray(np.linalg.cholesky(counts.covariance(covariance)), dtype=np.float64)
         r = solve_triangular(lower, counts.of(left[seen]), lower=True)
         freedom = _freedom(lower, known.freedom, noise)
-        return Innovation(measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts)
+        return Innovation(
+            measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts, grown is not None
+        )
 
     def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
         """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-REZEROED = "rezeroed"  # of a report: the campaign that said what moved; rows from before it are of the arm as it was
+REZEROED = store.REZEROED
 MOST_POSES = 2000  # compared at most, evenly chosen: one to two seconds
 
 NOTHING = (

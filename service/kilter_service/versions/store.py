@@ -68,7 +68,8 @@ class Training:
 
     ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``unasked`` says
     that the job held them out by its own rule. ``rounded``: poses were told apart by rounded readings then.
-    ``by_content``: they were drawn from what the rows hold, not from their order.
+    ``by_content``: they were drawn from what the rows hold, not from their order. ``changed`` is how many parameters were
+    re-zeroed by these rows; None where all were fitted.
     """
 
     kind: str
@@ -78,8 +79,10 @@ class Training:
     unasked: bool = False
     rounded: bool = False
     by_content: bool = True
+    changed: int | None = None
 
 
+REZEROED = "rezeroed"  # of a report: the campaign that said what moved; rows from before it are of the arm as it was
 ROBOT_HASHED = 2  # the hash scheme of new versions: calibration, limits and the robot's chain
 POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
 SPLIT, BY_CONTENT = "split", "by content"  # versions without it were split by the order of their rows
@@ -315,8 +318,11 @@ def trainings(session: Session, version_id: str) -> list[Training]:
         campaigns, seed = tuple(dict.fromkeys(used)), int(options.get("seed", 0))
         rounded = POSES not in following.report
         by_content = following.report.get(SPLIT) == BY_CONTENT
+        moved = following.report.get(REZEROED)
+        changed = None if moved is None else len(moved["names"])
+        held_out = asked or unasked
         found.append(
-            Training(request.kind, campaigns, asked or unasked, seed, unasked is not None, rounded, by_content)
+            Training(request.kind, campaigns, held_out, seed, unasked is not None, rounded, by_content, changed)
         )
         following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
     return found

@@ -28,6 +28,7 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+NUMBERS_EACH = 6  # coordinates for each parameter of a re-zeroing, from which on it took little of their errors
 MOST_ROWS = 1_000_000  # read of campaigns nobody trained on, the newest first: some seconds
 
 
@@ -102,7 +103,7 @@ class Archive:
             rows = self.rows(campaign_id)
             if rows is None:
                 continue
-            free = _free(rows, trained.mask(campaign_id), poses)
+            free = _free(rows, trained.mask(campaign_id), poses) & ~trained.sent_again(rows)
             if free.any():
                 out[campaign_id], places[campaign_id] = rows.select(free), np.flatnonzero(free)
         return Unseen(out, dict(self.left_out), places)
@@ -128,8 +129,11 @@ class _Trained:
     archive: Archive
     rows: dict[str, Bools] = field(default_factory=dict)
     hashes: set[str] = field(default_factory=set)  # of uploads that were fitted whole
+    whole: set[str] = field(default_factory=set)  # campaigns whose poses are known to the version
 
     def add(self, training: Training) -> None:
+        if not self._changed_little(training):
+            self.whole.update(campaign_id for campaign_id, _ in training.campaigns)
         masks = None if training.fraction is None else self._split(training, training.fraction)
         for campaign_id, hashes in training.campaigns:
             named = self.archive.named(campaign_id, hashes)
@@ -146,13 +150,34 @@ class _Trained:
         return whole | self.rows.get(campaign_id, np.zeros(len(whole), dtype=bool))
 
     def poses(self) -> Floats:
-        """Joints (N, n) of all rows that were fitted."""
-        fitted = [rows.q for rows in self.parts()]
+        """Joints (N, n) of the poses at which a fit followed the errors, so that a repeat of them proves nothing.
+
+        A re-zeroing that took one number from eighteen follows nothing: the same planned poses are measured every day, and
+        those of a later day are new.
+        """
+        fitted = [rows.q for rows in self._parts_of(self.whole)]
         return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
+
+    def sent_again(self, rows: Observations) -> Bools:
+        """Mark rows that a re-zeroing took, in whatever file: their poses may come again, and they may not."""
+        out = np.zeros(len(rows), dtype=bool)
+        for part in self._parts_of(set(self.rows) - self.whole):
+            out[holding_out.copies(part, rows)] = True
+        return out
+
+    def _changed_little(self, training: Training) -> bool:
+        """Whether so few parameters were taken from so many coordinates that these errors stayed as they were."""
+        if training.changed is None:
+            return False
+        parts = [self.archive.rows(campaign_id) for campaign_id, _ in training.campaigns]
+        return training.changed * NUMBERS_EACH <= sum(3 * len(rows) for rows in parts if rows is not None)
 
     def parts(self) -> list[Observations]:
         """The rows that were fitted, of each campaign that can be read."""
-        parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
+        return self._parts_of(self.rows)
+
+    def _parts_of(self, campaigns: Iterable[str]) -> list[Observations]:
+        parts = [(self.archive.rows(one), self.rows[one]) for one in campaigns if one in self.rows]
         return [rows.select(mask) for rows, mask in parts if rows is not None]
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:

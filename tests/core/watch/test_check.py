@@ -290,6 +290,32 @@ def test_an_arm_that_is_warmer_has_not_moved() -> None:
     assert small.count("ok") < 60  # where nobody stated the temperature of the fit
 
 
+def test_what_is_summed_over_a_season_is_a_straight_line_over_the_temperature(
+    fitted: tuple[DriftingArm, Calibration, Predictive],
+) -> None:
+    arm, calibration, known = fitted
+    q, temperatures = some_poses(6, np.random.default_rng(21)), np.linspace(12.0, 36.0, 13)
+    made = []
+    for warm in temperatures - 23.0:
+        rows = arm.after("zero_4", 3e-6 * warm).measured(q, np.random.default_rng(0), 0.0)
+        made.append(
+            check(calibration, replace(rows, temperature_c=np.full(6, 23.0 + warm)), known, fitted_c=(22.0, 24.0))
+        )
+    assert {found.verdict for found in made} == {"ok"}
+    bent = {
+        True: 0.0,
+        False: 0.0,
+    }  # the largest deviation from a line, in standard deviations of a check within the fit
+    for name in (f"zero_{joint}" for joint in (1, 2, 3, 4, 5)):
+        each = [next(one for one in found.judged if one.cause.name == name) for found in made]
+        for summed in bent:
+            values = [float((one.summed if summed else one.change)[0]) for one in each]
+            line = np.polyval(np.polyfit(temperatures, values, 1), temperatures)
+            bent[summed] = max(bent[summed], float(np.abs(values - line).max() / each[6].sigma[0]))
+    assert bent[True] < 0.02
+    assert bent[False] > 10.0 * bent[True]  # the change itself, which allows for the expansion beyond the fit
+
+
 def test_rows_at_a_far_temperature_are_refused() -> None:
     rng = np.random.default_rng(17)
     arm, calibration = perfect(rng)

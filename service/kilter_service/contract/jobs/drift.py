@@ -35,6 +35,10 @@ class ChangedNumber(Stored):
     unit: str = Field(description="Its unit: deg, mm, deg/(N m), mm/N, ppm.")
     change: float = Field(description="By how much it changed.")
     u95: float | None = Field(description="Half width of its 95 % interval; null: the rows do not show this number.")
+    summed: float | None = Field(
+        None,
+        description="The change by weights that no temperature changes: what control charts sum. Null: stored without.",
+    )
 
 
 class DriftCause(Stored):

@@ -10,6 +10,7 @@ from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
 from kilter_service.ground.wire import to_metres_if_known
+from kilter_service.jobs.budgets import budget_of
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
@@ -77,11 +78,12 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
     sigma = np.sqrt(np.diag(found.known.covariance))[[found.known.names.index(name) for name in names]]
     before = {row["name"]: row for row in (job.report or {}).get("parameters") or []}
     told = np.array([name in found.names or bool(before.get(name, {}).get("identifiable", True)) for name in names])
-    ((_, rows),) = job.campaigns.items()
+    ((campaign, rows),) = job.campaigns.items()
     errors = core_evaluate.evaluate(found.calibration, rows, [], found.known)
+    budget = budget_of(found.calibration, found.known, rows, job.instruments.get(campaign))
     return start | {
         "parameters": core_report.rows_of(found.calibration, names, sigma, told),
-        "metrics": {"train": {stage: errors[stage] for stage in STAGES}},
+        "metrics": {"train": {stage: errors[stage] for stage in STAGES} | {"budget": budget}},
     }  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: st
     return render(
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
         instruments=instruments.list_instruments(database, Page()).instruments, problem=problem,
-        here=_place(request, draft), **service.form_of(draft, kinds),
+        here=_place(request, draft), meant=service.meant_for(database, draft), **service.form_of(draft, kinds),
     )  # fmt: skip
 
 

@@ -17,14 +17,17 @@ from kilter_files.formats.reader import DEVICE
 from kilter_files.formats.registry import readers_for
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
+from kilter_service.contract.jobs.job import PlanJob
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.column_map import Assignment, assignments, changed, choices, parsed, units_for
 from kilter_service.page.drop.drafts import Draft
+from kilter_service.page.shared import proposing
 from kilter_service.robots import service as robots
 
 LONGEST_MAP = 200_000
 LONGEST_NOTES = 20_000
+MOST_OF_CHECK = 10  # poses of a file that is taken for a check where a version is active
 
 
 def measured_at(text: str) -> datetime | None:
@@ -47,6 +50,23 @@ def measured_at(text: str) -> datetime | None:
 def kinds_of(database: Database, robot: str) -> list[str]:
     """Return whether each joint of a robot is revolute or prismatic."""
     return [str(joint.kind) for joint in robots.get(database, robot).joints]
+
+
+def meant_for(database: Database, draft: Draft) -> tuple[str, str]:
+    """Return the role that the form proposes, and why where that is not the usual one: a check is fitted by nobody."""
+    job = proposing.job_of(database, draft.robot, draft.job)
+    if isinstance(job, PlanJob) and job.options.purpose == "check":
+        return "validation", "These poses were planned for a check: no fit takes its rows."
+    if (
+        draft.facts is None
+        or draft.facts.repeats.poses > MOST_OF_CHECK
+        or robots.get(database, draft.robot).active_version is None
+    ):
+        return "train", ""
+    return (
+        "validation",
+        "So few poses beside an active version are a check, as a rule: no fit takes its rows. To fit them say identification.",
+    )
 
 
 def ways() -> list[tuple[str, str]]:

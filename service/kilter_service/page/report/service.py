@@ -88,11 +88,11 @@ class Sheet:
 
 
 def of_version(database: Database, version_id: str, wish: Wish | None = None) -> Sheet:
-    """Return the report of a version, with a first page that decides about a tolerance where one is stated."""
+    """Return the report of a version, whose first page decides about a tolerance where one is stated."""
     version = versions.get(database, version_id)
     sheet = _sheet(database, version, jobs.get(database, version.job_id))
     if wish is None:
-        return sheet
+        return replace(sheet, first=first.first_sheet_undecided(database, version))
     return replace(sheet, first=first.first_sheet(database, version.robot, wish._replace(version=version_id)))
 
 
@@ -109,7 +109,10 @@ def of_job(database: Database, job_id: str) -> Sheet:
             f"Job {job_id} is {job.state}: there is a report when it has succeeded.", code="payload_invalid"
         )
     made = None if isinstance(job, EvaluateJob) else getattr(job.result, "version_id", None)
-    return _sheet(database, None if made is None else versions.get(database, made), job)
+    if made is None:
+        return _sheet(database, None, job)
+    version = versions.get(database, made)
+    return replace(_sheet(database, version, job), first=first.first_sheet_undecided(database, version))
 
 
 def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:

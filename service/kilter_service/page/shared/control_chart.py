@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftSummary, State
 from kilter_service.ground.texts import plural
@@ -20,6 +21,7 @@ DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read
 LEAST_CHANCE = 1e-12  # drawn of what is less likely still
 SHOWN_SUMS = 4  # of the charts, those with the largest sums
+FAR, FAR_DAYS = 5.0, 60.0  # a gap in the dates of so many times what follows, and so many days, is left out
 LOOKS: dict[State, tuple[str, str]] = {
     "ok": ("as its version says", "good"),
     "creeping": ("creeping", "warn"),
@@ -33,11 +35,15 @@ MARKS = ("activated", "re-zeroed", "rolled back", "repaired")
 
 @dataclass(frozen=True)
 class Watched:
-    """The figures of a robot's checks: ``checks`` None where there are none, ``sums`` None where they are too few."""
+    """The figures of a robot's checks: ``checks`` None where there are none, ``sums`` None where they are too few.
+
+    ``begins`` says what is dated so long before that it is not drawn; empty where all is.
+    """
 
     found: DriftHistory
     checks: Plot | None
     sums: Plot | None
+    begins: str = ""
 
     @property
     def badge(self) -> tuple[str, str]:
@@ -63,8 +69,40 @@ def watched(found: DriftHistory) -> Watched:
     if not found.history:
         return Watched(found, None, None)
     days = [_day(one.at) for one in found.history] + [_day(one.at) for one in found.marks]
-    axis = days_around("", days)
-    return Watched(found, _checks(found, axis), _sums(found, axis))
+    first = _first_drawn(days)
+    axis = days_around("", [day for day in days if day >= first])
+    return Watched(found, _checks(found, axis), _sums(found, axis), _said_of_the_left(found, first))
+
+
+def _first_drawn(days: Sequence[float]) -> float:
+    """The day on which the figures begin: a few dates long before all others would squeeze these into a line."""
+    sorted_days = sorted(days)
+    gaps = [after - before for before, after in pairwise(sorted_days)]
+    if not gaps:
+        return sorted_days[0]
+    place = max(range(len(gaps)), key=gaps.__getitem__)
+    lasts = sorted_days[-1] - sorted_days[place + 1]
+    few = place + 1 < 0.5 * len(sorted_days)
+    far = gaps[place] > max(FAR * lasts, FAR_DAYS)
+    return sorted_days[place + 1] if few and far else sorted_days[0]
+
+
+def _said_of_the_left(found: DriftHistory, first: float) -> str:
+    left = [one.at for one in found.history if _day(one.at) < first]
+    left += [one.at for one in found.marks if _day(one.at) < first]
+    if not left:
+        return ""
+    days = f"{min(left):%Y-%m-%d}"
+    if min(left).date() != max(left).date():
+        days = f"{plural(len(left), 'date')} from {days} to {max(left):%Y-%m-%d}"
+    return (
+        f"Not drawn: {days}, long before all others; the table has it. Where a date is wrong, as of a clock "
+        "that was set back, retire that campaign and check again with the right date."
+    )
+
+
+def _drawn(axis: Days, at: datetime) -> bool:
+    return _day(at) >= axis.low
 
 
 def _checks(found: DriftHistory, axis: Days) -> Plot:
@@ -73,9 +111,13 @@ def _checks(found: DriftHistory, axis: Days) -> Plot:
     limit = 1.0 / found.false_alarm
     across = around("one unmoved arm in", [*among, limit, 1.0], log=True)
     drawn = Plot("Checks", axis, across, WIDTH, HEIGHT, description=_describe_checks(found), table=_table(found))
-    _marked(drawn, found)
+    _marked(drawn, found, axis)
     for verdict, label, look in VERDICTS:
-        own = [(one, many) for one, many in zip(found.history, among, strict=True) if one.verdict == verdict]
+        own = [
+            (one, many)
+            for one, many in zip(found.history, among, strict=True)
+            if one.verdict == verdict and _drawn(axis, one.at)
+        ]
         if own:
             names = [f"{one.at:%Y-%m-%d}: {one.sentence}" for one, _ in own]
             drawn.points([_day(one.at) for one, _ in own], [many for _, many in own], label, look, names=names)
@@ -94,17 +136,19 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
         "Cumulative sums", axis, Axis("sum, standard deviations of a check", 0.0, 1.08 * highest), WIDTH, HEIGHT,
         description=_said_of_sums(charts), table=_sums_table(summed),
     )  # fmt: skip
-    _marked(drawn, found, labelled=False)
+    _marked(drawn, found, axis, labelled=False)
     for place, one in enumerate(charts):
         sums = [_higher(up, down) for up, down in zip(one.up, one.down, strict=True)]
-        there = [(day, value) for day, value in zip(days, sums, strict=True) if math.isfinite(value)]
+        there = [
+            (day, value) for day, value in zip(days, sums, strict=True) if math.isfinite(value) and day >= axis.low
+        ]
         drawn.line([day for day, _ in there], [value for _, value in there], one.words, place)
     return drawn.level(charts[0].limit, f"alarm: all together 1 of {found.run_length} checks")
 
 
-def _marked(drawn: Plot, found: DriftHistory, labelled: bool = True) -> None:
+def _marked(drawn: Plot, found: DriftHistory, axis: Days, labelled: bool = True) -> None:
     for place, what in enumerate(MARKS):
-        own = [one for one in found.marks if one.what == what]
+        own = [one for one in found.marks if one.what == what and _drawn(axis, one.at)]
         names = [f"{what} {moment(one.at)}: {one.version_id}" for one in own]
         drawn.uprights([_day(one.at) for one in own], what if labelled else "", place + 1, names)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
 from kilter_service.contract.instruments import Instrument
@@ -18,6 +19,7 @@ from kilter_service.ground.core import (
     core_measurement,
     core_model,
     core_uncertainty,
+    core_watch_check,
     estimate,
     metrics,
 )
@@ -82,6 +84,18 @@ def judged(
     before, after = (metrics.Errors.of(one, measurement).to_document() for one in (nominal, fitted))
     document = {"instrument": instrument and instrument.name, **budget.to_document()}
     return Judged(conformity, before, after, document, _places(rows)[seen], sizes, numbers[seen])
+
+
+def of_another_arm(calibration: Calibration, known: Predictive, rows: Observations, found: Judged) -> bool:
+    """Whether a check of these rows would refuse them as another arm's: they are far off, and no one cause explains it."""
+    misfit = float(np.sqrt(np.mean(found.sizes**2)))
+    if not core_watch_check.far_off(calibration, misfit):
+        return False
+    try:
+        core_watch_check.check(calibration, rows, known)
+    except CoreError as error:
+        return error.code == core_watch_check.ANOTHER_ARM
+    return False
 
 
 def shown(found: Judged) -> tuple[Floats, Floats]:

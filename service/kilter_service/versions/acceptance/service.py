@@ -19,7 +19,7 @@ from kilter_service.robots.instruments import store as instruments
 from kilter_service.robots.instruments.validity import remarks
 from kilter_service.versions import store as versions
 from kilter_service.versions.acceptance import words
-from kilter_service.versions.acceptance.rows import judged, shown, span
+from kilter_service.versions.acceptance.rows import judged, of_another_arm, shown, span
 from kilter_service.versions.guard import since_rezeroed
 from kilter_service.versions.today import sentences
 from kilter_service.versions.today import service as today
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from kilter_service.contract.instruments import Instrument
     from kilter_service.versions.acceptance.rows import Ints, Judged
     from kilter_service.versions.unfitted_rows import Unseen
+
+
+ANOTHER_ARM = "rows_of_another_arm"
 
 
 class Wish(NamedTuple):
@@ -63,11 +66,11 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
             raise ServiceError(
                 f"Version {version_id} is of robot {version.robot!r}, not of {robot!r}.", code="version_not_found"
             )
-        parts, left_out = _parts(session, stored.id, version_id, wish)
+        parts, left_out, foreign = _parts(session, stored.id, version_id, wish)
     if not parts:
-        raise _nothing(robot, version_id, wish)
+        raise _nothing(robot, version_id, wish, foreign)
     parts.sort(key=lambda one: -one.campaign.provable_mm)
-    decision, worst, lacking = _decision(parts)
+    decision, worst, lacking = _decision(parts, foreign)
     provable = max(one.campaign.provable_mm for one in parts)
     rows = sum(one.campaign.rows for one in parts)
     low, high = _span(parts)
@@ -113,8 +116,10 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
     return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
 
 
-def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> tuple[list[Part], list[Remark]]:
-    """The campaigns that are judged, and what is said of those that nobody named and that cannot be.
+def _parts(
+    session: Session, robot_id: int, version_id: str, wish: Wish
+) -> tuple[list[Part], list[Remark], list[Remark]]:
+    """The campaigns that are judged; what is said of those that nobody named and that cannot be; and of another arm's.
 
     Raises:
         ServiceError: no such campaign, or a version that does not say how well it is known.
@@ -134,7 +139,7 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> tupl
     unseen: Unseen = Archive(session, robot_id).unseen([version_id])
     if not wish.campaigns:
         unseen = since_rezeroed(session, robot_id, report)(unseen)
-    parts, left_out = [], []
+    parts, left_out, foreign = [], [], []
     for key, rows in unseen.rows.items():
         if wish.campaigns and key not in wish.campaigns:
             continue
@@ -146,9 +151,13 @@ def _parts(session: Session, robot_id: int, version_id: str, wish: Wish) -> tupl
                 raise TooFewPosesError(words.too_few(key), campaign=key) from error
             left_out.append(Remark(code="campaign_not_judged", message=words.too_few(key), campaigns=[key]))
             continue
-        if found is not None:
-            parts.append(_part(session, key, found, used, wish.refit or ()))
-    return parts, left_out
+        if found is None:
+            continue
+        if not wish.campaigns and of_another_arm(calibration, known, rows, found):
+            foreign.append(Remark(code=ANOTHER_ARM, message=words.another_arm(key), campaigns=[key]))
+            continue
+        parts.append(_part(session, key, found, used, wish.refit or ()))
+    return parts, left_out, foreign
 
 
 def _judged(
@@ -180,9 +189,12 @@ def _part(session: Session, key: str, found: Judged, used: Instrument | None, re
     return Part(campaign, remarks(used, record.measured_at, at), found)
 
 
-def _decision(parts: Sequence[Part]) -> tuple[Decision, JudgedCampaign, list[Remark]]:
-    """The decision of all campaigns, the one that it rests on, and what lacks for any."""
-    lacking = [said for one in parts for said in words.lacking_of(one.campaign, one.certificate)]
+def _decision(parts: Sequence[Part], foreign: Sequence[Remark]) -> tuple[Decision, JudgedCampaign, list[Remark]]:
+    """The decision of all campaigns, the one that it rests on, and what lacks for any.
+
+    Nothing is decided beside rows that may be another arm's: they may as well be this one's, and far off.
+    """
+    lacking = [*foreign, *(said for one in parts for said in words.lacking_of(one.campaign, one.certificate))]
     if lacking:
         return "not_proved", parts[0].campaign, lacking
     for decision in ("rejected", "not_proved", "accepted"):
@@ -197,7 +209,11 @@ def _span(parts: Sequence[Part]) -> tuple[list[float], list[float]]:
     return to_mm(low).tolist(), to_mm(high).tolist()
 
 
-def _nothing(robot: str, version_id: str, wish: Wish) -> ServiceError:
+def _nothing(robot: str, version_id: str, wish: Wish, foreign: Sequence[Remark] = ()) -> ServiceError:
+    if foreign:
+        return ServiceError(
+            f"No row is left to judge: {foreign[0].message}", code="nothing_held_out", version=version_id
+        )
     named = f" of {', '.join(wish.campaigns)}" if wish.campaigns else ""
     return ServiceError(
         f"No row{named} with a measured place is left that version {version_id} was not fitted to, and rows that were fitted "

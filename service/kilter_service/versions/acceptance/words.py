@@ -60,3 +60,12 @@ def too_few(campaign: str) -> str:
         f"Campaign {campaign} has too few distinct poses to be judged: before and after are compared with base and tool "
         "fitted to it, which takes three, better ten all over the room. Measure more, or name other campaigns (--campaign)."
     )
+
+
+def another_arm(campaign: str) -> str:
+    """Say that rows may be of another arm, and what helps."""
+    return (
+        f"campaign {campaign} misses the version by more than 2 % of the arm's reach, and no one cause explains it: its rows "
+        f"are of another arm or set-up, or the arm is far off. Where they are not of this arm, take it out of use (`kilter "
+        f"campaigns retire {campaign}`); else name it, and it is judged (`kilter accept --campaign {campaign}`)."
+    )

@@ -24,7 +24,10 @@ def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
 
     A check that alarmed by itself is in no sum: it says what it saw, and after a repair the sums go on where they were.
     """
-    numbers = [_numbers(one) for one in made]
+    summed_by = (
+        "summed" if all(map(_has_sums, made)) else "change"
+    )  # of mixed numbers the difference would look like a step
+    numbers = [_numbers(one, summed_by) for one in made]
     names = sorted(set.intersection(*map(set, numbers))) if numbers else []
     if not names:
         return []
@@ -70,7 +73,14 @@ def height(chart: ControlChart) -> float:
     return max(next((value for value in reversed(sums) if value is not None), 0.0) for sums in (chart.up, chart.down))
 
 
-def _numbers(one: StoredCheck) -> dict[str, tuple[float, str, str]]:
+def _has_sums(one: StoredCheck) -> bool:
+    """Whether a check was stored with the numbers that are to be summed; an earlier release had the changes alone."""
+    return all(
+        number.get("summed") is not None for cause in one.result.get("looked_at") or [] for number in cause["numbers"]
+    )
+
+
+def _numbers(one: StoredCheck, summed_by: str) -> dict[str, tuple[float, str, str]]:
     """Change, words and unit by name of every number that a check shows."""
     found: dict[str, tuple[float, str, str]] = {}
     for cause in one.result.get("looked_at") or []:
@@ -78,7 +88,7 @@ def _numbers(one: StoredCheck) -> dict[str, tuple[float, str, str]]:
             if number["name"] in SHIFTS and number["u95"] is not None:
                 named = "" if number["name"] == "value" else f"_{number['name']}"
                 along = f" along {number['name']}" if named else ""
-                found[cause["name"] + named] = (float(number["change"]), f"{cause['words']}{along}", number["unit"])
+                found[cause["name"] + named] = (float(number[summed_by]), f"{cause['words']}{along}", number["unit"])
     return found
 
 

@@ -74,10 +74,11 @@ def cause_document(one: Judged) -> dict[str, Any]:
     """Return a cause as the contract has it."""
     names = FRAME if one.cause.frame else ("value",)
     numbers = []
-    for place, (name, change, sigma) in enumerate(zip(names, one.change, one.u95, strict=True)):
+    for place, (name, change, sigma, summed) in enumerate(zip(names, one.change, one.u95, one.summed, strict=True)):
         unit, factor = unit_of(one.cause, place)
         u95 = float(sigma * factor) if np.isfinite(sigma) else None
-        numbers.append({"name": name, "unit": unit, "change": float(change * factor), "u95": u95})
+        number = {"name": name, "unit": unit, "change": float(change * factor), "u95": u95}
+        numbers.append({**number, "summed": float(summed * factor)})
     return {
         "name": one.cause.name, "kind": one.cause.kind, "joint": one.cause.joint, "words": cause_words(one.cause),
         "numbers": numbers, "gain": one.gain, "bic": one.bic, "refuted": one.refuted,

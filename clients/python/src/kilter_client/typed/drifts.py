@@ -19,6 +19,8 @@ class ChangedNumber(Record):
     """By how much it changed."""
     name: str
     """`value`, or of a frame `x`, `y`, `z`, `rx`, `ry`, `rz` in the frame itself."""
+    summed: float | None
+    """The change by weights that no temperature changes: what control charts sum. Null: stored without."""
     u95: float | None
     """Half width of its 95 % interval; None: the rows do not show this number."""
     unit: str
