@@ -78,11 +78,7 @@ def filtered(
     Comments, speeds, logic, white space, line ends and external axes stay as they are. A comment, in a table a column, says
     which version corrected the program; a program that says so is refused.
     """
-    files_reading.dialect_of_file(program)
-    if output is None and not diff:
-        raise UsageError("Name the file to write with -o, or ask for --diff.")
-    if output is not None and output.resolve() == program.resolve() and not overwrite:
-        raise UsageError(f"{output} is the program itself: name another file, or say --overwrite.")
+    _refuse_output(program, output, diff, overwrite)
     with Kilter() as kilter:
         done = kilter.filter(
             robot,
@@ -102,6 +98,15 @@ def filtered(
     document["written"] = [str(path) for path in done.paths(output)] if output is not None else []
     _note(done, as_json)
     emit(document, as_json, _show)
+
+
+def _refuse_output(program: Path, output: Path | None, diff: bool, overwrite: bool) -> None:
+    """Refuse to write nowhere or over the program; before that a program of an unknown dialect, which no output helps."""
+    files_reading.dialect_of_file(program)
+    if output is None and not diff:
+        raise UsageError("Name the file to write with -o, or ask for --diff.")
+    if output is not None and output.resolve() == program.resolve() and not overwrite:
+        raise UsageError(f"{output} is the program itself: name another file, or say --overwrite.")
 
 
 def _note(done: FilteredProgram, as_json: bool) -> None:

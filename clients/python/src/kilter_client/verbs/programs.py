@@ -70,9 +70,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
         ConflictError: the robot has no active version.
 
     """
-    programs = _programs(program, bases, tools)
-    if not again:
-        files_marks.refuse_corrected(programs)
+    programs = _programs(program, bases, tools, again)
     coupled = _coupled(programs[0], fanuc_j3)
     name = reference("robot", robot)
     document = yield from robots.one(name)
@@ -96,9 +94,11 @@ def filter(  # noqa: A001 - a verb, as the command is called
     return FilteredProgram.read(_report(programs, done, texts))
 
 
-def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None) -> list[Program]:
+def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None, again: bool) -> list[Program]:
     stated = files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"))
     programs = files_reading.read_programs(Path(fspath(path)), stated)
+    if not again:
+        files_marks.refuse_corrected(programs)
     _refuse_other_numbers(stated, programs[0].dialect)
     return programs
 
