@@ -27,6 +27,7 @@ __all__ = [
     "files_height",
     "files_homing",
     "files_link_meshes",
+    "files_marks",
     "files_moved",
     "files_newest",
     "files_poses",
