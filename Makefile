@@ -112,6 +112,13 @@ c-corrector: $(READY) ## translate the kernels of the correction into clients/c
 parity-c: $(KERNELS) ## send N random setpoints through the C corrector and the compiled kernels, and compare (N=10000000)
 	$(BIN)/python -m tests.core.correct.parity --count $(or $(N),10000000)
 
+FUZZED := -g -O1 -fsanitize=fuzzer,address,undefined,float-cast-overflow -fno-sanitize-recover=all
+fuzz-c: $(KERNELS) ## let libFuzzer damage programs and setpoints of the C corrector (MINUTES=30; needs clang with its runtime)
+	mkdir -p build/fuzz-c
+	$(BIN)/python -m tests.core.correct.fuzz_seeds build/fuzz-c/inputs
+	clang -std=c99 -Wall -Wextra $(FUZZED) -Iclients/c -o build/fuzz-c/fuzz tests/core/correct/fuzz.c clients/c/kilter_corrector.c -lm
+	build/fuzz-c/fuzz -max_total_time=$$((60 * $(or $(MINUTES),30))) -timeout=30 -max_len=20000 -artifact_prefix=build/fuzz-c/ build/fuzz-c/inputs
+
 page-picture: $(KERNELS) ## draw docs/images/page.png from the page of a server with demo data (VIEW=/stream; needs Chromium)
 	$(BIN)/python -m tools.draw_page_picture $(if $(VIEW),--view $(VIEW))
 

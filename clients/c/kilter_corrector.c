@@ -114,7 +114,8 @@ static tuple2 sine_cosine_octant(double x)
 static tuple2 sine_cosine(double x)
 {
     double k = floor(x * (2.0 / 3.14159265358979323846) + 0.5);
-    if (fabs(k) > 100000.0) {
+    /* a NaN has no quadrant */
+    if (!(fabs(k) <= 100000.0)) {
         return (tuple2){{sin(x), cos(x)}};
     }
     const tuple2 got1 = sine_cosine_octant(x - k * HALF_PI_HIGH - k * HALF_PI_LOW);

@@ -84,7 +84,7 @@ def test_the_real_arm_goes_where_the_nominal_was_taught(
     assert told["targets"] == 3
     assert told["left"] == told["not_ok"] == []
     assert 0.05 < told["largest_change_deg"] < 2
-    assert told["diff"].count("\n+") == 4  # the heading and three lines
+    assert told["diff"].count("\n+") == 5  # the heading, three lines and the mark
     back = joints(output.read_bytes())
     if "coupled" in options:
         back[:, 2] += back[:, 1]
@@ -190,6 +190,11 @@ def test_the_library_gives_what_the_command_writes(
     assert asyncio.run(awaited()) == done.text
 
 
+def told_version(robot: str) -> str:
+    with connect() as k:
+        return str(k.robots.get(robot)["active_version"])
+
+
 SRC = """DEF weld( )
 DECL INT N
 BAS(#INITMOV,0 )
@@ -227,13 +232,15 @@ def test_both_files_of_a_krl_program_are_rewritten_together(
         ("weld.DAT", 5, f"XP3, a pose: {NO_BASE}"), ("weld.src", 6, "LIN XP3: a pose that is left"),
     ]  # fmt: skip
     after = {name: (tmp_path / "out" / f"new{name[4:]}").read_text().split("\n") for name in texts}
+    marks = {name: lines.pop(-3) for name, lines in after.items()}
+    assert {*marks.values()} == {f";Kilter corrected {told_version(arm)}"}
     changed = {
         (name, k): after[name][k] for name, text in texts.items() for k, line in enumerate(text.split("\n"))
         if line != after[name][k]
     }  # fmt: skip
     assert [*changed] == [("weld.src", 4), ("weld.DAT", 1), ("weld.DAT", 2)]
     assert all(len(after[name]) == len(text.split("\n")) for name, text in texts.items())
-    assert told["diff"].count("\n+") == 5  # two headings and three lines
+    assert told["diff"].count("\n+") == 7  # two headings, three lines and two marks
     assert changed["weld.DAT", 2].endswith(",E1 0.0} ; {A1 7}")
     back = np.array([[float(v) for v in NUMBERS.findall(line.partition(";")[0])] for line in changed.values()])
     taught = TAUGHT[[2, 0, 1]]
@@ -261,6 +268,9 @@ def test_the_second_file_is_named_before_it_is_written(
     (tmp_path / "weld.dat").write_text(DAT.replace("A1 50.0", "A1 999.0"))
     detail = document(capsys, "filter", tmp_path / "weld.src", "--robot", arm, "--diff", code=1)["detail"]
     assert "weld.dat, line 3: XP2: " in detail
+    (tmp_path / "weld.dat").write_text(DAT.replace("ENDDAT", ";Kilter corrected ver_7\nENDDAT"))
+    detail = document(capsys, "filter", tmp_path / "weld.src", "--robot", arm, "--diff", code=1)["detail"]
+    assert "weld.dat, line 6: its targets are corrected already, by version ver_7. Filter the program as" in detail
     (tmp_path / "weld.dat").write_text(DAT)
     own = ["filter", str(tmp_path / "weld.src"), "--robot", arm, "-o", str(tmp_path / "weld.src"), "--overwrite"]
     assert run(own) == 0
@@ -284,3 +294,47 @@ def test_both_files_are_written_or_neither(arm: str, tmp_path: Path, capsys: pyt
     (out / "new.dat").rmdir()
     assert run(["filter", *options]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["new.dat", "new.src"]
+
+
+FORMS = {
+    "w.src": ("DEF w()\nPTP {A1 0.0,A2 30.0,A3 40.0}\nEND\n", [], 3),
+    "w.script": ("def w():\n  movej([0.0,0.5,0.7])\nend\n", [], 3),
+    "plain.script": ("movej([0.0,0.5,0.7])\n", [], 1),
+    "w.ls": (
+        "/PROG W\n/MN\n   1:J P[1] 100% FINE ;\n/POS\nP[1]{\n J1= 0.0 deg, J2= 30.0 deg, J3= 40.0 deg\n};\n/END\n",
+        ["--fanuc-j3", "same"], 4,
+    ),
+    "w.csv": ("note,q1_deg,q2_deg,q3_deg\na\x85b,0.0,30.0,40.0\n\n", [], 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*FORMS])
+def test_a_program_that_was_corrected_says_so_and_is_not_corrected_once_more_unless_asked(
+    arm: str, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, options, line = FORMS[name]
+    (tmp_path / "old").mkdir()
+    path, once, twice = tmp_path / "old" / name, tmp_path / name, tmp_path / f"twice-{name}"
+    path.write_bytes(text.encode("latin-1"))
+    document(capsys, "filter", path, "--robot", arm, "-o", once, *options)
+    refused = document(capsys, "filter", once, "--robot", arm, "-o", twice, *options, code=1)
+    version = told_version(arm)[:15]
+    assert f"{once}, line {line}: its targets are corrected already, by version {version}" in refused["detail"]
+    assert (refused["code"], twice.exists()) == ("file_invalid", False)
+    told = document(capsys, "filter", once, "--robot", arm, "-o", twice, "--again", *options)  # as the remedy says
+    assert told["targets"] == 1
+    assert once.read_text("latin-1").count(version) == twice.read_text("latin-1").count(version) == 1
+    assert once.read_bytes() != twice.read_bytes()
+    assert twice.read_bytes().count(b"\n") == once.read_bytes().count(b"\n")
+    assert once.read_bytes().count(b"\r") == (0 if b"\r" not in path.read_bytes() else once.read_bytes().count(b"\n"))
+    with connect() as k, pytest.raises(FileError, match="again=True") as caught:
+        k.filter(arm, once, fanuc_j3="same")
+    assert caught.value.context["line"] == line
+
+
+def test_an_unknown_dialect_is_named_before_an_output_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "w.job").write_text("/JOB\n")
+    assert run(["filter", str(tmp_path / "w.job"), "--robot", "any"]) == 1
+    assert "the ending '.job' is of no known dialect. Known are .mod, .ls" in capsys.readouterr().err

@@ -29,6 +29,10 @@ from .test_filter_poses import (
 DIALECTS = {
     "krl": ("kr6-r900", ".src"), "rapid": ("irb120", ".mod"), "urscript": ("ur10e", ".script"), "fanuc": ("irb120", ".ls"),
 }  # fmt: skip
+MARKS = {
+    "krl": r";Kilter corrected ver_\w{16}", "rapid": r"  ! Kilter corrected ver_\w{16}",
+    "urscript": r"# Kilter corrected ver_\w{16}", "fanuc": r" *\d+:  !Kilter corrected ver_\w{11} ;",
+}  # fmt: skip
 NEAR_DEG = 0.01
 NUMBER = r"-?\d+\.\d+(?:[eE]-?\d+)?"
 
@@ -130,7 +134,13 @@ def through(kilter: Kilter, folder: Path, dialect: str, count: int, capsys: pyte
         path.write_bytes(end.join(line.text for line in lines).encode())
         capsys.readouterr()
         told = document(capsys, "filter", path, "--robot", name, "-o", output, *OPTIONS.get(dialect, []))
-        worst = max(worst, check(dialect, lines, output.read_bytes().decode().split(end), told, arm, most_deg))
+        new = output.read_bytes().decode().split(end)
+        marks = [line for line in new if "Kilter corrected" in line]
+        assert [re.fullmatch(MARKS[dialect], line) is not None for line in marks] == [True]
+        new.remove(marks[0])
+        again = document(capsys, "filter", output, "--robot", name, "--diff", *OPTIONS.get(dialect, []), code=1)
+        assert "its targets are corrected already" in again["detail"]
+        worst = max(worst, check(dialect, lines, new, told, arm, most_deg))
     assert 0.0 < worst < WITHIN_MM
 
 

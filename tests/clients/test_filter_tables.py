@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,7 @@ def through(kilter: Kilter, folder: Path, count: int, capsys: pytest.CaptureFixt
     name = f"poses-{PRESET}"
     if name not in {one["name"] for one in kilter.robots.list()}:
         calibrated(kilter, PRESET, folder / "measured.csv")
+    active = str(kilter.robots.get(name)["active_version"])
     ideal, real, rng = Arm(PRESET), Arm(PRESET, ERRORS), np.random.default_rng(8)
     all_q, worst = taught(PRESET, 60, seed=7), 0.0
     for _ in range(count):
@@ -71,6 +73,9 @@ def through(kilter: Kilter, folder: Path, count: int, capsys: pytest.CaptureFixt
         capsys.readouterr()
         told = document(capsys, "filter", path, "--robot", name, "-o", output)
         before, after = path.read_bytes().decode(), output.read_bytes().decode()
+        marked = [line.rpartition(",")[2] for line in after.splitlines() if line.strip()]
+        assert marked == ["kilter_corrected", *[active] * (len(marked) - 1)]
+        after = re.sub(r",(?:kilter_corrected|ver_\w+)(?=[\r\n]|$)", "", after)
         assert [line[len(line.rstrip("\r\n")) :] for line in before.splitlines(keepends=True)] == [
             line[len(line.rstrip("\r\n")) :] for line in after.splitlines(keepends=True)
         ]

@@ -70,8 +70,7 @@ class RsiPeer(UdpPeer):
         assert root.tag == "Sen"
         assert ipoc is not None
         assert axes is not None
-        if int(ipoc.text or "") != self.ipoc:
-            self.late += 1
+        if int(ipoc.text or "") != self.ipoc:  # its own cycle ended without it, and counted it
             return False
         self.offset = np.array([float(axes.attrib[a]) for a in AXES])
         return True

@@ -304,6 +304,27 @@ def test_of_requests_that_wait_only_the_newest_is_answered_and_none_after_a_long
         assert loop.counts["late"] >= 19
 
 
+def test_a_request_is_late_where_its_answer_is_sent_more_than_a_cycle_after_it_came(
+    correction: Correction, controllers: Make
+) -> None:
+    go_on = threading.Event()
+    with looping(correction, HeldUp(go_on)) as (loop, address, _):
+        controller = controllers(address)
+        controller.socket.settimeout(10.0)
+        controller.socket.send(message(4))
+        time.sleep(0.05)
+        controller.socket.send(message(8))  # it waits while the first is held up, and is then answered at once
+        time.sleep(10 * CYCLE_S)
+        go_on.set()
+        for ipoc in (b"4", b"8"):
+            assert b"<IPOC>" + ipoc + b"</IPOC>" in controller.socket.recv(2048)
+        end = time.monotonic() + 10.0
+        while loop.counts["answered"] < 2:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert loop.counts["late"] == 2
+
+
 def test_a_companion_that_is_killed_or_hangs_does_not_stop_the_answers(
     correction: Correction, controllers: Make
 ) -> None:

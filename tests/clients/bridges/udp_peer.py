@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import threading
 import time
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+SO_TIMESTAMPNS = 35  # Linux: with each packet comes when it arrived
 
 
 @dataclass
@@ -24,6 +26,7 @@ class UdpPeer:
 
     def __post_init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self._socket.connect(("127.0.0.1", self.port))
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -64,14 +67,16 @@ class UdpPeer:
         raise NotImplementedError
 
     def _exchange(self, message: bytes) -> bool:
-        """Ask; whether the answer came within the cycle."""
-        end = time.monotonic() + self.cycle_s
+        """Ask; whether the answer came within the cycle: when it arrived counts, for this thread may be held up itself."""
+        end, sent_s = time.monotonic() + self.cycle_s, time.time()
         try:
             self._socket.send(message)
             while True:
                 self._socket.settimeout(max(1e-4, end - time.monotonic()))
-                if self._take(self._socket.recv(2048)):
-                    return True
+                answer, ancillary, _, _ = self._socket.recvmsg(2048, 64)
+                seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
+                if self._take(answer):
+                    return bool(seconds + 1e-9 * nanoseconds - sent_s <= self.cycle_s)
         except (TimeoutError, ConnectionError):
             return False
 

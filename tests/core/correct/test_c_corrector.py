@@ -293,6 +293,25 @@ def altered_programs(count: int, seed: int) -> list[bytes]:
     return out
 
 
+NOT_A_NUMBER = """
+#include "kilter_corrector.c"
+int main(void)
+{
+    const double s = sine_cosine(NAN).at[0], t = sine_cosine(-NAN).at[1];
+    return s != s && t != t ? 0 : 1;
+}
+"""
+
+
+def test_the_angle_of_a_hostile_program_that_is_not_a_number_becomes_no_integer(tmp_path: Path) -> None:
+    (tmp_path / "drive.c").write_text(NOT_A_NUMBER)
+    options = ["-std=c99", "-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    command = [str(COMPILER), *options, f"-I{FOLDER}", "-o", str(tmp_path / "drive"), str(tmp_path / "drive.c"), "-lm"]
+    subprocess.run(command, check=True)
+    done = subprocess.run([str(tmp_path / "drive")], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()[-3000:]
+
+
 def test_no_altered_program_leads_out_of_its_memory(tmp_path: Path) -> None:
     source = tmp_path / "drive.c"
     source.write_text(SANITIZED)

@@ -27,6 +27,7 @@ __all__ = [
     "files_height",
     "files_homing",
     "files_link_meshes",
+    "files_marks",
     "files_moved",
     "files_newest",
     "files_poses",
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from kilter_files.formats.joints.lerobot import moved as files_moved
     from kilter_files.formats.logs import ballbar
     from kilter_files.formats.programs import found as files_found
+    from kilter_files.formats.programs import marks as files_marks
     from kilter_files.formats.programs import one_target, rigid
     from kilter_files.formats.programs import reading as files_reading
     from kilter_files.formats.programs.poses import postures as files_postures
@@ -104,6 +106,7 @@ else:
     files_moved = Later("kilter_files.formats.joints.lerobot.moved")
     ballbar = Later("kilter_files.formats.logs.ballbar")
     files_found = Later("kilter_files.formats.programs.found")
+    files_marks = Later("kilter_files.formats.programs.marks")
     one_target = Later("kilter_files.formats.programs.one_target")
     files_postures = Later("kilter_files.formats.programs.poses.postures")
     rigid = Later("kilter_files.formats.programs.rigid")

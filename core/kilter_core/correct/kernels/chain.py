@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compiled
 from kilter_core.arm.kernels.se3 import exponential, product, rotated_z, shifted_z, sine_cosine_near, tilted
 from kilter_core.correct.kernels.layout import (
     BASE_FRAME,
@@ -40,7 +40,7 @@ def _constant(P, k, c):
     )  # fmt: skip
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def wanted_tool(P, W, m, oj, lines):
     """Tool frame of the nominal chain at the wanted joints; writes nothing but, when told to, the joint lines."""
     T = _constant(P, 0, NOMINAL)
@@ -57,7 +57,7 @@ def wanted_tool(P, W, m, oj, lines):
     return product(T, _constant(P, m, NOMINAL))
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def load_frames(P, W, at, m, oj):
     """Frames of the load chain, in rows from ``at`` on (0: the nominal one), at the command into W; returns the tool."""
     T = _constant(P, at, NOMINAL)
@@ -75,7 +75,7 @@ def load_frames(P, W, at, m, oj):
     return product(T, _constant(P, at + m, NOMINAL))
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _moved(P, W, k, j, T):
     """Frame T behind move k at the command of joint row j with its local correction."""
     if P[k, KIND] == 0.0:
@@ -85,7 +85,7 @@ def _moved(P, W, k, j, T):
     return shifted_z(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def hanging_frames(P, W, at, m, oj):
     """Frames of the load chain at the command with the local corrections in W, and those behind the twists, into W."""
     T = _constant(P, at, NOMINAL)
@@ -100,7 +100,7 @@ def hanging_frames(P, W, at, m, oj):
         _put_frame(W, k, BEHIND_TWIST, T)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _put_frame(W, k, c, T):
     """Write the frame T to W[k, c:c + 12]."""
     W[k, c], W[k, c + 1], W[k, c + 2], W[k, c + 3] = T[0], T[1], T[2], T[3]
@@ -108,7 +108,7 @@ def _put_frame(W, k, c, T):
     W[k, c + 8], W[k, c + 9], W[k, c + 10], W[k, c + 11] = T[8], T[9], T[10], T[11]
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _twisted(P, W, j, T):
     """Frame T behind the twist of joint row j."""
     if P[j, TWISTED] != 0.0:
@@ -120,7 +120,7 @@ def _twisted(P, W, j, T):
     return tilted(T, W[j, TWIST + 3], W[j, TWIST + 4])
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _base_frame(P, W, m):
     """Start of the identified chain: a base mount that deflects tilts it by the load on the base."""
     S = P.shape[0] - 1
@@ -131,7 +131,7 @@ def _base_frame(P, W, m):
     return product(tilted(_constant(P, S - 1, BASE_FRAME), x, y), _constant(P, S - 1, FIRST_MOVE))
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def identified_tool(P, W, m, oj):
     """Tool frame of the identified chain at the command, with the local corrections in W; joint lines into W."""
     T = _base_frame(P, W, m)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compiled
 from kilter_core.arm.kernels.se3 import cross, sine_cosine, sine_cosine_octant
 from kilter_core.correct.kernels.layout import (
     AMPLITUDE_A,
@@ -72,7 +72,7 @@ NO_MOMENT = 1e-9
 SOFT, COUNTS = 3.8, 3e-7
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _soft_sign(x, width):
     """sign(x), or tanh(x / width): beyond 19.1 widths the two are the same number."""
     size = abs(x)
@@ -81,7 +81,7 @@ def _soft_sign(x, width):
     return math.copysign(1.0 - 2.0 / (math.exp(2.0 * size / width) + 1.0), x)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _bounded(a):
     """a / sqrt(1 + a²); the series is exact up to a degree."""
     z = a * a
@@ -90,7 +90,7 @@ def _bounded(a):
     return a / math.sqrt(1.0 + z)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _clearance_tilt(P, j, x, y, soft):
     """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
     t = P[j, TILT]
@@ -179,7 +179,7 @@ def kept_signs(W, n, oj):
         W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = W[j, KEPT], W[j, KEPT + 1], W[j, KEPT + 2]
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _curve(P, W, row, oj):
     """What a curve says at the command."""
     shape = P[row, SHAPE]
@@ -205,7 +205,7 @@ def _curve(P, W, row, oj):
     return -P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _joint_curves(P, W, n, m, oj):
     """Add what the curves of the joints say at the command, to it or to the twist behind it."""
     first = m + 1 + n
@@ -216,7 +216,7 @@ def _joint_curves(P, W, n, m, oj):
         W[j, at] += _curve(P, W, row, oj)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _reach(P, W, row, j):
     """Power of the length that stands out at joint row j; 1 where a bending row has none."""
     length = max(0.0, P[row, WAY] * (W[j, COMMAND] - P[row, ROOTED]))
@@ -226,7 +226,7 @@ def _reach(P, W, row, j):
     return out
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _bending_rows(P, W, n, m, oj):
     """Add the twists of the bending rows: linear in the loads on a joint and on the end of its link."""
     S = P.shape[0] - 1
@@ -249,7 +249,7 @@ def _bending_rows(P, W, n, m, oj):
             W[j, at] += reach * total
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def deflections(P, W, n, m, oj, sided):
     """What every joint adds to its command, and the twist behind it, at the loads and signs now in W.
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compiled
 from kilter_core.arm.kernels.se3 import cross, rotation_between, sine_cosine
 from kilter_core.correct.kernels.chain import hanging_frames, identified_tool, load_frames, wanted_tool
 from kilter_core.correct.kernels.effects import deflections, kept_signs, own_signs, sign_effects
@@ -68,7 +68,7 @@ NEWTON_ROUNDS = 6
 WAYPOINTS, WAY_STEP = 16, 1e-6
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _jacobian(P, W, S, T, n, m, oj, rows):
     """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame)."""
     for i in range(n):
@@ -93,7 +93,7 @@ def _jacobian(P, W, S, T, n, m, oj, rows):
             W[j, COLUMN + r] += ratio * v
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _residual(P, W, S, og, rows, wanted, actual):
     """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
     d0, d1, d2 = wanted[9] - actual[9], wanted[10] - actual[10], wanted[11] - actual[11]
@@ -107,7 +107,7 @@ def _residual(P, W, S, og, rows, wanted, actual):
     return d0, d1, d2
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _command(W, n, oj, og, share):
     """Commands from the multipliers, or a share of the way there; returns the largest change of a joint."""
     largest = 0.0
@@ -118,7 +118,7 @@ def _command(W, n, oj, og, share):
     return largest
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _loads_where_it_hangs(P, W, S, n, m, oj, dynamic):
     """Load moments at the frames now in W, then where these loads leave the arm with backlash and clearance in their middle."""
     load_moments(P, W, S, m, oj, dynamic, 0)
@@ -128,7 +128,7 @@ def _loads_where_it_hangs(P, W, S, n, m, oj, dynamic):
         load_moments(P, W, S, m, oj, dynamic, BEHIND_TWIST)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _settle_on_sides(P, W, S, n, m, oj, dynamic):
     """What every joint adds with the sides now in W, and the loads where that leaves the arm."""
     deflections(P, W, n, m, oj, True)
@@ -138,7 +138,7 @@ def _settle_on_sides(P, W, S, n, m, oj, dynamic):
         deflections(P, W, n, m, oj, True)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def prepare(P, W, n, m, oj):
     """Start the search at the wanted joints plus the guess."""
     for i in range(n):
@@ -204,7 +204,7 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
     return flags | made | signs | _report(P, W, S, info, n, oj, og, rows)
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _left_after_step(P, W, S, info, n, oj, rows, d, rotation):
     """What is left after the last step of the search, which was small: its Jacobian tells the step's share."""
     square = 0.0
@@ -250,7 +250,7 @@ def _left_on_way(P, W, S, info, n, m, dynamic, wanted, share):
     return info[LEFT], info[LEFT + 1], info[LEFT + 2]
 
 
-@compiled(**FAST)
+@compiled(**EXACT)
 def _square(share, none, half, whole):
     """Squared distance of the point on the parabola through its places with none, half and the whole of a correction."""
     total = 0.0

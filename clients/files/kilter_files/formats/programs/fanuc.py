@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Program, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
 from kilter_files.formats.programs.poses.fanuc import OFFSET, pose_of
 
@@ -65,4 +65,6 @@ DIALECT = Dialect(
     "Show the positions as joints on the pendant (REPRE)",
     (r"^\s*/PROG\b", r"^\s*/END\b", "/END"),
     complete=True,
+    # A remark holds 32 characters.
+    mark=Mark("{number:>4}:  !{said} ;", re.compile(r"\s*/POS\b", re.I), most=15),
 )

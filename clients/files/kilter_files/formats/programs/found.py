@@ -114,13 +114,25 @@ class Program:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """How a program says that it is corrected: a comment with ``{said}`` in it, and the line that it stands before.
+
+    ``most`` are the characters of a version's id that the comment has room for.
+    """
+
+    form: str
+    before: re.Pattern[str]
+    most: int = 64
+
+
+@dataclass(frozen=True)
 class Dialect:
     """A language of robots: the endings of its files, what shows it in a text, and what finds the targets of a program.
 
     ``remedy`` is how joints of poses become known. ``closed`` are patterns of a first and a last line, and what the last one
     is called: a program with the one and without the other is cut. Only a ``complete`` list of joints is taken, without
     poses; targets of an ``ordered`` dialect stand where the program moves to them. A ``pair`` has two files of one name: the
-    ending of the one that moves, and of the one that declares its targets.
+    ending of the one that moves, and of the one that declares its targets. A table has no ``mark`` in a comment.
     """
 
     name: str
@@ -132,6 +144,7 @@ class Dialect:
     complete: bool = False
     ordered: bool = False
     pair: tuple[str, str] | None = None
+    mark: Mark | None = None
 
     def refuse_cut(self, program: Program) -> None:
         """Refuse a program that ends in the middle.
@@ -167,6 +180,11 @@ def written(old: str, value: float, least: int) -> str:
 def blanked(text: str, comment: str) -> str:
     """Blank strings and comments: places stay."""
     return re.sub(rf'"[^"\n]*"|{comment}[^\r\n]*', lambda match: " " * len(match[0]), text)
+
+
+def lines_of(text: str) -> list[str]:
+    """Return the lines of a text with their ends; unlike ``splitlines`` it takes no letter of Latin-1 for an end."""
+    return re.findall(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", text)
 
 
 def line_at(text: str, at: int) -> int:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.krl import NAME, POSE, note_changes, pose_of
@@ -150,4 +150,5 @@ DIALECT = Dialect(
     "Store E6AXIS: $AXIS_ACT holds the joints where the arm stands",
     (r"^\s*DEFDAT\b", r"^\s*ENDDAT\b", "ENDDAT"),
     pair=(".src", ".dat"),
+    mark=Mark(";{said}", re.compile(r"[ \t]*END(?:FCT|DAT)?\b(?![ \t]*=)", re.I)),
 )

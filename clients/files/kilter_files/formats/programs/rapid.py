@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use
 from kilter_files.formats.programs.poses.rapid import (
     CHANGED,
@@ -153,4 +153,5 @@ DIALECT = Dialect(
     find,
     "Store jointtargets: CJointT() reads the joints where the arm stands",
     (r"^\s*MODULE\b", r"^\s*ENDMODULE\b", "ENDMODULE"),
+    mark=Mark("  ! {said}", re.compile(r"\s*ENDMODULE\b", re.I)),
 )

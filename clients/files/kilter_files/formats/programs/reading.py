@@ -28,7 +28,7 @@ def read_program(path: Path, stated: Stated = NOTHING_STATED) -> Program:
         FileError: an unknown dialect, no targets, damaged ones, or ones of different arms.
 
     """
-    return _checked([_found(path, _dialect(path), stated)])[0]
+    return _checked([_found(path, dialect_of_file(path), stated)])[0]
 
 
 def read_programs(path: Path, stated: Stated = NOTHING_STATED) -> list[Program]:
@@ -38,7 +38,7 @@ def read_programs(path: Path, stated: Stated = NOTHING_STATED) -> list[Program]:
         FileError: as ``read_program``, of either file, or they are not of one program.
 
     """
-    dialect = _dialect(path)
+    dialect = dialect_of_file(path)
     other = None if dialect.pair is None else _beside(path, dialect.pair)
     if dialect.pair is None or other is None:
         return [read_program(path, stated)]
@@ -64,7 +64,13 @@ def visited(programs: Sequence[Program]) -> list[tuple[Program, JointTarget | Po
     return sorted(owners, key=lambda one: first.get(id(one[1]), len(first)))
 
 
-def _dialect(path: Path) -> Dialect:
+def dialect_of_file(path: Path) -> Dialect:
+    """Return the dialect that the ending of a file says.
+
+    Raises:
+        FileError: none of those that are known.
+
+    """
     by_ending = {ending: dialect for dialect in DIALECTS.values() for ending in dialect.endings}
     dialect = by_ending.get(path.suffix.lower())
     if dialect is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Program
+from kilter_files.formats.programs.found import NUMBER, Dialect, Program, lines_of
 
 CELL = re.compile(
     r'[ \t]*"(?:[^"]|"")*"[^,\r\n]*(?:,|$|(?=[\r\n]))|[^,\r\n]*(?:,|$|(?=[\r\n]))'
@@ -19,7 +19,7 @@ def find(program: Program) -> None:
         FileError: columns of joints are missing or in two units, or a cell is not a number.
 
     """
-    lines = program.text.splitlines(keepends=True)
+    lines = lines_of(program.text)
     names = [cell[0].strip(' \t,"') for cell in CELL.finditer(lines[0])]
     joints = {int(match[1]): (k, match[2]) for k, name in enumerate(names) if (match := JOINT.fullmatch(name))}
     if sorted(joints) != [*range(1, len(joints) + 1)] or len({unit for _, unit in joints.values()}) != 1:

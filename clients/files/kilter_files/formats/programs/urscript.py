@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import replace
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, Span
 from kilter_files.formats.programs.poses.urscript import Poses
 
@@ -129,4 +129,5 @@ DIALECT = Dialect(
     find,
     "Give movej joints: get_actual_joint_positions() reads them",
     ordered=True,
+    mark=Mark("# {said}", re.compile(r"[ \t]*end\b")),
 )

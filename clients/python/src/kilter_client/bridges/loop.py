@@ -7,6 +7,8 @@ import gc
 import math
 import select
 import socket
+import struct
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -21,6 +23,8 @@ LARGEST_PACKET = 4096
 MOST_AHEAD = 2  # cycles by which stamps may be ahead of the time that has passed
 MOST_WAITING = 64  # requests that are looked at to find the newest
 SHOWN_TIMES = 20_000
+SO_TIMESTAMPNS = 35  # of Linux: each packet comes with the time at which it arrived
+_TIMESPEC = struct.Struct("qq")
 
 
 @contextlib.contextmanager
@@ -103,6 +107,7 @@ class Loop:
         self._heard_s = self._quiet_s = time.monotonic()  # when the controller asked last; when nobody did
         self._patience_s = min(TELL_S, gone_after_s / 4.0)
         self._stamp, self._last = -1, b""
+        self._passed_over = 0  # requests that waited while a newer one came, since the last answer
         self._leaving = False
         self.counts: Counter[str] = Counter()
         self._missed: int | None = None
@@ -116,6 +121,8 @@ class Loop:
     def run(self) -> None:
         """Answer until :meth:`leave`."""
         self._port.setblocking(False)
+        if sys.platform == "linux":  # elsewhere a request counts from when it is read
+            self._port.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         with without_collections():
             while not (self._leaving and (self._correction.out or self._silent())):
                 self._cycle()
@@ -125,30 +132,39 @@ class Loop:
             self._quiet_s = time.monotonic()
         else:
             with contextlib.suppress(BlockingIOError, ConnectionError):  # the latter: the controller's port was closed
-                data, sender = self._port.recvfrom(LARGEST_PACKET)
-                began_s = time.monotonic()
-                self._take(*self._newest(data, sender), began_s)
+                data, sender, waited_s = self._received()
+                self._take(*self._newest(data, sender, waited_s))
         while (packet := self._line.receive()) is not None:
             self._correction.hear(*packet)
         if self._leaving:
             self._correction.off = "the bridge is being ended"
         self._line.tell(self.document)
 
-    def _newest(self, data: bytes, sender: Address) -> tuple[bytes, Address]:
-        """The last of the requests that wait: those before it are late."""
+    def _received(self) -> tuple[bytes, Address, float]:
+        """A packet, who sent it, and how long it has waited for this process, s."""
+        data, ancillary, _, sender = self._port.recvmsg(LARGEST_PACKET, 64)
+        if not ancillary or len(ancillary[0][2]) != _TIMESPEC.size:
+            return data, sender, 0.0
+        seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
+        return data, sender, min(max(0.0, time.time() - seconds - 1e-9 * nanoseconds), self._gone_after_s)
+
+    def _newest(self, data: bytes, sender: Address, waited_s: float) -> tuple[bytes, Address, float]:
+        """The last of the requests that wait, and since when: those before it are late."""
         for _ in range(MOST_WAITING):
             try:
-                later, whose = self._port.recvfrom(LARGEST_PACKET)
+                later, whose, its_s = self._received()
             except (BlockingIOError, ConnectionError):
                 break
             if whose == sender:
                 self.counts["late"] += 1
-                data = later
+                self._passed_over += 1
+                data, waited_s = later, its_s
             else:
                 self.counts["other_controller"] += 1
-        return data, sender
+        return data, sender, waited_s
 
-    def _take(self, data: bytes, sender: Address, began_s: float) -> None:
+    def _take(self, data: bytes, sender: Address, waited_s: float) -> None:
+        began_s = time.monotonic()
         request = self._wire.read(data)
         if request is None:
             self.counts["malformed"] += 1
@@ -157,7 +173,8 @@ class Loop:
             return
         fresh = self._stamp < 0 or not request.moving
         cycles = 1 if fresh else self._passed(request.stamp, began_s)
-        self.counts["lost"] += cycles - 1
+        self.counts["lost"] += max(0, cycles - 1 - self._passed_over)  # no request of these cycles came
+        self._passed_over = 0
         self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
         wanted = self._wire.wanted(request, cycles, fresh)
         if not request.moving:
@@ -168,7 +185,7 @@ class Loop:
             self._port.sendto(answer, sender)
         took_s = time.monotonic() - began_s
         self.counts["answered"] += 1
-        self.counts["late"] += took_s > self._cycle_s
+        self.counts["late"] += waited_s + took_s > self._cycle_s
         self._times_s.append(took_s)
         self._longest_s = max(self._longest_s, took_s)
 

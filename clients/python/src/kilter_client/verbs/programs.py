@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.errors import FileError, UsageError
-from kilter_client.files import files_found, files_reading, one_target
-from kilter_client.requests.calls import robots
+from kilter_client.files import files_found, files_marks, files_reading, one_target
+from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
 from kilter_client.verbs.inputs import signs_of
@@ -43,13 +43,14 @@ def filter(  # noqa: A001 - a verb, as the command is called
     bases: Frames | None = None,
     tools: Frames | None = None,
     strict: bool = False,
+    again: bool = False,
 ) -> Steps[FilteredProgram]:
     """Correct the targets of a robot program: KRL, RAPID, URScript, FANUC LS or CSV; nothing is written.
 
     A KRL program is read with its other file (.src or .dat) where that stands beside it, and both are corrected.
     A pose is rewritten where frame, tool and configuration are known, so that the controller's own nominal kinematics
     gives the corrected joints there; ``left`` names all others with their lines. Comments, speeds, logic, white space,
-    line ends and external axes stay as they are.
+    line ends and external axes stay as they are. A comment, in a table a column, says which version corrected it.
 
     Args:
         robot: name of the robot.
@@ -60,17 +61,20 @@ def filter(  # noqa: A001 - a verb, as the command is called
         bases: frames that the program uses and does not hold, in its own numbers: ``{"2": (500, 0, 300, 0, 0, 0)}``, or one.
         tools: tools, in the same way.
         strict: refuse the program unless every target is rewritten and its status is OK.
+        again: correct a program that says that it was corrected: its targets were taught anew since.
 
     Raises:
-        FileError: it is not such a program, a target cannot be corrected, or ``strict``, and a line is left.
+        FileError: it is not such a program, or was corrected already, a target cannot be corrected, or ``strict``, and a
+            line is left.
         UsageError: signs, FANUC's J3, frames or tools are not stated as they should be.
         ConflictError: the robot has no active version.
 
     """
-    programs = _programs(program, bases, tools)
+    programs = _programs(program, bases, tools, again)
     coupled = _coupled(programs[0], fanuc_j3)
     name = reference("robot", robot)
     document = yield from robots.one(name)
+    version_id = yield from _version_id(document, version)
     first = next(((one, target) for one in programs for target in one.targets), None)
     count = len(first[1].joints_deg) if first is not None else len(document["joints"])
     joints = ProgramJoints(signs_of(signs, count, "program"), coupled)
@@ -81,20 +85,30 @@ def filter(  # noqa: A001 - a verb, as the command is called
         one.leave_poses(understood.left)
     if strict:
         _refuse(_left(programs), programs, "is not rewritten", strict=True)
-    done = yield from _done(programs, understood, joints, document, version)
+    done = yield from _done(programs, understood, joints, document, version_id)
     wanted = {"OK"} if strict else ANSWERED
     wrong = [(d.program, d.target.line, f"{d.target.name}: {d.said}") for d in done if d.status not in wanted]
     _refuse(wrong, programs, "is not corrected", strict=strict)
     done = yield from _kept(programs, done, understood, joints, name, strict=strict)
-    texts = yield from _texts(programs, done, joints, name)
+    texts = yield from _texts(programs, done, joints, name, version_id)
     return FilteredProgram.read(_report(programs, done, texts))
 
 
-def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None) -> list[Program]:
+def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None, again: bool) -> list[Program]:
     stated = files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"))
     programs = files_reading.read_programs(Path(fspath(path)), stated)
+    if not again:
+        files_marks.refuse_corrected(programs)
     _refuse_other_numbers(stated, programs[0].dialect)
     return programs
+
+
+def _version_id(robot: Document, version: ResourceReference | None) -> Steps[str | None]:
+    """Id of the version to correct with: the mark says it. None where the robot has no active one."""
+    if not version:
+        return str(robot["active_version"]) if robot["active_version"] else None
+    found = yield from versions.one(reference("version", version), str(robot["name"]))
+    return str(found["id"])
 
 
 def _coupled(found: Program, fanuc_j3: str | None) -> bool:
@@ -171,11 +185,7 @@ class AllDone(list[Done]):
 
 
 def _done(
-    programs: Sequence[Program],
-    understood: Understood,
-    joints: ProgramJoints,
-    robot: Document,
-    version: ResourceReference | None,
+    programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: Document, version: str | None
 ) -> Steps[AllDone]:
     """Correct all targets in one call."""
     places = [
@@ -235,13 +245,15 @@ def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:
     return not _is_pose(target) or target in understood.joints_deg
 
 
-def _texts(programs: Sequence[Program], done: AllDone, joints: ProgramJoints, robot: str) -> Steps[dict[str, str]]:
-    """Write the targets into their programs: the texts by name of file."""
+def _texts(
+    programs: Sequence[Program], done: AllDone, joints: ProgramJoints, robot: str, version: str | None
+) -> Steps[dict[str, str]]:
+    """Write the targets into their programs, with the mark of the version: the texts by name of file."""
     poses = [(one.program, one.target, one.joints_deg) for one in done if _is_pose(one.target)]
     placed = [(program, target) for program, target, _ in poses]
     edits = yield from rewritten(robot, placed, [q for _, _, q in poses], joints)
     row = {id(one.target): joints.of_program(one.joints_deg) for one in done}
-    return {
+    texts = {
         one.path.name: one.rewritten(
             [row[id(target)] for target in one.targets],
             {
@@ -253,6 +265,7 @@ def _texts(programs: Sequence[Program], done: AllDone, joints: ProgramJoints, ro
         )
         for one in programs
     }
+    return {one.path.name: files_marks.marked(one, texts[one.path.name], str(version)) for one in programs}
 
 
 def _left(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:

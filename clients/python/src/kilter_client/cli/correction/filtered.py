@@ -12,6 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
+from kilter_client.files import files_reading
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
@@ -62,6 +63,9 @@ def filtered(
     strict: Annotated[
         bool, typer.Option("--strict", help="Write nothing unless every target is rewritten and its status is OK.")
     ] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Correct a program that was corrected: its targets were taught anew since.")
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="The output may be the program itself.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -71,12 +75,10 @@ def filtered(
     written beside --output.
     Poses are rewritten where frame, tool and configuration are known; the others are named with their lines and left, or
     refused with --strict.
-    Comments, speeds, logic, white space, line ends and external axes stay as they are.
+    Comments, speeds, logic, white space, line ends and external axes stay as they are. A comment, in a table a column, says
+    which version corrected the program; a program that says so is refused.
     """
-    if output is None and not diff:
-        raise UsageError("Name the file to write with -o, or ask for --diff.")
-    if output is not None and output.resolve() == program.resolve() and not overwrite:
-        raise UsageError(f"{output} is the program itself: name another file, or say --overwrite.")
+    _refuse_output(program, output, diff, overwrite)
     with Kilter() as kilter:
         done = kilter.filter(
             robot,
@@ -87,6 +89,7 @@ def filtered(
             bases=_named(base),
             tools=_named(tool),
             strict=strict,
+            again=again,
         )
     if output is not None:
         done.save(output)
@@ -95,6 +98,15 @@ def filtered(
     document["written"] = [str(path) for path in done.paths(output)] if output is not None else []
     _note(done, as_json)
     emit(document, as_json, _show)
+
+
+def _refuse_output(program: Path, output: Path | None, diff: bool, overwrite: bool) -> None:
+    """Refuse to write nowhere or over the program; before that a program of an unknown dialect, which no output helps."""
+    files_reading.dialect_of_file(program)
+    if output is None and not diff:
+        raise UsageError("Name the file to write with -o, or ask for --diff.")
+    if output is not None and output.resolve() == program.resolve() and not overwrite:
+        raise UsageError(f"{output} is the program itself: name another file, or say --overwrite.")
 
 
 def _note(done: FilteredProgram, as_json: bool) -> None:
