@@ -57,6 +57,7 @@ from kilter_core.identify.view_report import (
     with_control,
     with_held,
     with_own_scatter,
+    wrong_views,
 )
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
@@ -197,8 +198,9 @@ def identify(
     progress(0.02, "splitting by pose")
     held, compared, by_row, kinds = NOTHING_HELD
     if isinstance(validation, Folds):
-        given = (nominal, begin, train, validation.folds, options, progress, prior, each)
-        held, compared, by_row, kinds = cross_validated(*given)
+        held, compared, by_row, kinds = cross_validated(
+            nominal, begin, train, validation.folds, options, progress, prior, each
+        )
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     begin, measurement = _seen(begin, train, options)
     found, wanted = _registered(begin, measurement.of_tool(), options, prior)
@@ -216,7 +218,11 @@ def identify(
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
-    said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *_compared(compared, of_type, fit))
+    odd = (
+        *(() if result.beyond is None else (result.beyond.warning(inside),)),
+        *wrong_views(fit, begin, options, inside),
+    )
+    said = (*result.warnings, *odd, *remarks, *_compared(compared, of_type, fit))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
@@ -263,11 +269,6 @@ def _views(
     views = with_held(views, result.calibration, validation, measurement)
     registered = held["registration_only"].to_document()["rms_mm"] if held else None
     return {"views": views, "warnings": (*warnings, *too_large_to_deploy(views, registered))}
-
-
-def _left_more(beyond: BeyondNoise | None, inside: Ints | None) -> list[dict[str, Any]]:
-    """The warning that more than the stated noise is left, with the numbers of the rows given."""
-    return [] if beyond is None else [beyond.warning(inside)]
 
 
 def _in_one_frame(
