@@ -57,7 +57,7 @@ from kilter_core.identify.view_report import (
     with_control,
     with_held,
     with_own_scatter,
-    wrong_views,
+    wrong,
 )
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
@@ -192,15 +192,14 @@ def identify(
     train, validation = as_inputs(options.make_effects(), start, train, validation)
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
-    remarks = _belonging(begin, train, validation)
+    odd = _belonging(begin, train, validation)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     begin, of_type = of_its_type(begin, train, options, fleet)
     progress(0.02, "splitting by pose")
     held, compared, by_row, kinds = NOTHING_HELD
     if isinstance(validation, Folds):
-        held, compared, by_row, kinds = cross_validated(
-            nominal, begin, train, validation.folds, options, progress, prior, each
-        )
+        given = (nominal, begin, train, validation.folds, options, progress, prior, each)
+        held, compared, by_row, kinds = cross_validated(*given)
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     begin, measurement = _seen(begin, train, options)
     found, wanted = _registered(begin, measurement.of_tool(), options, prior)
@@ -218,11 +217,7 @@ def identify(
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
-    odd = (
-        *(() if result.beyond is None else (result.beyond.warning(inside),)),
-        *wrong_views(fit, begin, options, inside),
-    )
-    said = (*result.warnings, *odd, *remarks, *_compared(compared, of_type, fit))
+    said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_than(compared, of_type, fit))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
@@ -244,7 +239,7 @@ def _registered(
     return found, wanted_frames(begin, found, of_tool, options, continues(options, prior))
 
 
-def _compared(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
+def _than(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
     """Warnings of what a fit was compared with: simpler models, and other arms of the type."""
     yield from () if compared is None else compared.warnings()
     yield from () if of_type is None else prior_warnings(of_type, fit)

@@ -19,6 +19,7 @@ from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model import Calibration
@@ -112,3 +113,11 @@ def wrong_views(
         if moved is None or moved.clear:
             yield camera_moved(found, moved, numbers)
     yield from contradicted_scale(fit)
+
+
+def wrong(
+    fit: Fit, begin: Calibration, options: IdentifyOptions, inside: Ints | None, beyond: BeyondNoise | None
+) -> tuple[dict[str, Any], ...]:
+    """Warnings of rows that leave more than their noise, and of views that are wrong."""
+    more = () if beyond is None else (beyond.warning(inside),)
+    return (*more, *wrong_views(fit, begin, options, inside))
