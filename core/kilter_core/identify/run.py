@@ -217,7 +217,7 @@ def identify(
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
-    said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_than(compared, of_type, fit))
+    said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_worse(compared, of_type, fit))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
@@ -239,7 +239,7 @@ def _registered(
     return found, wanted_frames(begin, found, of_tool, options, continues(options, prior))
 
 
-def _than(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
+def _worse(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
     """Warnings of what a fit was compared with: simpler models, and other arms of the type."""
     yield from () if compared is None else compared.warnings()
     yield from () if of_type is None else prior_warnings(of_type, fit)
