@@ -117,14 +117,14 @@ def find_gap(
     begin, budget = beginning(robot, start, observations, options), Budget(options.budget_s)
     named = [EFFECTS[name] for name in wanted(options.effects)]
     given = as_inputs(named, begin, observations, validation, confirmation)
-    (observations, validation, confirmation), by_views = seen_poses(begin, *given)
+    (observations, validation, confirmation), by_views, odd = seen_poses(begin, *given)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         refuse_mixed_up(begin, confirmation)
     observations = numbered(observations)
-    remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations))
+    remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations), *odd)
     every, share = observations, validation
     observations, validation = parted(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15), budget)

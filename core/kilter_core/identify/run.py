@@ -56,6 +56,7 @@ from kilter_core.identify.view_report import (
     with_control,
     with_held,
     with_own_scatter,
+    wrong,
 )
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
@@ -191,7 +192,7 @@ def identify(
     train, validation = as_inputs(options.make_effects(), start, train, validation)
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
-    remarks = _belonging(begin, train, validation)
+    odd = _belonging(begin, train, validation)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     begin, of_type = of_its_type(begin, train, options, fleet)
     progress(0.02, "splitting by pose")
@@ -216,7 +217,7 @@ def identify(
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
-    said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *_compared(compared, of_type, fit))
+    said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_worse(compared, of_type, fit))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
@@ -238,7 +239,7 @@ def _registered(
     return found, wanted_frames(begin, found, of_tool, options, continues(options, prior))
 
 
-def _compared(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
+def _worse(compared: PoseErrors | None, of_type: FleetPrior | None, fit: Fit) -> Iterator[dict[str, Any]]:
     """Warnings of what a fit was compared with: simpler models, and other arms of the type."""
     yield from () if compared is None else compared.warnings()
     yield from () if of_type is None else prior_warnings(of_type, fit)
@@ -263,11 +264,6 @@ def _views(
     views = with_held(views, result.calibration, validation, measurement)
     registered = held["registration_only"].to_document()["rms_mm"] if held else None
     return {"views": views, "warnings": (*warnings, *too_large_to_deploy(views, registered))}
-
-
-def _left_more(beyond: BeyondNoise | None, inside: Ints | None) -> list[dict[str, Any]]:
-    """The warning that more than the stated noise is left, with the numbers of the rows given."""
-    return [] if beyond is None else [beyond.warning(inside)]
 
 
 def _in_one_frame(

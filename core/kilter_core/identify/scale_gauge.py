@@ -7,17 +7,23 @@ other the least.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.plausibility.views import scale_sentence
 from kilter_core.identify.views.cameras import Cameras, rig_of, unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse
-from kilter_core.types import Floats
+from kilter_core.types import QUANTILE, Floats
 
 MACHINED_M = 5e-4  # standard deviation of a length as its maker holds it
+CHANCE = 1e-3  # of saying of a board that is as large as stated that it is not
+ROUNDS = 50
 
 
 def free_scale(fit: Fit) -> bool:
@@ -25,15 +31,67 @@ def free_scale(fit: Fit) -> bool:
 
     A prismatic joint tells the scale too.
     """
+    rig = unknown_rig(fit.problem.model)
+    return rig is not None and all(board.scale_sigma > 0.0 for board in rig.rig.boards) and _lengths_follow(fit)
+
+
+def _lengths_follow(fit: Fit) -> bool:
+    """Whether the arm's lengths follow the boards' scale alone: pixels, no measured length, all lengths free."""
     problem = fit.problem
-    rig = unknown_rig(problem.model)
-    if rig is None or problem.measurement.tells_scale:
+    if problem.measurement.tells_scale:
         return False
     robot, names = problem.model.robot, set(fit.names)
     lengths = [e for e in robot.chain.elements if not e.axis.rotates]
     fixed = any(e.value != 0.0 and e.name not in names for e in lengths if e.joint is None)
-    prismatic = any(joint.kind == "prismatic" for joint in robot.joints)
-    return not fixed and not prismatic and all(board.scale_sigma > 0.0 for board in rig.rig.boards)
+    return not fixed and not any(joint.kind == "prismatic" for joint in robot.joints)
+
+
+def contradicted_scale(fit: Fit) -> Iterator[dict[str, Any]]:
+    """The warning ``board_scale_differs``: boards as large as stated, and lengths as described, cannot both be."""
+    rig = rig_of(fit.calibration())
+    if rig is None or not rig.boards or not _lengths_follow(fit):
+        return
+    scale = 1.0 + float(np.mean([place.values[0] for place in rig.boards]))
+    shorter, sigma = _shrunk(fit, scale)
+    stated = min(board.scale_sigma for board in rig.rig.boards)
+    sigma = float(np.hypot(sigma, stated))
+    if 2.0 * float(norm.sf(abs(shorter) / sigma)) > CHANCE:
+        return
+    names = " and ".join(board.name for board in rig.rig.boards)
+    size, half = 1e2 * (1.0 / (1.0 + shorter) - 1.0), 1e2 * QUANTILE * sigma
+    yield {
+        "code": "board_scale_differs", "boards": [board.name for board in rig.rig.boards], "larger_percent": size,
+        "u95_percent": half,
+        "message": scale_sentence(names, size, half) + " This version has a robot of another size: do not correct with it.",
+    }  # fmt: skip
+
+
+def _shrunk(fit: Fit, scale: float) -> tuple[float, float]:
+    """By what share all lengths of the arm are longer than described, with the boards as large as stated, and its deviation.
+
+    Lengths differ from described ones by that and by what a maker leaves, or by as much as these views show.
+    """
+    model = fit.problem.model
+    names = [str(e.name) for e in model.robot.chain.elements if e.name in fit.names and not e.axis.rotates]
+    own = [fit.names.index(name) for name in names]
+    nominal = np.array([model.parameter(name).value for name in names])
+    away = fit.values[[model.names.index(name) for name in names]] / scale - nominal
+    of_scale = [k for k, name in enumerate(fit.names) if name.startswith("board_") and name.endswith("_scale")]
+    T = np.zeros((len(own), len(fit.names)))
+    T[np.arange(len(own)), own] = 1.0 / scale
+    T[:, of_scale] = -(nominal + away)[:, None] / scale / max(len(of_scale), 1)
+    known = np.linalg.inv(T @ fit.covariance @ T.T)
+    told = known - np.linalg.inv((T * fit.problem.prior_sigma**2) @ T.T)
+    w, V = np.linalg.eigh(0.5 * (told + told.T))
+    told = (V * np.maximum(w, 0.0)) @ V.T
+    pull, variance = known @ away, MACHINED_M**2
+    for _ in range(ROUNDS):
+        K = np.linalg.inv(told + np.eye(len(own)) / variance)
+        precision = float(nominal @ (K @ told) @ nominal) / variance
+        by = float(nominal @ K @ pull) / variance / max(precision, 1e-300)
+        left = K @ (pull + by * nominal / variance) - by * nominal
+        variance = max(MACHINED_M**2, float(np.mean(left**2 + np.diag(K))))
+    return by, precision**-0.5 if precision > 0.0 else np.inf
 
 
 def with_likeliest_scale(fit: Fit) -> Fit:

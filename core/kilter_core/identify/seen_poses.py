@@ -14,6 +14,7 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.run import identify
+from kilter_core.identify.view_report import WRONG_VIEWS
 from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
@@ -35,25 +36,34 @@ def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple
     return seen_poses(begin, rows, *others)[0]
 
 
-def seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[tuple[Any, ...], PlannedViews | None]:
+def seen_poses(
+    begin: Calibration, rows: Observations, *others: Any
+) -> tuple[tuple[Any, ...], PlannedViews | None, tuple[dict[str, Any], ...]]:
     """The rows, and others that are rows, with a pose of the tool for every view; as they are where none has pixels only.
 
     Beside a tracker of :data:`FEWEST_OF_TRACKER` poses, or of as many as the views, the tracker's rows tell, and pixels are
     left out. Fewer of them, and rows that a contact held, tell of the geometry, the cameras and the scale of the boards, and
-    are left out after it. Nests of a pose are taken together. Where views tell, also how well others would.
+    are left out after it. Nests of a pose are taken together. Where views tell, also how well others would, and
+    warnings of views that are wrong.
 
     Raises:
         ObservationError: views that tell no pose.
 
     """
     if rows.pixels is None:
-        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others)), None
+        return tuple(one.whole_poses() if isinstance(one, Observations) else one for one in (rows, *others)), None, ()
     if _tracker_tells(rows):
-        return tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others)), None
+        return (
+            tuple(replace(one, **BARE) if isinstance(one, Observations) else one for one in (rows, *others)),
+            None,
+            (),
+        )
     assert rows.rig is not None
     known = begin
+    said: tuple[dict[str, Any], ...] = ()
     if begin.rig is None or not begin.rig.has(rows.rig):
-        known = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin).calibration
+        result = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin)
+        known, said = result.calibration, tuple(one for one in result.warnings if one["code"] in WRONG_VIEWS)
     seen, covariance, found = _seen(known, rows)
     scale = scale_of(covariance)
     made: list[Any] = [replace(seen, pose_weight=weights(covariance, scale))]
@@ -62,7 +72,7 @@ def seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[tu
             more, covariance, _ = _seen(known, one)
             one = replace(more, pose_weight=weights(covariance, scale))
         made.append(one)
-    return tuple(made), PlannedViews.of(known, *found, scale)
+    return tuple(made), PlannedViews.of(known, *found, scale), said
 
 
 def _tracker_tells(rows: Observations) -> bool:

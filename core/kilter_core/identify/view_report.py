@@ -5,16 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.moved_apart import Apart
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.plausibility.astray_views import astray, astray_views
+from kilter_core.identify.plausibility.moved_parts import Found, camera_moved
+from kilter_core.identify.plausibility.view_residuals import ViewResiduals
 from kilter_core.identify.plausibility.views import shuffled_control
+from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.view_scatter import ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.types import Ints
 
 
 def with_own_scatter(fit: Fit) -> tuple[Fit, ViewScatter | None]:
@@ -38,6 +48,7 @@ def views_said(calibration: Calibration, fit: Fit, found: ViewScatter | None) ->
     return said if found is None else {**said, "pixels": pixels_document(found)}
 
 
+WRONG_VIEWS = ("views_astray", "camera_moved", "board_scale_differs")  # codes of warnings of :func:`wrong_views`
 TOO_LARGE_MM = 1.0  # an arm that is off by more picks and places, and assembles nothing
 LITTLE = 0.5  # share of the registered nominal robot's error, beyond which a version is hardly worth it
 LACKING = 1.5  # variance between views over that of their corners, beyond which the model lacks something
@@ -80,3 +91,33 @@ def with_held(said: dict[str, Any], identified: Calibration, validation: Any, tr
         return said
     found = held.tool_errors(identified).scatter()
     return {**said, "pixels": {**said["pixels"], "validation": tool_document(found)}}
+
+
+def wrong_views(
+    fit: Fit, begin: Calibration, options: IdentifyOptions, inside: Ints | None
+) -> Iterator[dict[str, Any]]:
+    """Warnings of a fit to views alone: rows that are not of their joints, what moved half-way, a board of another size.
+
+    ``inside (N,)`` are the numbers of the fitted rows among the ones given; all when None.
+    """
+    seen, train = ViewResiduals.of(fit), fit.problem.measurement.observations
+    if seen is None:
+        return
+    numbers = np.arange(len(train)) if inside is None else inside
+    far = astray(seen)
+    yield from astray_views(seen, far, numbers)
+    found = Found.of(fit, seen.only(np.flatnonzero(~far)))
+    if found is not None:
+        apart = Apart.of(begin, train, options, found.best, found.later(len(train)))
+        moved = None if apart is None else apart.moved()
+        if moved is None or moved.clear:
+            yield camera_moved(found, moved, numbers)
+    yield from contradicted_scale(fit)
+
+
+def wrong(
+    fit: Fit, begin: Calibration, options: IdentifyOptions, inside: Ints | None, beyond: BeyondNoise | None
+) -> tuple[dict[str, Any], ...]:
+    """Warnings of rows that leave more than their noise, and of views that are wrong."""
+    more = () if beyond is None else (beyond.warning(inside),)
+    return (*more, *wrong_views(fit, begin, options, inside))

@@ -83,6 +83,20 @@ def _solved(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats, used: Bools) -> 
     return HandEye(_pose(A, t[:3]), _pose(B, t[3:]), np.linalg.norm(off, axis=1), np.linalg.norm(turned, axis=1))
 
 
+def grown(T_p: Floats, T_R: Floats, M_p: Floats, found: HandEye) -> tuple[float, float, float]:
+    """By what factor all lengths that the camera measured grow in T A = B M, its standard deviation, and what is left then (m,
+    median), of the views that are not far off.
+    """
+    used, n = ~_far(found.left_m), len(T_p)
+    seen = M_p @ found.world_side[:3, :3].T
+    left = np.concatenate([T_R, np.broadcast_to(-np.eye(3), (n, 3, 3)), -seen[:, :, None]], axis=2)
+    A, right = left[used].reshape(-1, 7), -T_p[used].reshape(-1)
+    x = np.linalg.lstsq(A, right, rcond=None)[0]
+    variance = float(np.sum((A @ x - right) ** 2)) / max(len(right) - 7, 1)
+    off = np.linalg.norm(left @ x + T_p, axis=1)
+    return float(x[6]), float(np.sqrt(variance * np.linalg.pinv(A.T @ A)[6, 6])), float(np.median(off))
+
+
 def solve_axxb(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats) -> Floats:
     """What :func:`solve_axzb` calls A, from AX = XB of all pairs of views (Park and Martin 1994): B takes no part.
 

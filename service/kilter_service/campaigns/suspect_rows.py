@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.errors import CoreError
 from kilter_core.observations import Observations as Seen
 from kilter_service.campaigns.repeats import MAD, Repeats
-from kilter_service.ground.core import core_model, transforms
+from kilter_service.ground.core import core_model, core_views, transforms
 from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
@@ -66,6 +67,9 @@ def doubtful(robot: Robot, seen: Observations, points: Floats | None, repeats: R
         for row, distance, sigma in _misplaced(robot, seen, points):
             why = f"{to_mm(distance):.3g} mm from where the nominal arm would be, far more than other rows"
             take(row, why, distance, sigma)
+    for row, distance in _of_other_pictures(robot, seen):
+        why = "its picture shows the board far from where its joints would have it"
+        take(row, why, distance if np.isfinite(distance) else None)
     named = sorted(found.items())[:MOST]
     return Doubtful(tuple(_together(doubts) for _, doubts in named), len(found))
 
@@ -103,6 +107,16 @@ def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[i
     usual = max(MAD * float(np.median(np.abs(left - middle))), LEAST_M / FAR)
     far = np.flatnonzero(left - middle > FAR * usual)
     return [(int(there[row]), float(left[row]), float((left[row] - middle) / usual)) for row in far[:MOST]]
+
+
+def _of_other_pictures(robot: Robot, seen: Observations) -> list[tuple[int, float]]:
+    """Rows whose joints are not those of their picture, and how far off the board is there, m."""
+    if seen.pixels is None:
+        return []
+    try:
+        return core_views.far_views(core_model.Calibration.nominal(robot), seen)[:MOST]
+    except CoreError:
+        return []  # what is wrong with all of them a job says
 
 
 def _left(robot: Robot, q: Floats, points: Floats) -> Floats:

@@ -47,6 +47,7 @@ __all__ = [
     "core_uncertainty",
     "core_versions",
     "core_view_poses",
+    "core_views",
     "core_wanted",
     "core_watch",
     "core_watch_check",
@@ -116,6 +117,7 @@ if TYPE_CHECKING:
     from kilter_core.identify.fleet import versions as core_versions
     from kilter_core.identify.plausibility import another_arm as core_another_arm
     from kilter_core.identify.plausibility import believable, belonging, sheet_order, units
+    from kilter_core.identify.plausibility import views as core_views
     from kilter_core.identify.rows import measurement_of_rows
     from kilter_core.identify.uncertainty import predictive, workspace
     from kilter_core.measurement import contacts, metrics
@@ -164,6 +166,7 @@ else:
     core_another_arm = Later("kilter_core.identify.plausibility.another_arm")
     believable = Later("kilter_core.identify.plausibility.believable")
     belonging = Later("kilter_core.identify.plausibility.belonging")
+    core_views = Later("kilter_core.identify.plausibility.views")
     sheet_order = Later("kilter_core.identify.plausibility.sheet_order")
     units = Later("kilter_core.identify.plausibility.units")
     core_report = Later("kilter_core.identify.report")

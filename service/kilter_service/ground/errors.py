@@ -23,6 +23,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "mounts_alike": (400, "Camera and board move together"),
     "no_view": (400, "A camera saw no board"),
     "hand_eye_undetermined": (400, "The views do not tell camera and board apart"),
+    "views_astray": (400, "Pictures of other poses than their rows"),
+    "board_scale_differs": (400, "A board of another size than stated"),
     "markers_collinear": (400, "The markers lie on one line"),
     "markers_swapped": (400, "Markers have changed places"),
     "markers_mirrored": (400, "Markers are numbered or mirrored the other way round"),

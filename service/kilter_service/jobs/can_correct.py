@@ -10,6 +10,7 @@ from kilter_service.ground.core import core_model
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.versions import ability, preview
 
+CAUSES = {"board_scale_differs", "camera_moved"}  # that wider limits or zeros entered in the controller do not mend
 MOST_POSES = 500  # looked at, evenly chosen
 
 
@@ -17,6 +18,8 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that it refuses too many poses, with what helps; activation looks again."""
     version = output.version
     if version is None or not job.campaigns:
+        return output
+    if any(one.get("code") in CAUSES for one in version.report.get("warnings") or ()):
         return output
     q = np.concatenate([rows.q for rows in job.campaigns.values()])
     q = q[evenly(len(q), MOST_POSES)]

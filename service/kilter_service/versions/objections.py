@@ -12,11 +12,14 @@ from kilter_service.ground.core import core_another_arm
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
-# Warnings that speak against a version: of held-out poses, of the arm itself, of a confirmation, of its correction.
+# Warnings that speak against a version: of held-out poses, of the arm itself, of its camera, of a confirmation, of its
+# correction.
 CODES = (
     "heldout_worse_than_registration",
     "worse_than_geometry",
     "another_arm",
+    "board_scale_differs",
+    "camera_moved",
     "confirmation_worse",
     "cannot_correct",
 )

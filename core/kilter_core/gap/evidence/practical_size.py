@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, f
 
+from kilter_core.gap.evidence.fits.final_fit import amounts_of
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import moved_by, noise_rms
+from kilter_core.gap.search.linear.in_space import derivatives_of, moved_by, noise_rms
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
+from kilter_core.types import QUANTILE
 
 SURE = 0.05  # chance that the misfit is larger than its upper bound
 LONG_MM = 0.1  # from which a size is written in mm
@@ -98,3 +100,19 @@ def moves_mm(found: SearchResult) -> dict[int, float]:
     own = {k: found.selector.scorer.candidates[k].columns for k in found.chosen}
     moved = {k: moved_by(found.problem, columns)[used] for k, columns in own.items()}
     return {k: mm(source.rms(m)) for k, m in moved.items()}
+
+
+def moves_u95_mm(found: SearchResult, k: int) -> float:
+    """Half of the 95 % interval of the rms displacement by a chosen candidate, by what is known of its amounts together."""
+    problem, own = found.problem, list(found.selector.scorer.candidates[k].columns)
+    source = problem.settings.source
+    if not source.observes_tool:
+        return float("inf")
+    each = derivatives_of(problem, own)[problem.settings.used]
+    amount, places = source.library(problem.values)[own], [found.columns.index(column) for column in own]
+    covariance = amounts_of(found).covariance[np.ix_(places, places)]
+    # What a length follows: that of the sum of its squares, for lengths add up as the root of one quadratic form.
+    size = source.rms(each @ amount)
+    slope = [(source.rms(each @ (amount + step)) ** 2 - source.rms(each @ (amount - step)) ** 2) / (4.0 * step.max() * size)
+             for step in np.diag(np.sqrt(np.diag(covariance)))]  # fmt: skip
+    return QUANTILE * mm(float(np.sqrt(slope @ covariance @ np.array(slope))))

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import moved_by
+from kilter_core.gap.search.linear.in_space import moved_by, weighed_by
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
@@ -71,7 +71,7 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
     order = np.argsort(rows.q[:, j], kind="stable")
     order = order[problem.settings.used[order]]
     order = order[:: -(-len(order) // MOST_POINTS) or 1]
-    curve = moved_by(problem, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
+    curve = weighed_by(problem, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
 
     def drawn(values: Floats) -> list[float]:
         return [round(float(v), 6) for v in (np.sum(values * along, axis=1) * _unit(search))[order]]

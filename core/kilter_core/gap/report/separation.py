@@ -74,7 +74,7 @@ def plan_separation(
     if observations is None:
         options = replace(options, noise_mm=options.noise_mm or IMAGINED_NOISE_MM)
     rows = imagined(begin, options) if observations is None else observations
-    (rows,), by_views = seen_poses(begin, rows)
+    (rows,), by_views, _ = seen_poses(begin, rows)
     prepared = prepare_data(bare, rows, options, unheard)
     chosen = [_found(prepared.library, named) for named in wanted]
     for candidate in chosen:

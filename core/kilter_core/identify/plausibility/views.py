@@ -1,7 +1,8 @@
 """Whether views belong to their joint readings: against shuffled rows and reversed joints, by hand-eye alone.
 
 A hand-eye calibration of the nominal arm leaves millimetres. Rows whose joints belong to other pictures leave what any
-shuffled rows do, and a joint that is read with the other sign leaves far more than it does reversed.
+shuffled rows do, and a joint that is read with the other sign leaves far more than it does reversed. A board that is not as
+large as it is stated leaves more the farther the arm moves.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.board_poses import board_poses
-from kilter_core.measurement.hand_eye import solve_axzb
+from kilter_core.measurement.hand_eye import HandEye, grown, solve_axzb
+from kilter_core.measurement.pixels import Pixels
+from kilter_core.measurement.views import Views, sight
 from kilter_core.model import Calibration
+from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.transforms import inverses
-from kilter_core.types import Floats
+from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
 MOST_VIEWS = 60
 FEWEST_VIEWS = 8
@@ -29,6 +33,14 @@ UNRELATED = 0.5  # of what shuffled rows leave, beyond which the rows say no mor
 BETTER = 0.4  # of what the rows leave as given, below which a reversed joint is the truth
 AS_GOOD = 1.25  # times that: then nothing tells the senses apart
 ARM_M = 0.3  # what a radian left is worth
+FAR = 10.0  # times what a view usually leaves, beyond which it is not of its joints,
+AS_SHUFFLED = 0.1  # if that is this share of what shuffled rows leave too; where one is,
+BESIDE = 0.03  # this share is enough for others: joints of another picture may be near one's own
+MOST_FAR = 0.25  # share of the views above which it is not known which are wrong
+SCALE = 0.01  # by which a board is larger or smaller, from which it is said before anything is fitted,
+EXPLAINED = 0.5  # if what is left without it is this share at most of what is left
+CLEAR = 5.0  # standard deviations
+LISTED = 20
 
 
 @dataclass(frozen=True)
@@ -39,6 +51,9 @@ class _Sample:
     rows: Observations
     position: Floats
     rotation: Floats
+    views: Pixels
+    camera: int
+    board: int
 
     def shuffled(self) -> float:
         """What hand-eye leaves (m) where the joints belong to other rows: the median of some shuffles."""
@@ -47,19 +62,24 @@ class _Sample:
 
     def left(self, q: Floats) -> float:
         """What hand-eye leaves (m, median) with these joint readings; inf where it tells nothing."""
+        solved = self.solved(q)
+        return np.inf if solved is None else float(np.median(solved.left_m) + ARM_M * np.median(solved.left_rad))
+
+    def solved(self, q: Floats) -> HandEye | None:
+        """Hand-eye with these joint readings; None where it tells nothing."""
         found = self.begin.predict(replace(self.rows, q=q))
         try:
-            solved = solve_axzb(found.position, found.rotation, self.position, self.rotation)
+            return solve_axzb(found.position, found.rotation, self.position, self.rotation)
         except ObservationError:
-            return np.inf
-        return float(np.median(solved.left_m) + ARM_M * np.median(solved.left_rad))
+            return None
 
 
 def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
-    """Refuse views whose joints are of other pictures or read the other way round; warn of senses that fit as well.
+    """Refuse views whose joints are of other pictures or read the other way round, and a board of another size; warn of senses
+    that fit as well.
 
     Raises:
-        ObservationError: ``foreign_observations``.
+        ObservationError: ``foreign_observations``, ``views_astray`` or ``board_scale_differs``.
 
     """
     sample = _sample(begin, rows)
@@ -85,7 +105,81 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
             code="foreign_observations",
             shuffled_mm=mm(shuffled),
         )
+    _refuse_far(far_views(begin, rows), given)
+    _refuse_scale(sample)
     return tuple(_alike(sample, reversed_, given))
+
+
+def far_views(begin: Calibration, rows: Observations) -> list[tuple[int, float]]:
+    """Rows, from 0, whose pictures show the tool far from where their joints have the nominal arm, and how far, m.
+
+    None where more than :data:`MOST_FAR` of the views are: then it is not known which are right.
+    """
+    sample = _sample(begin, rows)
+    solved = None if sample is None else sample.solved(sample.rows.q)
+    if sample is None or solved is None:
+        return []
+    views, c, b = sample.views, sample.camera, sample.board
+    mine = _of_pair(rows, views, c, b)
+    fixed = views.rig.cameras[c].mount == "fixed"
+    room, tool = solved.world_side, solved.tool_side
+    rig = PlacedRig.at_poses(views.rig, {c: room if fixed else tool}, {b: tool if fixed else room})
+    found, codes = begin.predict(rows.select(mine)), np.ones(len(mine), dtype=np.int64)
+    seen = sight(rig, Views(c * codes, b * codes, found.position, found.rotation), views.pixels.shape[1])
+    told = ~np.isnan(views.pixels[mine])
+    off = np.where(told, np.nan_to_num(views.pixels[mine] - seen, nan=np.inf), 0.0)
+    size = views.metres_per_px * np.sqrt(np.sum(off**2, axis=(1, 2)) / told.sum(axis=(1, 2)))
+    beyond, shuffled = size > FAR * float(np.median(size)), sample.shuffled()
+    far = beyond & (size > BESIDE * shuffled)
+    if not np.any(beyond & (size > AS_SHUFFLED * shuffled)) or far.mean() > MOST_FAR:
+        return []
+    own = mine[far]
+    p, _, usable = _poses(views, c, b, own)
+    there = begin.predict(rows.select(own))
+    left = there.position + there.rotation @ tool[:3, 3] - p @ room[:3, :3].T - room[:3, 3]
+    return list(zip(own.tolist(), np.where(usable, np.linalg.norm(left, axis=1), np.nan).tolist(), strict=True))
+
+
+def _refuse_far(far: list[tuple[int, float]], given: float) -> None:
+    if not far:
+        return
+    rows = [row + 1 for row, _ in far]
+    listed = ", ".join(f"{row + 1} ({mm(off):.3g} mm)" for row, off in far[:LISTED])
+    more = "" if len(far) <= LISTED else f" and {len(far) - LISTED} more"
+    raise ObservationError(
+        f"Rows {listed}{more}: the board is that far from where their joints would have it, in the others {mm(given):.2g} mm "
+        "(median). Their joints are of other pictures. Join these rows with the joints of their own poses, or leave them out.",
+        code="views_astray", rows=rows, off_mm=[mm(off) for _, off in far],
+    )  # fmt: skip
+
+
+def _refuse_scale(sample: _Sample) -> None:
+    """Refuse a board of which another size explains most of what hand-eye leaves."""
+    found = sample.begin.predict(sample.rows)
+    solved = sample.solved(sample.rows.q)
+    if solved is None:
+        return
+    by, sigma, left = grown(found.position, found.rotation, sample.position, solved)
+    before = float(np.median(solved.left_m))
+    if abs(by - 1.0) < max(SCALE, CLEAR * sigma) or left > EXPLAINED * before:
+        return
+    name, size = sample.views.rig.boards[sample.board].name, 1e2 * (by - 1.0)
+    raise ObservationError(
+        scale_sentence(name, size, 1e2 * QUANTILE * sigma)
+        + f" With that camera and arm agree to {mm(left):.2g} mm, as stated to {mm(before):.2g} mm.",
+        code="board_scale_differs", board=name, larger_percent=size, u95_percent=1e2 * QUANTILE * sigma,
+    )  # fmt: skip
+
+
+def scale_sentence(board: str, percent: float, half: float) -> str:
+    """Say that a board is not as large as it is stated, or the arm not as it is described."""
+    which = "larger" if percent > 0.0 else "smaller"
+    return (
+        f"The sheet of board {board} is {abs(percent):.2g} % {which} than stated (95 %: within {half:.1g} %), if the robot's "
+        "lengths are as described. Measure its ruler with callipers: 100 mm on it would be "
+        f"{100.0 + percent:.4g} mm. If they are, give the corners as they are (`corners_mm` times "
+        f"{1.0 + 1e-2 * percent:.4g}), or print it at 100 %; if the ruler is right, the robot is described in another size."
+    )
 
 
 def shuffled_control(begin: Calibration, rows: Observations) -> dict[str, float | None]:
@@ -121,14 +215,22 @@ def _sample(begin: Calibration, rows: Observations) -> _Sample | None:
         return None
     kinds, count = np.unique(seen, axis=0, return_counts=True)
     c, b = (int(k) for k in kinds[int(np.argmax(count))])
-    which = np.flatnonzero((rows.camera == c) & (rows.board == b) & views.measured())
+    which = _of_pair(rows, views, c, b)
     which = which[:: max(1, -(-len(which) // MOST_VIEWS))]
-    camera, board = views.rig.cameras[c], views.rig.boards[b]
-    pixels = views.pixels[which][:, : len(board.corners)]
-    p, R, _, usable = board_poses(camera, np.array(camera.values), board, pixels)
+    p, R, usable = _poses(views, c, b, which)
     if usable.sum() < FEWEST_VIEWS:
         return None
-    p, R = p[usable], R[usable]
+    return _Sample(begin, rows.select(which[usable]), p[usable], R[usable], views, c, b)
+
+
+def _of_pair(rows: Observations, views: Pixels, c: int, b: int) -> Ints:
+    return np.flatnonzero((rows.camera == c) & (rows.board == b) & views.measured())
+
+
+def _poses(views: Pixels, c: int, b: int, which: Ints) -> tuple[Floats, Floats, Bools]:
+    """What moves with the tool, in the axes of what stands in the room, of views ``which``; and which of them tell it."""
+    camera, board = views.rig.cameras[c], views.rig.boards[b]
+    p, R, _, usable = board_poses(camera, np.array(camera.values), board, views.pixels[which][:, : len(board.corners)])
     if camera.mount == "flange":
         p, R = inverses(p, R)
-    return _Sample(begin, rows.select(which[usable]), p, R)
+    return p, R, usable

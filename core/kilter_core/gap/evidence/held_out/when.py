@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.effects import Effect
 from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
+from kilter_core.gap.evidence.practical_size import moves_u95_mm
 from kilter_core.gap.search.events import Course, key_of, likely, moved, profiles
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.observations import Observations
@@ -26,7 +27,7 @@ REMEDY = (
 class When:
     """Rows of the file, from 1: the last ``before`` an event and the first ``after`` it; first and last that may be its first.
 
-    ``moved_mm`` is the rms displacement of the tool by it.
+    ``moved_mm`` is the rms displacement of the tool by it, ``u95_mm`` half of its 95 % interval.
     """
 
     place: int
@@ -35,6 +36,7 @@ class When:
     low: int
     high: int
     moved_mm: float
+    u95_mm: float
 
 
 def events(found: SearchResult, every: Observations, moves_mm: dict[int, float]) -> tuple[When, ...]:
@@ -53,8 +55,9 @@ def events(found: SearchResult, every: Observations, moves_mm: dict[int, float])
         first = max(1, int(np.searchsorted(course.key, own[low - 1], side="right")))
         last = min(len(every) - 1, int(np.searchsorted(course.key, own[high], side="left")))
         row, share = course.order + 1, float(profile.course.place(candidates[k].effects[0])) / len(own)
-        far = moves_mm[k] / np.sqrt(max(share, 1.0 / len(own)))  # only rows before it are moved by it
-        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far))
+        less = 1.0 / np.sqrt(max(share, 1.0 / len(own)))  # only rows before it are moved by it
+        far, half = moves_mm[k] * less, moves_u95_mm(found, k) * less
+        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far, half))
     return tuple(out)
 
 
@@ -128,6 +131,6 @@ def event_warnings(
         )
         yield {
             "code": "moved_once", "row": when.after,
-            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm at "
-            f"the tool on average, as the version stores it. {REMEDY}",
+            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm "
+            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average, as the version stores it. {REMEDY}",
         }  # fmt: skip

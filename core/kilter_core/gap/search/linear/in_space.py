@@ -34,9 +34,21 @@ def noise_rms(settings: ProblemSettings) -> float:
 
 def moved_by(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
     """Displacement (V, m) in m or rad by the library columns ``own`` at the values of the fit, which a version stores."""
+    return problem.settings.source.in_space(weighed_by(problem, own))
+
+
+def weighed_by(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
+    """The same as residuals have it: of views, as these weigh it."""
     index = list(own)
     amount = problem.settings.source.library(problem.values)[index] * problem.size[index]
     return problem.settings.whitening.back(problem.W_raw[:, index] @ amount)
+
+
+def derivatives_of(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
+    """How what was measured (V, m, d) moves in m or rad with each of the library columns ``own``."""
+    columns = problem.W_raw[:, list(own)] * problem.size[list(own)]
+    each = [problem.settings.whitening.back(column) for column in columns.T]
+    return problem.settings.source.in_space(np.stack(each, axis=2))
 
 
 def root_of(covariance: Floats) -> Floats:

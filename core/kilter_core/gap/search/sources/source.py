@@ -159,6 +159,10 @@ class Source(ABC):
     def rms(self, errors: Floats) -> float:
         """Root mean square size of errors (V, m): of a point in space (m), or of a joint (rad)."""
 
+    def in_space(self, errors: Floats) -> Floats:
+        """Errors (V, m), or derivatives (V, m, K), in m and rad where the rows weigh them otherwise."""
+        return errors
+
     @abstractmethod
     def even(self, noise: Noise) -> Noise:
         """Noise that comes from the fit, as weights of the geometry: those that an identification takes."""

@@ -217,6 +217,17 @@ class ToolSource(Source):
         points = e[:, : 3 * max(1, e.shape[1] // 3)] if e.shape[1] % 3 == 0 and e.shape[1] != 6 else e[:, :3]
         return float(np.sqrt(np.mean(np.sum(points**2, axis=1)) / max(1, points.shape[1] // 3)))
 
+    def in_space(self, errors: Floats) -> Floats:
+        """Errors (V, m), or derivatives (V, m, K), with the weights of poses taken off: what a view knows well is weighed
+        tenfold.
+        """
+        weight = self.observations.pose_weight
+        if weight is None:
+            return errors
+        out = errors.reshape(*errors.shape[:2], -1).copy()
+        out[:, :6] = np.linalg.solve(weight, out[:, :6])
+        return out.reshape(errors.shape)
+
     def even(self, noise: Noise) -> Noise:
         """Equal weights of all coordinates."""
         return noise.even()
