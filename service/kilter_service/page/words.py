@@ -11,6 +11,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from kilter_files.look.unusual import why_unusual
+from kilter_service.called import called
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.db.row import now
@@ -183,5 +184,5 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "sigma_of": sigma_of, "chance": chance, "age": age, "moment": moment, "percent": percent, "count": count,
     "why_unusual": why_unusual,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
-    "left_out": left_out,
+    "left_out": left_out, "called": called,
 }  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_core.errors import CoreError
+from kilter_service.called import called
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.audit import AuditEntry
 from kilter_service.db import Database
@@ -157,7 +158,7 @@ class _Names:
         if key not in self._found:
             try:
                 one = GET[kind](self._database, key)
-                self._found[key] = one.name or key, one.robot
+                self._found[key] = called(one), one.robot
             except CoreError:
                 self._found[key] = key, ""
         return self._found[key]

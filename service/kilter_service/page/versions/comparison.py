@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kilter_service.called import called
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
@@ -130,7 +131,7 @@ def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple
 
 def title(version: Version) -> str:
     """Return what a version is called in a picture."""
-    return version.name or version.id
+    return called(version)
 
 
 def _bars(left: Sequence[Left]) -> Plot:
