@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
+from sqlalchemy import text
 
 from kilter_service.page.words import chance as written
 from kilter_service.page.words import like
@@ -104,6 +106,22 @@ def test_parameters_moved_by_more_than_both_uncertainties(
     change: float, sigmas: tuple[float | None, float | None], moved: bool
 ) -> None:
     assert beyond(change, *sigmas) is moved
+
+
+def test_rows_that_a_job_set_aside_count_and_the_comparison_says_so(there: Made) -> None:
+    """A search said 24.5 um of itself and the comparison 41.7 um, of the same campaign: one row made the difference."""
+    with there.database.transaction() as session:
+        kept = session.execute(text("SELECT report FROM versions WHERE id = :id"), {"id": there.good}).scalar_one()
+        aside = [{"campaign": there.campaign, "row": row, "residual_mm": 1.0} for row in (3, 7)]
+        changed = json.dumps({**json.loads(kept), "set_aside": aside})
+        session.execute(text("UPDATE versions SET report = :r WHERE id = :id"), {"r": changed, "id": there.good})
+    try:
+        said = words(compared(there, there.campaign))
+    finally:
+        with there.database.transaction() as session:
+            session.execute(text("UPDATE versions SET report = :r WHERE id = :id"), {"r": kept, "id": there.good})
+    assert "2 of these rows were set aside by the job of version 2, whose own errors leave them out." in said
+    assert "set aside by the job" not in words(compared(there, there.campaign))
 
 
 def test_the_page_says_what_the_interface_answers(there: Made) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
-from kilter_service.page.words import in_one_unit, mm
+from kilter_service.page.words import in_columns, mm
 
 STAGES = (
     ("nominal", "Before"),
@@ -56,6 +56,6 @@ def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_O
 def table(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> tuple[list[str], list[list[str]]]:
     """Return the same numbers in words."""
     found = there(errors, other)
-    sizes = in_one_unit([[one.mean_mm, one.rms_mm, one.p95_mm, one.max_mm] for _, one in found])
+    unit, sizes = in_columns([[one.mean_mm, one.rms_mm, one.p95_mm, one.max_mm] for _, one in found])
     rows = [[title, *row] for (title, _), row in zip(found, sizes, strict=True)]
-    return ["Model", "Mean", "Rms", "95 % are below", "Largest"], rows
+    return ["Model", *(f"{name}, {unit}" for name in ("Mean", "Rms", "95 % are below", "Largest"))], rows
