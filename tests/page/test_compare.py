@@ -18,6 +18,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 from sqlalchemy import text
 
+from kilter_core.twin import thesis_katana
 from kilter_service.page.words import chance as written
 from kilter_service.page.words import like
 from kilter_service.versions.differences import _beyond as beyond
@@ -25,7 +26,7 @@ from kilter_service.versions.paired import chance
 from tests.service.conftest import Katana
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made, stored
 from .test_robot import words
 
 
@@ -188,7 +189,20 @@ def test_many_rows_are_paired_after_the_view_is_there(there: Made, chromium: Bro
     said = re.search(r"version 2 is better on [^.]+", words(whole))
     assert said is not None
     assert "Comparing" not in words(whole)
+    third = stored(there.database, 3, thesis_katana().truth, there.good, 0.02, [0.03, 0.0007])
+    several = f"/robots/{there.robot}/versions/compare?" + "&".join(
+        f"version={one}" for one in (there.poor, there.good, third)
+    )
+    begun = html.unescape(there.client.get(several).raise_for_status().text)
+    assert "Comparing 5\u202f200 rows pose by pose" in begun
+    assert ("of 5\u202f200 rows" in begun, "Parameters that moved" in begun) == (False, True)
+    told = words(there.client.get(f"{several}&rows=true").raise_for_status().text)
+    assert "Comparing" not in told
+    assert len(re.findall(r"of 5.200 rows", told)) == 2
     with opened(chromium, there.client) as page:
+        page.goto(several)
+        page.get_by_text(re.compile(r"of 5.200 rows$")).first.wait_for()
+        assert page.locator("#same-rows .note").count() == 0
         page.goto(f"/versions/{there.poor}/compare/{there.good}?campaign={campaign}")
         page.get_by_text("is better on").wait_for()
         assert said[0] in words(page.content())
