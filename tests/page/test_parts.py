@@ -167,6 +167,8 @@ def test_a_row_of_jobs_and_of_versions_needs_no_id(there: Made) -> None:
         compared = f"/versions/{there.poor}/compare/{there.good}"
         for view in (f"/robots/{there.robot}/versions", compared, f"/robots/{there.robot}"):
             assert f"version of {made:%Y-%m-%d %H:%M:%S}" in words(client.get(view).raise_for_status().text), view
+        done = words(client.get("/audit").raise_for_status().text)
+        assert f"activated the version of {made:%Y-%m-%d %H:%M:%S} of {there.robot}" in done
     finally:
         client.patch(f"/v1/versions/{there.good}", json={"name": "version 2"}).raise_for_status()
     jobs = words(client.get("/jobs").text)
