@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -15,7 +16,9 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
+from sqlalchemy import text
 
+from kilter_core.twin import thesis_katana
 from kilter_service.page.words import chance as written
 from kilter_service.page.words import like
 from kilter_service.versions.differences import _beyond as beyond
@@ -23,7 +26,7 @@ from kilter_service.versions.paired import chance
 from tests.service.conftest import Katana
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made, stored
 from .test_robot import words
 
 
@@ -106,6 +109,22 @@ def test_parameters_moved_by_more_than_both_uncertainties(
     assert beyond(change, *sigmas) is moved
 
 
+def test_rows_that_a_job_set_aside_count_and_the_comparison_says_so(there: Made) -> None:
+    """A search said 24.5 um of itself and the comparison 41.7 um, of the same campaign: one row made the difference."""
+    with there.database.transaction() as session:
+        kept = session.execute(text("SELECT report FROM versions WHERE id = :id"), {"id": there.good}).scalar_one()
+        aside = [{"campaign": there.campaign, "row": row, "residual_mm": 1.0} for row in (3, 7)]
+        changed = json.dumps({**json.loads(kept), "set_aside": aside})
+        session.execute(text("UPDATE versions SET report = :r WHERE id = :id"), {"r": changed, "id": there.good})
+    try:
+        said = words(compared(there, there.campaign))
+    finally:
+        with there.database.transaction() as session:
+            session.execute(text("UPDATE versions SET report = :r WHERE id = :id"), {"r": kept, "id": there.good})
+    assert "2 of these rows were set aside by the job of version 2, whose own errors leave them out." in said
+    assert "set aside by the job" not in words(compared(there, there.campaign))
+
+
 def test_the_page_says_what_the_interface_answers(there: Made) -> None:
     address = f"/v1/versions/{there.poor}/diff/{there.good}"
     answer = there.client.get(address, params={"campaign": there.campaign}).raise_for_status().json()
@@ -170,7 +189,20 @@ def test_many_rows_are_paired_after_the_view_is_there(there: Made, chromium: Bro
     said = re.search(r"version 2 is better on [^.]+", words(whole))
     assert said is not None
     assert "Comparing" not in words(whole)
+    third = stored(there.database, 3, thesis_katana().truth, there.good, 0.02, [0.03, 0.0007])
+    several = f"/robots/{there.robot}/versions/compare?" + "&".join(
+        f"version={one}" for one in (there.poor, there.good, third)
+    )
+    begun = html.unescape(there.client.get(several).raise_for_status().text)
+    assert "Comparing 5\u202f200 rows pose by pose" in begun
+    assert ("of 5\u202f200 rows" in begun, "Parameters that moved" in begun) == (False, True)
+    told = words(there.client.get(f"{several}&rows=true").raise_for_status().text)
+    assert "Comparing" not in told
+    assert len(re.findall(r"of 5.200 rows", told)) == 2
     with opened(chromium, there.client) as page:
+        page.goto(several)
+        page.get_by_text(re.compile(r"of 5.200 rows$")).first.wait_for()
+        assert page.locator("#same-rows .note").count() == 0
         page.goto(f"/versions/{there.poor}/compare/{there.good}?campaign={campaign}")
         page.get_by_text("is better on").wait_for()
         assert said[0] in words(page.content())

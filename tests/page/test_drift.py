@@ -80,6 +80,21 @@ def test_the_chart_shows_each_check_and_what_was_done_between_them(server: httpx
     assert "2026-09-11 07:00 moved: zero of joint 3" in said  # the table
 
 
+def test_the_page_of_a_check_says_what_it_found_and_what_helps(server: httpx.Client) -> None:
+    """It ended in an error of the server: a check makes no version, and has no objections against one."""
+    checks = [
+        one for one in server.get("/v1/jobs").json()["jobs"] if one["kind"] == "drift" and one["robot"] == "crashed"
+    ]
+    for one in checks:
+        result = server.get(f"/v1/jobs/{one['id']}").json()["result"]
+        said = words(server.get(f"/jobs/{one['id']}").raise_for_status().text)
+        assert result["sentence"] in said
+        assert "All checks of crashed, day by day" in said
+        if result["remedy"]:
+            assert result["remedy"].replace("`", "") in said
+    assert {bool(server.get(f"/v1/jobs/{one['id']}").json()["result"]["remedy"]) for one in checks} == {True, False}
+
+
 def test_a_robot_that_was_never_checked_has_no_chart(server: httpx.Client) -> None:
     text = section(server, "fresh")
     assert "<svg" not in text

@@ -3,10 +3,32 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 
+import httpx
+import pytest
+from playwright.sync_api import Browser
+
+from kilter_service.page.figures import room
 from kilter_service.page.figures.plot import LEFT, RIGHT, Plot
 from kilter_service.page.figures.scale import around, named
+
+from .conftest import opened
+from .made import Made, made
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
+    with made(tmp_path_factory.mktemp("figures"), migrated) as found:
+        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
+        yield found
+
+
+@pytest.fixture(scope="module")
+def server(there: Made) -> httpx.Client:
+    return there.client
 
 
 def drawn(names: list[str], width: float = 760.0) -> str:
@@ -36,3 +58,47 @@ def test_names_that_have_room_are_level() -> None:
 def test_more_names_than_there_is_room_are_thinned() -> None:
     shown = re.findall(r'rotate\(-45\)" text-anchor="end">([^<]*)<', drawn([f"name_{k}" for k in range(200)]))
     assert 10 < len(shown) < (760 - LEFT - RIGHT) / 17
+
+
+def widths(there: Made, path: str, told: str | None) -> set[float]:
+    """Widths of the figures of a view for a browser whose window is so wide."""
+    cookies = {} if told is None else {room.COOKIE: told}
+    with httpx.Client(
+        base_url=there.client.base_url, headers=there.client.headers, cookies=cookies, timeout=60
+    ) as client:
+        text = client.get(path).raise_for_status().text
+    return {float(one) for one in re.findall(r'<svg xmlns[^>]* role="img" width="([\d.]+)"', text)}
+
+
+def test_figures_are_as_wide_as_the_window_has_room(there: Made) -> None:
+    path = f"/versions/{there.poor}/compare/{there.good}?campaign={there.campaign}"
+    assert widths(there, path, None) == {640.0, 480.0}
+    assert widths(there, path, "1440") == {640.0, 480.0}
+    assert widths(there, path, "390") == {338.0}
+    assert widths(there, path, "1") == {260.0}
+    for nonsense in ("-390", "39e1", "", "39.0", "9" * 40, "x"):
+        assert widths(there, path, nonsense) == {640.0, 480.0}, nonsense
+
+
+def test_a_report_is_as_wide_as_paper_for_every_window(there: Made) -> None:
+    path = f"/versions/{there.good}/report"
+    assert widths(there, path, "390") == widths(there, path, None) != set()
+
+
+def test_letters_of_figures_can_be_read_on_a_telephone(there: Made, chromium: Browser) -> None:
+    """Drawn for a desktop and made smaller, they were 6 px high."""
+    with opened(chromium, there.client) as page:
+        page.set_viewport_size({"width": 390, "height": 844})
+        compared = f"/versions/{there.poor}/compare/{there.good}?campaign={there.campaign}"
+        for view in (f"/robots/{there.robot}/versions", compared, f"/campaigns/{there.campaign}"):
+            page.goto(view)
+            page.locator("figure svg text").first.wait_for()
+            page.reload()  # the first view of a window that was wide is still drawn for it
+            page.locator("figure svg text").first.wait_for()
+            heights = page.locator("figure svg text").evaluate_all(
+                "texts => texts.map(one => [one.getScreenCTM(), parseFloat(getComputedStyle(one).fontSize)])"
+                ".map(([m, size]) => Math.hypot(m.a, m.b) * size)"
+            )
+            assert len(heights) > 5
+            assert min(heights) >= 10, (view, min(heights))
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390, view

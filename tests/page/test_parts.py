@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import httpx
@@ -11,19 +12,23 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
+from kilter_service.called import JOBS, called
 from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
+from kilter_service.contract.jobs.job import JobSummary, Progress
 from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.contract.versions import VersionSummary
 from kilter_service.ground.db.row import now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today
 from kilter_service.page.shared.correcting import Correcting, Corrector
+from kilter_service.page.shared.listed_jobs import KINDS
 from kilter_service.page.shared.state import state_of
 from kilter_service.page.words import beside, sigma_of
 
 from .conftest import opened
 from .made import Made, made
-from .test_robot import arm_of
+from .test_robot import arm_of, words
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = REPOSITORY / "service" / "kilter_service" / "page" / "sources"
@@ -134,8 +139,41 @@ def test_a_part_that_is_opened_alone_is_a_page(server: httpx.Client, there: Made
     asked = {"version": there.good, "campaign": there.campaign}
     alone = (f"/robots/{there.robot}/worst", f"/versions/{there.good}/exports", f"/versions/{there.good}/contributions")
     for place in alone:
-        assert "<html" in server.get(place, params=asked).raise_for_status().text, place
+        alone_text = server.get(place, params=asked).raise_for_status().text
+        assert ("<html" in alone_text, alone_text.count("<h1>")) == (True, 1), place
         assert "<html" not in server.get(place, params=asked, headers={"HX-Request": "true"}).text, place
+
+
+def test_what_has_no_name_is_called_by_what_it_is_and_when_it_was_made(there: Made) -> None:
+    at = datetime(2026, 11, 2, 14, 5, 9, tzinfo=UTC)
+    version = there.client.get(f"/v1/robots/{there.robot}/versions").json()["versions"][0]
+    unnamed = [
+        VersionSummary.model_validate({**version, "name": "", "created_at": at.isoformat()}),
+        JobSummary(
+            id="job_1", kind="gap", robot="arm", state="queued", progress=Progress(fraction=0.0, stage=""), error=None,
+            created_at=at, started_at=None, finished_at=None,
+        ),
+    ]  # fmt: skip
+    assert [called(one) for one in unnamed] == ["version of 2026-11-02 14:05:09", "search of 2026-11-02 14:05:09"]
+    assert called(unnamed[0].model_copy(update={"name": "spring"})) == "spring"
+    assert set(JOBS) == set(KINDS)
+
+
+def test_a_row_of_jobs_and_of_versions_needs_no_id(there: Made) -> None:
+    client = there.client
+    client.patch(f"/v1/versions/{there.good}", json={"name": ""}).raise_for_status()
+    try:
+        made = datetime.fromisoformat(client.get(f"/v1/versions/{there.good}").json()["created_at"])
+        compared = f"/versions/{there.poor}/compare/{there.good}"
+        for view in (f"/robots/{there.robot}/versions", compared, f"/robots/{there.robot}"):
+            assert f"version of {made:%Y-%m-%d %H:%M:%S}" in words(client.get(view).raise_for_status().text), view
+        done = words(client.get("/audit").raise_for_status().text)
+        assert f"activated the version of {made:%Y-%m-%d %H:%M:%S} of {there.robot}" in done
+    finally:
+        client.patch(f"/v1/versions/{there.good}", json={"name": "version 2"}).raise_for_status()
+    jobs = words(client.get("/jobs").text)
+    assert "job_0000" not in jobs
+    assert "identification of " in jobs
 
 
 @pytest.mark.short_path

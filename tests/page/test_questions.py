@@ -1,4 +1,4 @@
-"""The ten questions that a user asks of a robot, each answered in at most two clicks from the robot's page.
+"""The ten questions that a user asks of a robot, each answered in at most two clicks from the first page.
 
 Each question names the routes it needs. Where one of them is not there, the question is skipped and says which.
 """
@@ -21,12 +21,12 @@ from tools.page_lab import Lab, lab, moving
 
 pytestmark = pytest.mark.slow
 OVERVIEW, JOB, VERSION = "GET /robots/{robot}", "GET /jobs/{job}", "GET /versions/{version}"
-MOST_CLICKS = 2
+MOST_CLICKS = 2  # from the first page, where the first one opens the robot
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked; the links to click, by name, from the robot's page; where the answer then is, and what it says."""
+    """What is asked; the links to click, by name, once the robot is opened; where the answer then is, and what it says."""
 
     asked: str
     clicks: tuple[str, ...]
@@ -52,6 +52,9 @@ QUESTIONS = (
         "What can these data not tell?", (r"parameters$|^nothing$",), "#unseen", r"identifiable|tell",
         (OVERVIEW, VERSION),
     ),
+    Question("How do I undo that?", ("^go back to the version before",), "main", r"Go back to .* on .*\?.*Go back now",
+             (OVERVIEW, "GET /robots/{robot}/rollback")),
+    Question("What was it before?", (), "main", r"How much better than without\?.*\d", (OVERVIEW,)),
     Question("Where is the report?", ("of the active version",), "main", r"ISO 9283|[Rr]eport",
              (OVERVIEW, "GET /versions/{version}/report")),
 )  # fmt: skip
@@ -64,6 +67,10 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
         pytest.skip("the robot's page is not there")
     with lab(tmp_path_factory.mktemp("questions")) as made:
         with Kilter(made.server.url) as kilter:
+            found = kilter.versions.list(made.robot)
+            other = next(one["id"] for one in found if one["id"] != made.version)
+            kilter.versions.activate(other, force=True, reason="for the test")  # so that there is one to go back to
+            kilter.versions.activate(made.version, force=True, reason="for the test")
             kilter.jobs.run("gap", made.robot, [made.train], [made.held_out], {}, timeout_s=300.0)
         with moving(made.server.data, made.robot):
             yield made
@@ -76,12 +83,14 @@ def page(chromium: Browser, asked: Lab) -> Iterator[Page]:
         httpx.Client(base_url=asked.server.url, headers=headers, timeout=60) as client,
         opened(chromium, client) as page,
     ):
-        page.goto(f"/robots/{asked.robot}")
+        page.goto("/")
+        page.get_by_role("link", name=asked.robot, exact=True).click()
+        page.wait_for_url(f"**/robots/{asked.robot}")
         yield page
 
 
 def test_no_question_takes_more_than_two_clicks() -> None:
-    assert all(len(question.clicks) <= MOST_CLICKS for question in QUESTIONS)
+    assert all(1 + len(question.clicks) <= MOST_CLICKS for question in QUESTIONS)
     assert len(QUESTIONS) >= 10
 
 

@@ -12,10 +12,10 @@ from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page.jobs import stages
 from kilter_service.page.report.figures import before_and_after
 from kilter_service.page.shell import environment
-from kilter_service.page.words import in_one_unit
+from kilter_service.page.words import in_columns, in_one_unit
 
 SIZES = (0.31, 0.0871, 0.0021)
-LENGTH = re.compile(r">(?:<strong>)?(-?[0-9.]+) (mm|µm)<")
+HEAD = re.compile(r'<th scope="col" class="number">[^<]*, (mm|µm)</th>')
 CAMPAIGN = Fields(id="cmp_1", name="grid", uploads=["one"], rows=3)
 
 
@@ -39,7 +39,7 @@ def filled(template: str, sizes: tuple[float, ...]) -> str:
             ),
         },
         "jobs/evaluate.html": {
-            "campaigns": [],
+            "campaigns": [], "names": {},
             "result": Fields(
                 iso9283={"cmp_1": Fields(
                     metrics={f"AP{k}": Fields(mm=size, n=30, demands=30) for k, size in enumerate(sizes)}, refused=[]
@@ -51,14 +51,22 @@ def filled(template: str, sizes: tuple[float, ...]) -> str:
     return environment().get_template(template).render(root="", may=lambda _: True, **shown[template])
 
 
+def column(text: str) -> tuple[str, list[float]]:
+    """The unit in the one head that has one, and the numbers of its column: no cell says a unit."""
+    table = text[text.index("<thead") : text.index("</table>")]
+    heads = re.findall(r"<th scope=\"col\"[^>]*>[^<]*</th>", table.partition("</thead>")[0])
+    (unit,) = HEAD.findall(table)
+    place = next(k for k, head in enumerate(heads) if f", {unit}<" in head)
+    body = table.partition("</thead>")[2]
+    assert not re.search(r"<td[^>]*>-?[0-9.]+ (mm|µm)<", body)
+    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", line) for line in re.findall(r"<tr.*?</tr>", body)]
+    return unit, [float(line[place]) for line in cells]
+
+
 @pytest.mark.parametrize("template", ["robot/worst.html", "campaign/chosen_part.html", "jobs/evaluate.html"])
 def test_the_rows_of_a_list_have_the_unit_of_the_largest(template: str) -> None:
-    told = LENGTH.findall(filled(template, SIZES))
-    assert [float(value) for value, _ in told][-3:] == list(SIZES)
-    assert {unit for _, unit in told} == {"mm"}
-    small = LENGTH.findall(filled(template, SIZES[1:]))
-    assert [float(value) for value, _ in small][-2:] == [87.1, 2.1]
-    assert {unit for _, unit in small} == {"µm"}
+    assert column(filled(template, SIZES)) == ("mm", list(SIZES))
+    assert column(filled(template, SIZES[1:])) == ("µm", [87.1, 2.1])
 
 
 def test_rows_that_look_wrong_have_one_unit_over_all_campaigns() -> None:
@@ -69,7 +77,7 @@ def test_rows_that_look_wrong_have_one_unit_over_all_campaigns() -> None:
     text = (
         environment().from_string('{% import "suspicious.html" as odd %}{{ odd.table("", found) }}').render(found=found)
     )
-    assert LENGTH.findall(text) == [("0.310", "mm"), ("0.0871", "mm"), ("0.00210", "mm")]
+    assert column(text) == ("mm", list(SIZES))
 
 
 def test_tables_of_errors_have_one_unit() -> None:
@@ -79,12 +87,15 @@ def test_tables_of_errors_have_one_unit() -> None:
     )  # fmt: skip
     drawn = before_and_after(errors, "Errors")
     assert drawn is not None
-    for _, rows in (stages.table(errors), drawn.table):
-        assert [cell.partition(" ")[2] for one in rows for cell in one[1:]] == ["mm"] * 8
-        assert rows[1][1:] == ["0.0200 mm", "0.0220 mm", "0.0500 mm", "0.120 mm"]
+    head, rows = stages.table(errors)
+    assert head[1:] == ["Mean, mm", "Rms, mm", "95 % are below, mm", "Largest, mm"]
+    assert rows[1][1:] == ["0.0200", "0.0220", "0.0500", "0.120"]
+    assert drawn.table[1][1][1:] == ["0.0200 mm", "0.0220 mm", "0.0500 mm", "0.120 mm"]  # of the report
 
 
 def test_a_table_of_lengths_has_one_unit() -> None:
     assert in_one_unit([[0.05, 0.31], [None, 0.0021]]) == [["0.0500 mm", "0.310 mm"], ["–", "0.00210 mm"]]
     assert in_one_unit([[0.05, 0.0021], [float("nan"), -0.09]]) == [["50.0 µm", "2.10 µm"], ["–", "-90.0 µm"]]
     assert in_one_unit([[None]]) == [["–"]]
+    assert in_columns([[0.05, 0.0021], [None, -0.09]]) == ("µm", [["50.0", "2.10"], ["–", "-90.0"]])
+    assert in_columns([[None]]) == ("mm", [["–"]])

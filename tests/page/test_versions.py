@@ -53,8 +53,9 @@ def test_the_history_says_lineage_and_who_activated_what(there: Made) -> None:
     assert f'href="/versions/{there.poor}">version 1</a></td>' in text  # where the good one started
     said = words(text)
     assert "nominal robot" in said
-    assert "0.0200 mm held out" in said  # of the good version, in the unit of the other
-    assert "0.900 mm held out" in said
+    assert "0.0200 held out" in said  # of the good version, in the unit of the other
+    assert "0.900 held out" in said
+    assert "Error, mm" in said  # the head of the column
     assert said.count("admin activated version ") == 2
     assert f"version 2 {there.good} is active, since" in said
 
@@ -72,7 +73,7 @@ def test_a_version_says_what_it_knows_and_what_it_does_not(there: Made) -> None:
     assert "cannot determine beta_5: their values are those of the nominal robot." in report
     assert "cannot determine d_5: their values are not nominal" in report
     assert "mean error on held-out poses; 95 % interval 17.1 µm to 22.9 µm" in said  # 20 ± 1.96 · 9.28 / √40
-    assert "Registration only (base and tool) 0.950 mm" in said
+    assert "Registration only (base and tool) 0.950" in said
 
 
 def test_what_people_wrote_is_text(there: Made) -> None:

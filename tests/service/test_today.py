@@ -135,7 +135,8 @@ def test_where_the_tracker_stands_is_no_error_of_the_arm(
     katana.campaign(client, 5)
     away = sent(client, "tracker", columns)
     worker.start()
-    made = done(client, until, kind="identify", campaigns=[away], validation=0.25, options={"level": 2})["result"]
+    job = done(client, until, kind="identify", campaigns=[away], validation=0.25, options={"level": 2})
+    made = job["result"]
     assert made["metrics"]["validation"]["nominal"]["mean_mm"] > 2500
     version = made["version_id"]
     client.post(f"/v1/versions/{version}/activate", json={"force": True, "reason": "test"}).raise_for_status()
@@ -144,7 +145,7 @@ def test_where_the_tracker_stands_is_no_error_of_the_arm(
     plain = made["metrics"]["validation"]["registration_only"]["mean_mm"]
     assert f"With base and tool measured anew alone it would be {plain:.3g} mm" in said
     assert "is where instrument, base and tool are, not an error of the arm" in said
-    for address in (f"/versions/{version}", f"/versions/{version}/report"):
+    for address in (f"/versions/{version}", f"/versions/{version}/report", f"/jobs/{job['id']}"):
         assert "mostly where instrument, base and tool are" in words(client, address), address
 
 

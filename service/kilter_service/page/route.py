@@ -14,6 +14,7 @@ from fastapi.responses import RedirectResponse
 from kilter_core.errors import CoreError
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS, ServiceError
+from kilter_service.page.figures import room
 from kilter_service.page.packing import packed
 from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
 from kilter_service.web.audit import refusals
@@ -34,6 +35,9 @@ class PageRoute(GuardedRoute):
         answer: Handler = super().get_route_handler()
 
         async def handle(request: Request) -> Response:
+            room.heard(
+                None if "/report" in request.url.path else request.cookies.get(room.COOKIE)
+            )  # a report is of paper
             try:
                 response = await answer(request)
             except (CoreError, RequestValidationError) as error:

@@ -11,6 +11,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from kilter_files.look.unusual import why_unusual
+from kilter_service.called import called
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.ground.db.row import now
@@ -92,6 +93,16 @@ def beside(value: float | None, largest: float | None) -> str:
     return f"{number(scale * value)} {unit}"
 
 
+def unit(largest: float | None) -> str:
+    """Return the unit of a column of lengths in mm, for its head."""
+    return unit_of_length(largest)[0] if largest is not None and math.isfinite(largest) else "mm"
+
+
+def bare(value: float | None, largest: float | None) -> str:
+    """Write a length in mm below a head that names the unit."""
+    return beside(value, largest).partition(" ")[0]
+
+
 def largest(lengths: Iterable[float | None]) -> float | None:
     """Return the largest size of those that are known; None: none is."""
     return max((abs(one) for one in lengths if one is not None and math.isfinite(one)), default=None)
@@ -101,6 +112,12 @@ def in_one_unit(rows: Sequence[Sequence[float | None]]) -> list[list[str]]:
     """Write a table of lengths in mm, all in the unit of the largest of them."""
     most = largest(one for row in rows for one in row)
     return [[beside(one, most) for one in row] for row in rows]
+
+
+def in_columns(rows: Sequence[Sequence[float | None]]) -> tuple[str, list[list[str]]]:
+    """Write a table of lengths in mm below heads that name the unit of the largest of them, which comes first."""
+    most = largest(one for row in rows for one in row)
+    return unit(most), [[bare(one, most) for one in row] for row in rows]
 
 
 def sigma_of(found: Parameter) -> float | None:
@@ -179,9 +196,10 @@ def of_joints(numbers: Sequence[int]) -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "largest": largest,
+    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "unit": unit, "bare": bare,
+    "largest": largest,
     "sigma_of": sigma_of, "chance": chance, "age": age, "moment": moment, "percent": percent, "count": count,
     "why_unusual": why_unusual,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
-    "left_out": left_out,
+    "left_out": left_out, "called": called,
 }  # fmt: skip

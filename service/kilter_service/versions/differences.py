@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from kilter_core.errors import CoreError
+from kilter_service.called import called
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import ParameterChange, VersionDiff
@@ -123,7 +124,7 @@ def _of_version(session: Session, version: str) -> _Side:
         wire_values(store.calibration(session, version)),
         sigma,
         about.metrics,
-        about.name,
+        called(about),
     )
 
 

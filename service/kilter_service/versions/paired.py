@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 POSES_OF_INTERVAL = 3  # poses that an interval of a mean needs
 EQUAL_MM = 1e-9  # smaller differences are rounding
+IT = {True: "it", False: "them"}
 NOTHING = "Nothing was measured at the tool in these campaigns."
 
 
@@ -79,7 +80,9 @@ def judged(database: Database, found: Pairs, a: Side, b: Side) -> PairedErrors |
         better=better, worse=worse, chance=chance(better, worse), mean_a_mm=float(first.mean()),
         mean_b_mm=float(second.mean()), less_mm=less, low_mm=low, high_mm=high, sentence="",
     )  # fmt: skip
-    return numbers.model_copy(update={"sentence": sentence(numbers, a.name, b.name)})
+    aside = [int(np.asarray(table["set_aside"], dtype=bool)[found.used].sum()) for table in found.tables]
+    told = [sentence(numbers, a.name, b.name), *_aside(aside, (a.name, b.name))]
+    return numbers.model_copy(update={"sentence": " ".join(told)})
 
 
 def sentence(found: PairedErrors, a: str, b: str) -> str:
@@ -101,6 +104,14 @@ def sentence(found: PairedErrors, a: str, b: str) -> str:
     if not found.held_out:
         said.append("No row was held out of both: where one was fitted its error looks better than it is.")
     return " ".join(said)
+
+
+def _aside(counts: Sequence[int], names: Sequence[str]) -> Iterator[str]:
+    """Say where a version's own errors leave rows out that count here: the two numbers of it differ by that."""
+    for count, name in zip(counts, names, strict=True):
+        if count:
+            were = "was" if count == 1 else "were"
+            yield f"{count} of these rows {were} set aside by the job of {name}, whose own errors leave {IT[count == 1]} out."
 
 
 def chance(better: int, worse: int) -> float:

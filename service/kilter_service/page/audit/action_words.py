@@ -8,67 +8,69 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_core.errors import CoreError
+from kilter_service.called import called
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.audit import AuditEntry
 from kilter_service.ground.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.versions import service as versions
 
-# What the method and path of a route did; names in braces are those of what was changed.
+# What the method and path of a route did; names in braces are those of what was changed, of campaigns, versions and jobs with
+# what they are: "version spring", and of one without a name "the search of 2026-11-02 14:05:09".
 DONE: Mapping[str, str] = {
-    "DELETE /v1/campaigns/{campaign}": "discarded the unfinished campaign {campaign}",
+    "DELETE /v1/campaigns/{campaign}": "discarded the unfinished {campaign}",
     "DELETE /v1/robots/{robot}": "deleted robot {robot}",
     "DELETE /v1/robots/{robot}/meshes/{link}": "removed the shape of link {link} of {robot}",
     "DELETE /v1/tokens/{token}": "withdrew the token {token}",
-    "PATCH /v1/campaigns/{campaign}": "changed the name or notes of campaign {campaign}",
+    "PATCH /v1/campaigns/{campaign}": "changed the name or notes of {campaign}",
     "PATCH /v1/robots/{robot}": "changed what is said of robot {robot}",
-    "PATCH /v1/versions/{version}": "changed the name or notes of version {version}",
+    "PATCH /v1/versions/{version}": "changed the name or notes of {version}",
     "POST /access": "made a token",
     "POST /access/{token}/revoke": "withdrew the token {token}",
-    "POST /campaigns/{campaign}/change": "changed the name or notes of campaign {campaign}",
-    "POST /campaigns/{campaign}/restore": "brought campaign {campaign} back into use",
-    "POST /campaigns/{campaign}/retire": "took campaign {campaign} out of use",
-    "POST /campaigns/{campaign}/rows/aside": "set rows aside: stored campaign {campaign} without them",
-    "POST /jobs/{job}/cancel": "cancelled job {job}",
-    "POST /jobs/{job}/gap/again": "asked for job {job}, a search once more",
-    "POST /jobs/{job}/gap/plan": "asked for job {job}, a plan of poses",
+    "POST /campaigns/{campaign}/change": "changed the name or notes of {campaign}",
+    "POST /campaigns/{campaign}/restore": "brought {campaign} back into use",
+    "POST /campaigns/{campaign}/retire": "took {campaign} out of use",
+    "POST /campaigns/{campaign}/rows/aside": "set rows aside: stored {campaign} without them",
+    "POST /jobs/{job}/cancel": "cancelled {job}",
+    "POST /jobs/{job}/gap/again": "asked for {job}, a search once more",
+    "POST /jobs/{job}/gap/plan": "asked for {job}, a plan of poses",
     "POST /login": "logged in",
     "POST /login/link": "logged in by a link",
     "POST /logout": "logged out",
     "POST /new-robot": "added robot {robot}",
-    "POST /robots/{robot}/campaigns/new/{draft}/store": "stored campaign {campaign} of {robot}",
+    "POST /robots/{robot}/campaigns/new/{draft}/store": "stored {campaign} of {robot}",
     "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
-    "POST /robots/{robot}/jobs": "asked for job {job} of {robot}",
+    "POST /robots/{robot}/jobs": "asked for {job} of {robot}",
     "POST /robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
     "POST /robots/{robot}/meshes/{link}/remove": "removed the shape of link {link} of {robot}",
-    "POST /robots/{robot}/rollback": "went back to version {version} of {robot}",
-    "POST /v1/campaigns/{campaign}/commit": "completed campaign {campaign}",
-    "POST /v1/campaigns/{campaign}/observations": "sent rows to campaign {campaign}",
-    "POST /v1/campaigns/{campaign}/purge": "purged campaign {campaign}",
-    "POST /v1/campaigns/{campaign}/restore": "brought campaign {campaign} back into use",
-    "POST /v1/campaigns/{campaign}/retire": "took campaign {campaign} out of use",
+    "POST /robots/{robot}/rollback": "went back to {version} of {robot}",
+    "POST /v1/campaigns/{campaign}/commit": "completed {campaign}",
+    "POST /v1/campaigns/{campaign}/observations": "sent rows to {campaign}",
+    "POST /v1/campaigns/{campaign}/purge": "purged {campaign}",
+    "POST /v1/campaigns/{campaign}/restore": "brought {campaign} back into use",
+    "POST /v1/campaigns/{campaign}/retire": "took {campaign} out of use",
     "POST /v1/fleet-jobs": "asked for a job of several robots",
     "POST /v1/fleet-jobs/{fleet_job}/cancel": "cancelled a job of several robots",
     "POST /v1/instruments": "stored an instrument",
-    "POST /v1/jobs": "asked for job {job}",
-    "POST /v1/jobs/{job}/cancel": "cancelled job {job}",
+    "POST /v1/jobs": "asked for {job} of {robot}",
+    "POST /v1/jobs/{job}/cancel": "cancelled {job}",
     "POST /v1/login-links": "made a link to log in with",
     "POST /v1/robots": "added robot {robot}",
-    "POST /v1/robots/{robot}/campaigns": "added campaign {campaign} to {robot}",
+    "POST /v1/robots/{robot}/campaigns": "added {campaign} to {robot}",
     "POST /v1/robots/{robot}/purge": "purged robot {robot}",
     "POST /v1/robots/{robot}/restore": "brought robot {robot} back into use",
     "POST /v1/robots/{robot}/retire": "took robot {robot} out of use",
-    "POST /v1/robots/{robot}/rollback": "went back to version {version} of {robot}",
+    "POST /v1/robots/{robot}/rollback": "went back to {version} of {robot}",
     "POST /v1/robots/{robot}/stream/sessions": "opened a session of the stream of {robot}",
     "POST /v1/tokens": "made a token",
-    "POST /v1/versions/{version}/activate": "activated version {version} of {robot}",
-    "POST /v1/versions/{version}/purge": "purged version {version}",
-    "POST /v1/versions/{version}/restore": "brought version {version} back into use",
-    "POST /v1/versions/{version}/retire": "took version {version} out of use",
-    "POST /versions/{version}/activate": "activated version {version} of {robot}",
+    "POST /v1/versions/{version}/activate": "activated {version} of {robot}",
+    "POST /v1/versions/{version}/purge": "purged {version}",
+    "POST /v1/versions/{version}/restore": "brought {version} back into use",
+    "POST /v1/versions/{version}/retire": "took {version} out of use",
+    "POST /versions/{version}/activate": "activated {version} of {robot}",
     "PUT /v1/robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
-    "kilterd worker": "finished job {job}",
+    "kilterd worker": "finished {job} of {robot}",
 }
 KINDS = {
     "campaigns": "campaign",
@@ -146,7 +148,9 @@ class _Names:
 
     def _named(self, told: dict[str, str]) -> dict[str, str]:
         for kind in KINDS.values():
-            if told[kind] != UNKNOWN:
+            if told[kind] == UNKNOWN:
+                told[kind] = f"a {kind} that is gone"
+            else:
                 name, robot = self._look_up(kind, told[kind])
                 told[kind] = name
                 if told["robot"] == UNKNOWN and robot:
@@ -157,7 +161,7 @@ class _Names:
         if key not in self._found:
             try:
                 one = GET[kind](self._database, key)
-                self._found[key] = one.name or key, one.robot
+                self._found[key] = f"{kind} {one.name}" if one.name else f"the {called(one)}", one.robot
             except CoreError:
-                self._found[key] = key, ""
+                self._found[key] = f"{kind} {key}", ""
         return self._found[key]

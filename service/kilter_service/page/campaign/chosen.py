@@ -12,6 +12,7 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_files.ground.later import pa
+from kilter_service.called import called
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import key_of
@@ -115,7 +116,7 @@ def chosen(database: Database, campaign_id: str, text: str, version: str) -> Cho
         joints = [f"{column[row - 1]:.2f}{unit}" for column, unit in zip(columns, units, strict=True)]
         error, sigma = (_known(left.get(name), row) for name in ("error_mm", SIGMA))
         found.append(Row(row, file, row - starts[file - 1], joints, error, sigma))
-    name = (versions.get(database, judge).name or judge) if judge and left else ""
+    name = called(versions.get(database, judge)) if judge and left else ""
     return Chosen(
         campaign, judge if left else "", name, [joint.name for joint in arm.joints], found, len(rows), ranges(rows)
     )

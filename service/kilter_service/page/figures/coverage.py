@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from markupsafe import Markup, escape
 
 from kilter_service.page.figures.plot import BLUE, FONT, LETTER
+from kilter_service.page.figures.room import room_for
 
 HEIGHT, BAR = 42.0, 16.0
 WIDTH, RIGHT = 640.0, 8.0
@@ -36,18 +37,18 @@ class Coverage:
 
     def svg(self) -> Markup:
         """Return it as SVG."""
+        width = room_for(WIDTH)
         left = 12 + LETTER * max((len(bar.name) for bar in self.bars), default=0)
         height = HEIGHT * len(self.bars) + 4
         said = "; ".join(f"{bar.name}: {bar.said}" for bar in self.bars)
         head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" role="img" width="{WIDTH}" '
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" width="{width}" '
             f'height="{height}" {FONT} fill="currentColor"><title>{escape(self.title)}</title><desc>{escape(said)}</desc>'
         )
-        body = "".join(self._drawn(bar, left, HEIGHT * k) for k, bar in enumerate(self.bars))
+        body = "".join(self._drawn(bar, left, HEIGHT * k, width - RIGHT - left) for k, bar in enumerate(self.bars))
         return Markup(f"{head}{body}</svg>")  # noqa: S704 (texts are escaped above)
 
-    def _drawn(self, bar: Bar, left: float, top: float) -> str:
-        room = WIDTH - RIGHT - left
+    def _drawn(self, bar: Bar, left: float, top: float, room: float) -> str:
         most = max(bar.counts, default=0) or 1
         step = room / max(len(bar.counts), 1)
         y = top + 18

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from markupsafe import Markup, escape
 
+from kilter_service.page.figures.room import room_for
 from kilter_service.page.figures.scale import Axis
 
 # Okabe and Ito's colours, which people with any colour vision tell apart; dashes and marks tell them apart without colour.
@@ -37,8 +39,14 @@ class Plot:
     height: float = 320.0
     description: str = ""
     table: tuple[Sequence[str], Sequence[Sequence[str]]] = ((), ())
+    rigid: bool = False  # both axes have one scale: it is never drawn narrower
     _drawn: list[str] = field(default_factory=list)
     _legend: list[tuple[str, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Draw it as wide as there is room."""
+        if not self.rigid:
+            self.width = room_for(self.width)
 
     def line(
         self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = "",
@@ -159,7 +167,7 @@ class Plot:
         """Return the legend above the plot, and over how many lines it runs."""
         parts, x, line = [], 0.0, 1
         room = self.width - LEFT - RIGHT
-        for label, drawn in self._legend:
+        for label, drawn in self._legend_lines(room):
             width = 30 + LETTER * len(label) + 14
             if x and x + width > room:
                 x, line = 0.0, line + 1
@@ -174,6 +182,13 @@ class Plot:
             for x, at, label, drawn in parts
         ]
         return "".join(placed), lines
+
+    def _legend_lines(self, room: float) -> Iterator[tuple[str, str]]:
+        """Return the entries of the legend; one that is longer than a line goes on below itself."""
+        most = max(int((room - 44) / LETTER), 1)
+        for label, drawn in self._legend:
+            for number, part in enumerate(textwrap.wrap(label, most) or [""]):
+                yield part, "" if number else drawn
 
     def _frame(self) -> str:
         bottom, right = self.height - BOTTOM, self.width - RIGHT

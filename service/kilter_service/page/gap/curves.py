@@ -62,7 +62,7 @@ def _curve(joint: int, points: list[Point], unit: str) -> Curve:
     values = [p.residual for p in shown] + [p.curve for p in points] + [b.mean for b in flat]
     drawn = Plot(
         f"Residual along what joint {joint} moves", around(f"angle of joint {joint}, deg", [p.angle for p in points]),
-        around(f"residual, {unit}", values), width=720.0, height=360.0, table=_table(bins, unit),
+        around(f"residual, {unit}", values), width=440.0, height=320.0, table=_table(bins, unit),
         description=_describe_bins(joint, flat, named),
     )  # fmt: skip
     drawn.points([p.angle for p in shown], [p.residual for p in shown], "one visit", colour=GREY)

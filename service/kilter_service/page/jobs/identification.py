@@ -16,7 +16,7 @@ from kilter_service.page.figures.scale import around, named
 from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.masses import of_a_mass
-from kilter_service.page.words import in_one_unit, number
+from kilter_service.page.words import in_columns, number
 from kilter_service.versions import service as versions
 
 MOST_NAMES = 20  # of a correlation map, and of an influence chart
@@ -97,11 +97,11 @@ def influence_chart(found: list[Influence]) -> Plot | None:
         return None
     means = [one.mean_mm or 0.0 for one in rows]
     ends = [(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows]
-    moved = in_one_unit([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
+    unit, moved = in_columns([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
     plot = Plot(
         "Influence of the parameters on the tool", named("parameter", [one.name for one in rows]),
         around("movement of the tool, mm", [*means, *(high for _, high in ends)], zero=True), width=760.0,
-        table=(["Parameter", "Change", "Mean", "Least", "Largest"],
+        table=(["Parameter", "Change", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
                [[one.name, f"{number(one.step)} {one.unit or ''}", *sizes]
                 for one, sizes in zip(rows, moved, strict=True)]),
     )  # fmt: skip

@@ -25,9 +25,16 @@ class Result:
 def plain(database: Database, job: Job) -> dict[str, Any]:
     """Return what is shown of a job whose kind has no view of its own: what it says in words."""
     result = job.result
-    return {"sentence": getattr(result, "sentence", None), "version": getattr(result, "version_id", None)}
+    return {
+        "sentence": getattr(result, "sentence", None),
+        "remedy": getattr(result, "remedy", None),
+        "warnings": getattr(result, "warnings", None) or [],
+        "version": getattr(result, "version_id", None),
+        "robot": job.robot if job.kind in CHECKS else "",
+    }
 
 
+CHECKS = ("drift", "rezero")  # their result stands beside the other checks of the robot, too
 PLAIN = Result("jobs/plain.html", plain)
 RESULTS: dict[str, Result] = {
     "identify": Result("jobs/identify.html", identification.shown),

@@ -8,6 +8,7 @@ from typing import Any
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import Job, NewJob
+from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.core import registry
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
@@ -99,4 +100,5 @@ def shown(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
     if job.state != "succeeded" or job.result is None:
         return job, "", {"names": names, "version": None, "place": jobs.places(database).get(job.id)}
     view = result_of(job.kind)
-    return job, view.template, {"names": names, **view.shown(database, job)}
+    makes_version = isinstance(job.result, MadeVersion)  # and has objections against it
+    return job, view.template, {"names": names, "makes_version": makes_version, **view.shown(database, job)}

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
-from kilter_service.page.words import in_one_unit, mm
+from kilter_service.page.words import in_columns, mm
 
 STAGES = (
     ("nominal", "Before"),
@@ -21,6 +21,7 @@ PLACED = "Nominal, mostly where instrument, base and tool are"
 NO_OTHER: Mapping[str, str] = {}
 MEANING = {
     "Before": "the nominal robot, where it is said to stand",
+    PLACED: "no version takes this away, and it is not an error of the arm",
     "Registration only": "the nominal robot, base and tool fitted to the rows: what comes from the set-up alone is gone",
     "Geometry only": "the fitted geometry, without effects",
     "After": "the model that was identified",
@@ -55,6 +56,6 @@ def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_O
 def table(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> tuple[list[str], list[list[str]]]:
     """Return the same numbers in words."""
     found = there(errors, other)
-    sizes = in_one_unit([[one.mean_mm, one.rms_mm, one.p95_mm, one.max_mm] for _, one in found])
+    unit, sizes = in_columns([[one.mean_mm, one.rms_mm, one.p95_mm, one.max_mm] for _, one in found])
     rows = [[title, *row] for (title, _), row in zip(found, sizes, strict=True)]
-    return ["Model", "Mean", "Rms", "95 % are below", "Largest"], rows
+    return ["Model", *(f"{name}, {unit}" for name in ("Mean", "Rms", "95 % are below", "Largest"))], rows

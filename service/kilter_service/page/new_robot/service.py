@@ -153,7 +153,7 @@ def draw(check: RobotCheck) -> list[Plot]:
     for title, across, up in VIEWS:
         axes = [Axis(f"{'xyz'[k]}, mm", ends[k] - half, ends[k] + half) for k in (across, up)]
         said = f"{title}: the arm at zero."
-        plot = Plot(title, axes[0], axes[1], SIDE + LEFT + RIGHT, SIDE + TOP + BOTTOM, description=said)
+        plot = Plot(title, axes[0], axes[1], SIDE + LEFT + RIGHT, SIDE + TOP + BOTTOM, description=said, rigid=True)
         plot.table = (["Point", "x, mm", "y, mm", "z, mm"], table)
         xs, ys = [point[across] for point in points], [point[up] for point in points]
         plot.line(xs, ys, colour=CORRECTED, width=4.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
 from kilter_files.look.unusual import why_unusual
+from kilter_service.called import called
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
@@ -120,7 +121,7 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     search = job.result if isinstance(job, GapJob) else None
     figures = job.result.figures if isinstance(job, IdentifyJob) and job.result is not None else None
     judged = [] if version is None else list(_judged(version, figures))
-    named = version.name or version.id if version is not None else job.name or job.id
+    named = called(version if version is not None else job)
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
         title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),

@@ -42,6 +42,7 @@ class Shown:
     version: Version | None
     accuracy: Accuracy | None
     activation: Activation | None
+    earlier: bool  # whether there is an activation before it, to go back to
     candidate: VersionSummary | None
     correcting: Correcting
     latest: JobSummary | None
@@ -73,7 +74,7 @@ def shown_robot(
     """Return what the view shows; ``version`` and ``campaign`` are those of the picture, where they were chosen."""
     robot, now = robots.get(database, name), today.of_robot(database, name)
     active = None if robot.active_version is None else versions.get(database, robot.active_version)
-    log = versions.activations(database, name, Page(limit=1)).activations
+    log = versions.activations(database, name, Page(limit=2)).activations
     made = versions.list_versions(database, name, NEWEST).versions
     newest = jobs.list_jobs(database, name, Page(limit=1)).jobs
     measured = [one for one in campaigns.list_campaigns(database, name, Page()).campaigns if one.rows]
@@ -86,6 +87,7 @@ def shown_robot(
         version=active,
         accuracy=accuracy_today(now),
         activation=log[0] if log else None,
+        earlier=len(log) > 1,
         candidate=next((one for one in made if not one.active), None) if made and not made[0].active else None,
         correcting=corrector(database, settings).of(name, robot.active_version, robot.controller_compensation),
         latest=newest[0] if newest else None,

@@ -108,7 +108,12 @@ def _places(facts: Facts, campaign: str) -> list[Plot]:
         points = [(row, place[across], place[up]) for row, place in facts.places]
         axes = [around(f"{'xyz'[k]}, mm", [point[n] for point in points]) for n, k in ((1, across), (2, up))]
         plot = Plot(
-            title, axes[0], axes[1], width=420, height=320, description=f"{title}: places that were measured, mm"
+            title,
+            axes[0],
+            axes[1],
+            width=420,
+            height=320,
+            description=f"{title}: places that were measured, mm",
         )
         plain = [point for point in points if point[0] not in odd]
         names = [f"row {p[0]}" for p in plain]

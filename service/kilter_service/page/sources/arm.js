@@ -57,6 +57,7 @@ class Picture {
     if (version && campaign) await this.loadPlaces(version, campaign);
     else this.say("There are no measured errors to show yet: a version and a campaign are needed.");
     this.begin();
+    this.frame();
     if (["q", "row", "cloud", "stage", "scale", "camera"].some((name) => this.address.get(name))) this.find("controls").open = true;
     this.place.dataset.ready = "yes";
   }
@@ -93,9 +94,20 @@ class Picture {
     return { center: ball.center, radius: Math.max(ball.radius, 0.7 * this.size) };
   }
 
+  /** Look at the arm as it is drawn, and at all that was measured. */
+  frame() {
+    const { segments, tool } = posed(this.chain, this.readings);
+    const measured = (this.data.places?.at ?? []).map((one) => new Vector3(...one));
+    const points = [new Vector3(), tool, ...segments.flatMap(([from, to]) => [from, to]), ...measured];
+    this.framing = true; // which is nothing that the address keeps
+    this.looking.frame(points, new Box3().setFromPoints(points).getCenter(new Vector3()));
+    this.framing = false;
+    this.draw();
+  }
+
   looked() {
     this.draw();
-    this.address.set({ camera: this.looking?.told() ?? null });
+    if (!this.framing) this.address.set({ camera: this.looking?.told() ?? null });
   }
 
   /** Show what the address says: a pose by its joints, or a measured row; else the worst row. */
@@ -123,7 +135,7 @@ class Picture {
   fit() {
     if (!this.renderer) return;
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, Math.max(0.4 * window.innerHeight, 300)));
+    const height = Math.round(Math.min(0.85 * width, Math.max(0.34 * window.innerHeight, 300)));
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

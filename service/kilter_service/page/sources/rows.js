@@ -1,6 +1,7 @@
 // Rows of campaigns, chosen in any view and lit in all of them. A row is told by data-row="CAMPAIGN/ROW" wherever it stands:
 // a line of a table, a point of a figure; what draws on a canvas asks window.kilter.rows. Pointing at a row says what is known
 // of it, a click chooses it. Ids and numbers of chosen rows are kept until the browser is closed; measurements are not.
+import { mm } from "./arm/words.js";
 import { Chosen } from "./chosen.js";
 
 const KEPT = "kilter-rows";
@@ -76,7 +77,7 @@ async function told(campaign, row) {
     const answer = await fetch(`${window.kilter.root}/campaigns/${campaign}/rows.json?${new URLSearchParams({ rows: row, version: judge() })}`);
     if (!answer.ok) return "";
     const { campaign: name, joints, rows: [found] } = await answer.json();
-    const left = found.error_mm === null ? "error not known" : `${(found.error_mm * 1e3).toPrecision(3)} µm${found.sigma === null ? "" : `, ${found.sigma.toPrecision(2)} σ`}`;
+    const left = found.error_mm === null ? "error not known" : `${mm(found.error_mm)}${found.sigma === null ? "" : `, ${found.sigma.toPrecision(2)} σ`}`;
     const file = found.file > 1 || found.file_row !== found.row ? ` (row ${found.file_row} of file ${found.file})` : "";
     known.set(key, `${name}, row ${row}${file}: ${left}\n${joints.map((joint, k) => `${joint} ${found.joints[k]}`).join(", ")}`);
   }

@@ -8,6 +8,7 @@ const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3], [1, 4], [12, 4]];
 
 const place = document.querySelector("[data-stream]");
 const robot = place.dataset.stream;
+const names = JSON.parse(place.dataset.names); // of versions, by id
 const root = document.documentElement.dataset.root || "";
 const part = (name) => place.querySelector(`[data-live="${name}"]`);
 const sections = new Map();
@@ -31,14 +32,13 @@ function write(element, text) {
 }
 
 function link(element, version, after) {
-  const text = version ? version + after : after;
+  const text = version ? (names[version] ?? version) + after : after;
   if (element.textContent.replace(/\s+/g, " ").trim() === text) return;
   element.textContent = "";
   if (version) {
     const anchor = document.createElement("a");
-    anchor.className = "mono";
     anchor.href = `${root}/versions/${version}`;
-    anchor.textContent = version;
+    anchor.textContent = names[version] ?? version;
     element.append(anchor);
   }
   element.append(after);

@@ -29,7 +29,7 @@ def bridges(robot: str, request: Request, database: DatabaseOfApp) -> HTMLRespon
     """Show the bridges of a robot: a part of the view, which asks again every other second."""
     found = known_bridges.of_robot(database, robot).bridges
     template = "stream/bridges.html" if is_part(request) else "stream/bridges_alone.html"
-    return render(request, template, robot=robot, bridges=found)
+    return render(request, template, robot=robot, bridges=found, names=service.names_of(database, robot))
 
 
 @router.get("/robots/{robot}/stream/events")

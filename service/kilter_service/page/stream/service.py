@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kilter_service.called import called
 from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.versions import Activation
 from kilter_service.ground.db import Database
@@ -18,6 +19,8 @@ from kilter_service.stream.live.session import place_in
 from kilter_service.stream.live.shown import RobotShown
 from kilter_service.versions import service as versions
 
+MOST_NAMES = 200  # of versions: one that corrects is hardly ever older
+
 
 @dataclass(frozen=True)
 class StreamView:
@@ -29,6 +32,7 @@ class StreamView:
     endpoint: str
     correcting: Correcting
     bridges: list[Bridge]
+    names: dict[str, str]  # of its newest versions, by id
 
 
 def view(database: Database, settings: Settings, robot: str) -> StreamView:
@@ -45,4 +49,11 @@ def view(database: Database, settings: Settings, robot: str) -> StreamView:
     arm = robots.get(database, robot)
     correcting = corrector(database, settings).of(robot, arm.active_version, arm.controller_compensation)
     bridges = known_bridges.of_robot(database, robot).bridges
-    return StreamView(shown, entries[0] if entries else None, WHY, endpoint, correcting, bridges)
+    return StreamView(
+        shown, entries[0] if entries else None, WHY, endpoint, correcting, bridges, names_of(database, robot)
+    )
+
+
+def names_of(database: Database, robot: str) -> dict[str, str]:
+    """Return what the newest versions of a robot are called, by id."""
+    return {one.id: called(one) for one in versions.list_versions(database, robot, Page(limit=MOST_NAMES)).versions}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kilter_service.called import called
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
@@ -107,8 +108,10 @@ def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] 
     return Compared(known.robot, sides[0], sides[1], diff, changed, there, found.campaigns, left, bars, curve, drawn)
 
 
-def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple[Version, Compared | None]]:
-    """Compare versions each with the first, on the campaigns that are usual for that one.
+def several(
+    database: Database, robot: str, wanted: Sequence[str], whole: bool
+) -> list[tuple[Version, Compared | None]]:
+    """Compare versions each with the first, on the campaigns that are usual for that one; many rows only for the ``whole``.
 
     Raises:
         ServiceError: fewer than two, or no such version of the robot.
@@ -123,14 +126,14 @@ def several(database: Database, robot: str, wanted: Sequence[str]) -> list[tuple
                 f"Version {one.id} is of robot {one.robot}: choose those of {robot}.", code="option_invalid"
             )
     first, second, *others = found
-    usual = compared_versions(database, first.id, second.id, None)
-    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen)) for one in others]
+    usual = compared_versions(database, first.id, second.id, None, whole)
+    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen, whole)) for one in others]
     return [(first, None), (second, usual), *rest]
 
 
 def title(version: Version) -> str:
     """Return what a version is called in a picture."""
-    return version.name or version.id
+    return called(version)
 
 
 def _bars(left: Sequence[Left]) -> Plot:

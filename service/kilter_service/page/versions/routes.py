@@ -34,13 +34,15 @@ def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLRespon
 @router.get("/robots/{robot}/versions/compare")
 def chosen(
     robot: str, request: Request, database: DatabaseOfApp,
-    version: Annotated[list[str] | None, Query(max_length=comparison.MOST_VERSIONS)] = None,
+    version: Annotated[list[str] | None, Query(max_length=comparison.MOST_VERSIONS)] = None, rows: bool = False,
 ) -> Response:  # fmt: skip
-    """Compare versions that were ticked in the list: two of them in full, of more each with the first."""
+    """Compare versions that were ticked: two of them in full, of more each with the first, many rows once asked for."""
     wanted = list(dict.fromkeys(version or []))
     if len(wanted) == 2:
         return redirect(request, f"{root_of(request)}/versions/{wanted[0]}/compare/{wanted[1]}")
-    return render(request, "versions/several.html", robot=robot, several=comparison.several(database, robot, wanted))
+    return render(
+        request, "versions/several.html", robot=robot, several=comparison.several(database, robot, wanted, rows)
+    )
 
 
 @router.get("/versions/{version}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from kilter_service.called import called
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
@@ -81,7 +82,7 @@ def history(database: Database, robot: str, asked: Asked, log: Asked) -> History
         robots.get(database, robot), _part(found, asked), part(entries, log, lambda _: "", {}, named=LOG),
         tag_of_robot(database, robot), errors_by_version(found),
         next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
-        {one.version.id: one.version.name or one.version.id for one in found}, today.of_robot(database, robot).sentences[0],
+        {one.version.id: called(one.version) for one in found}, today.of_robot(database, robot).sentences[0],
     )  # fmt: skip
 
 
@@ -94,7 +95,7 @@ def _part(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
         asked,
         lambda one: f"{one.version.name} {one.version.id} {one.version.notes} {' '.join(one.version.effects)}",
         {
-            "name": lambda one: one.version.name or one.version.id,
+            "name": lambda one: called(one.version),
             "made": lambda one: one.version.created_at,
             "error": lambda one: one.accuracy.mean if one.accuracy else None,
         },
@@ -115,7 +116,7 @@ def version(database: Database, version_id: str) -> Shown:
     rest = sorted((one for one in others if one.id != version_id), key=lambda one: not one.active)
     now = today.of_robot(database, found.robot) if found.active else None
     odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
-    parent = "" if found.parent_id is None else service.get(database, found.parent_id).name
+    parent = "" if found.parent_id is None else called(service.get(database, found.parent_id))
     return Shown(
         found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), known, unseen, rest, odd, now, parent
     )
@@ -127,7 +128,7 @@ def errors_by_version(found: Sequence[Listed]) -> Plot | None:
     if len(known) < 2:
         return None
     known = known[-MOST_BARS:]
-    names = [version.name or version.id[-6:] for version, _ in known]
+    names = [version.name or f"{version.created_at:%m-%d %H:%M:%S}" for version, _ in known]
     means = [accuracy.mean for _, accuracy in known]
     ends = [(a.mean if a.low is None else a.low, a.mean if a.high is None else a.high) for _, a in known]
     told = zip(names, means, ends, strict=True)

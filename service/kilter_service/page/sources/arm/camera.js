@@ -2,6 +2,7 @@
 import { Spherical, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+const SEEN = 0.9; // of the picture, what is looked at fills at most
 const STEP = Math.PI / 18;
 const KEYS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", "+": "nearer", "-": "farther" };
 const SIDES = { front: [1, 0, 0.05], side: [0, -1, 0.05], top: [0.001, 0, 1], start: [1, -1.1, 0.6] };
@@ -12,6 +13,7 @@ export class Looking {
     this.distance = distance;
     this.controls = new OrbitControls(camera, canvas);
     this.controls.target.copy(centre);
+    this.given = told;
     this.controls.addEventListener("change", changed);
     canvas.addEventListener("keydown", (event) => {
       if (!(event.key in KEYS)) return;
@@ -22,6 +24,22 @@ export class Looking {
     if (from.length === 3 && from.every(Number.isFinite)) camera.position.copy(centre).add(new Vector3(...from));
     else this.go("start");
     this.controls.update();
+  }
+
+  /** Look from the start at all these points, as near as they are still seen; where the address says from where, from there. */
+  frame(points, centre) {
+    if (this.given) return;
+    const toward = new Vector3(...SIDES.start).normalize();
+    const right = new Vector3(0, 0, 1).cross(toward).normalize();
+    const up = toward.clone().cross(right);
+    const high = SEEN * Math.tan((this.camera.fov * Math.PI) / 360);
+    const away = points.map((one) => {
+      const from = one.clone().sub(centre);
+      return from.dot(toward) + Math.max(Math.abs(from.dot(right)) / (high * this.camera.aspect), Math.abs(from.dot(up)) / high);
+    });
+    this.distance = away.reduce((most, one) => Math.max(most, one), this.distance / 3);
+    this.controls.target.copy(centre);
+    this.go("start");
   }
 
   /** From where the arm is looked at, mm from what is in the middle. */

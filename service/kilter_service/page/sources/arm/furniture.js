@@ -1,5 +1,5 @@
 // What stands around the arm: light, a grid of round size, axes with their names, and a bar that says how long a cell is.
-import { AmbientLight, CanvasTexture, DirectionalLight, Group, GridHelper, MeshBasicMaterial, Sprite, SpriteMaterial, Vector3 } from "three";
+import { AmbientLight, CanvasTexture, DirectionalLight, Group, GridHelper, MeshBasicMaterial, SRGBColorSpace, Sprite, SpriteMaterial, Vector3 } from "three";
 import { arrows, css, rod } from "./parts.js";
 
 const AXES = [["x", [1, 0, 0], 0xd55e00], ["y", [0, 1, 0], 0x009e73], ["z", [0, 0, 1], 0x0072b2]];
@@ -10,7 +10,8 @@ function words(text, height, colour) {
   const pen = canvas.getContext("2d");
   Object.assign(pen, { font: "600 44px system-ui, sans-serif", fillStyle: css(colour), textAlign: "center", textBaseline: "middle" });
   pen.fillText(text, canvas.width / 2, 32);
-  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), depthTest: false }));
+  const map = Object.assign(new CanvasTexture(canvas), { colorSpace: SRGBColorSpace });
+  const sprite = new Sprite(new SpriteMaterial({ map, depthTest: false }));
   sprite.scale.set((height * canvas.width) / 64, height, 1);
   return sprite;
 }

@@ -5,9 +5,9 @@ import { Marks } from "./marks.js";
 import { pickable } from "./picking.js";
 import { cloud, colourOf, css, ROWS } from "./parts.js";
 import { ends, Scatter } from "./scatter.js";
-import { length } from "./words.js";
+import { length, unitOf } from "./words.js";
 
-const OWN = { use: "use: fitted, held out, set aside", row: "row", error: "error, µm", residual_sigma: "standard deviations" };
+const OWN = { use: "use in the fit", row: "row", error: "error", residual_sigma: "standard deviations" };
 
 export class Linked {
   constructor(picture, campaign, version) {
@@ -81,14 +81,23 @@ export class Linked {
   async values(name) {
     const { places } = this.picture.data;
     if (name === "row") return places.row;
-    if (name === "error") return this.picture.left().map((one) => 1e3 * length(one));
+    if (name === "error") return this.errors();
     this.columns[name] ??= fetch(`${window.kilter.root}/campaigns/${this.campaign}/values.json?${new URLSearchParams({ version: this.version, column: name })}`)
       .then((answer) => (answer.ok ? answer.json() : { values: [] }))
       .then((found) => places.row.map((_, k) => found.values[k] ?? NaN));
     return this.columns[name];
   }
 
+  /** Their sizes, in the unit of the largest, which all lists then name. */
+  errors() {
+    const sizes = this.picture.left().map(length);
+    const [unit, times] = unitOf(ends(sizes)[1]);
+    for (const option of this.picture.place.querySelectorAll('option[value="error"]')) option.textContent = `error, ${unit}`;
+    return sizes.map((size) => times * size);
+  }
+
   async redraw() {
+    this.errors();
     const { picture } = this;
     const [x, y, z] = await Promise.all([this.selects.across, this.selects.up, this.selects.colour].map((select) => (select.value === "use" ? null : this.values(select.value))));
     Object.assign(this, { x, y });

@@ -31,7 +31,7 @@ export class Scatter {
   /** `x` and `y` are {values, label}; `colours` a colour of each point. */
   draw(x, y, colours) {
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(Math.max(0.36 * window.innerHeight, 240), 0.75 * width));
+    const height = Math.round(Math.min(Math.max(0.29 * window.innerHeight, 240), 0.75 * width));
     const ratio = Math.min(window.devicePixelRatio, 2);
     Object.assign(this.canvas, { width: width * ratio, height: height * ratio });
     this.canvas.style.width = `${width}px`;

@@ -8,6 +8,11 @@ export function mm(value) {
   return `${decimals > 0 ? shown.toFixed(Math.min(decimals, 9)) : Math.round(shown)} ${unit}`;
 }
 
+/** The unit of lengths that are compared, in mm: that of the largest. Returns its name and how many are a mm. */
+export function unitOf(largest) {
+  return Math.abs(largest) < 0.1 ? ["µm", 1e3] : ["mm", 1];
+}
+
 export function quantile(values, share) {
   const sorted = [...values].sort((a, b) => a - b);
   return sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 0;

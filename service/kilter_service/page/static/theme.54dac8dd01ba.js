@@ -1,1 +1,0 @@
-(()=>{var e=localStorage.getItem("kilter-theme");e&&(document.documentElement.dataset.theme=e);})();

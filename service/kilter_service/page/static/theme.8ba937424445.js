@@ -1,0 +1,1 @@
+(()=>{var e=localStorage.getItem("kilter-theme");e&&(document.documentElement.dataset.theme=e);var t=()=>document.cookie=`kilter-width=${window.innerWidth}; path=${document.documentElement.dataset.root||""}/; SameSite=Strict`;t();window.addEventListener("resize",t);})();
