@@ -12,12 +12,12 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.called import JOBS, called
 from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.jobs.job import JobSummary, Progress
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
+from kilter_service.ground.called import JOBS, called
 from kilter_service.ground.db.row import now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today

@@ -22,11 +22,11 @@ from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.by_kind import by_kind
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
+from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.held_out.when import event_warnings, events, settled
 from kilter_core.gap.evidence.local_bump import local_bump_test
-from kilter_core.gap.evidence.practical_size import Misfit, floor_mm, misfit, moves_mm
 from kilter_core.gap.evidence.rejected import refused
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
 from kilter_core.gap.evidence.separators import separated

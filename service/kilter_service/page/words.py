@@ -11,9 +11,9 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from kilter_files.look.unusual import why_unusual
-from kilter_service.called import called
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, stayed
+from kilter_service.ground.called import called
 from kilter_service.ground.db.row import now
 from kilter_service.ground.texts import plural
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from kilter_core.errors import CoreError
-from kilter_service.called import called
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import ParameterChange, VersionDiff
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store

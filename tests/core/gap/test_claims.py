@@ -14,7 +14,7 @@ from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted, shared_rows
-from kilter_core.gap.evidence.practical_size import Misfit
+from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.replication import Confirmation, replication
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.report.stored import stored

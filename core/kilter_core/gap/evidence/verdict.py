@@ -12,7 +12,7 @@ from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
 from kilter_core.gap.evidence.halves import BESIDE, Halves
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
-from kilter_core.gap.evidence.practical_size import Misfit
+from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.replication import Replication
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.similarity.aliases import SAME, Alias, correlation

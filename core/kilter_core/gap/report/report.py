@@ -9,9 +9,9 @@ import numpy as np
 
 from kilter_core.gap.evidence.claim import CLASS
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
+from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.held_out.unseen import Unseen
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
-from kilter_core.gap.evidence.practical_size import Misfit
 from kilter_core.gap.evidence.similarity.aliases import Alias
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place

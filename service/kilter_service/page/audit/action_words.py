@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_core.errors import CoreError
-from kilter_service.called import called
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.audit import AuditEntry
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.versions import service as versions

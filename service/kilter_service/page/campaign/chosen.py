@@ -12,11 +12,11 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_files.ground.later import pa
-from kilter_service.called import called
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import key_of
 from kilter_service.contract.campaigns import Campaign
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.reading import CSV

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_service.called import called
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import service as versions

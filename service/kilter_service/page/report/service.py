@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
 from kilter_files.look.unusual import why_unusual
-from kilter_service.called import called
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
@@ -20,6 +19,7 @@ from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, J
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page

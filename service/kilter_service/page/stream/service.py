@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_service.called import called
 from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.versions import Activation
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings

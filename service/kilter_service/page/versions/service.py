@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from kilter_service.called import called
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import GREY, Plot

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.effects import Effect
 from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
-from kilter_core.gap.evidence.practical_size import moves_u95_mm
+from kilter_core.gap.evidence.held_out.practical_size import moves_u95_mm
 from kilter_core.gap.search.events import Course, key_of, likely, moved, profiles
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.observations import Observations
