@@ -227,6 +227,9 @@ class GapSize(Stored):
     noise_rms_mm: Mm | None = Field(None, description="What noise alone would leave, mm, to be compared with after.")
     validation_before_mm: Mm | None = Field(None, description="Before, on the held-out rows, mm.")
     validation_after_mm: Mm | None = Field(None, description="After, on the held-out rows, mm.")
+    validation_after_all_mm: Mm | None = Field(
+        None, description="After, on every held-out row, those set aside too, mm; null: none was set aside."
+    )
     validation_noise_rms_mm: Mm | None = Field(None, description="What noise alone would leave there, mm.")
     before_deg: Deg | None = Field(None, description="Before, on the rows fitted, degrees of a joint.")
     after_deg: Deg | None = Field(None, description="After, on the rows fitted, degrees of a joint.")
@@ -234,12 +237,17 @@ class GapSize(Stored):
     noise_rms_deg: Deg | None = Field(None, description="What noise alone would leave, degrees of a joint.")
     validation_before_deg: Deg | None = Field(None, description="Before, on the held-out rows, degrees of a joint.")
     validation_after_deg: Deg | None = Field(None, description="After, on the held-out rows, degrees of a joint.")
+    validation_after_all_deg: Deg | None = Field(
+        None, description="After, on every held-out row, those set aside too, degrees of a joint; null: none was."
+    )
     validation_noise_rms_deg: Deg | None = Field(None, description="What noise alone would leave there, degrees.")
     closure: float | None = Field(
         None, description="Share of the gap that is closed; 1 is all; null: the noise is not known."
     )
     held_out: str | None = Field(None, description="How rows were held out.")
-    held_out_set_aside: int | None = Field(None, description="Held-out visits that were set aside.")
+    held_out_set_aside: int | None = Field(
+        None, description="Held-out visits that no model of the search predicts, set aside."
+    )
     predictive: Predictive | None = Field(None, description="How the held-out rows lie in their 95 % intervals.")
     steps: list[GapStep] | None = Field(None, description="Steps of the search.")
 

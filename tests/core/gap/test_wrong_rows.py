@@ -144,3 +144,6 @@ def test_the_same_rows_give_the_same_hunt():
     rows, _ = spoilt(campaign(ROBOT, HIDDEN, seed=2, revisits=0, poses=60), 0.1, 3)
     one, other = (find_gap(ROBOT, rows, replace(QUICK, effects=PHYSICAL)).to_document() for _ in range(2))
     assert json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
+    gap, wrong, every = report["gap"], bad[held].sum(), held.sum()
+    with_them = np.sqrt(((every - wrong) * gap["validation_after_mm"] ** 2 + wrong * 0.5**2) / every)
+    assert gap["validation_after_all_mm"] == pytest.approx(with_them, rel=0.05) > 3 * gap["validation_after_mm"]

@@ -81,12 +81,12 @@ def _by_job(session: Session, campaign: str, starts: Sequence[int]) -> Iterator[
         by: SaidBy = "search" if said.kind == "gap" else "identification"
         for one in as_written(list[SetAside], said.rows):
             values = {"mm": one.residual_mm, "sigma": one.residual_sigma, "weight": one.weight}
-            yield _row(one.row, starts, by, _why(one), held_out=bool(one.held_out), said=said, **values)
+            yield _row(one.row, starts, by, _why(one, by), held_out=bool(one.held_out), said=said, **values)
 
 
-def _why(one: SetAside) -> str:
+def _why(one: SetAside, by: SaidBy) -> str:
     if one.held_out:
-        return "no model predicts it, and it was left out of the errors on held-out rows"
+        return f"no model of this {by} predicts it, and it was left out of the errors on held-out rows"
     if one.weight:
         return "too far from what the model can be, so it counts less than half"
     return "too far from what the model can be, so it was left out of the fit"

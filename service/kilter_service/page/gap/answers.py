@@ -89,7 +89,9 @@ def _aside(result: GapResult) -> Iterator[str]:
             yield warning.message
     held = (result.gap.held_out_set_aside if result.gap is not None else None) or 0
     if held:
-        yield f"{plural(held, 'held-out visit')} could not be a measurement under any model and took no part in the errors."
+        every = result.gap.validation_after_all_mm if result.gap is not None else None
+        with_them = "" if every is None else f"; with them the error after is {number(every, 4)} mm"
+        yield f"{plural(held, 'held-out visit')} no model of this search predicts, left out of its errors{with_them}."
 
 
 def _limits(result: GapResult) -> str:

@@ -200,7 +200,7 @@ class GapSize(Record):
     held_out: str | None
     """How rows were held out."""
     held_out_set_aside: int | None
-    """Held-out visits that were set aside."""
+    """Held-out visits that no model of the search predicts, set aside."""
     noise_deg: float | None
     """Standard deviation of the noise, degrees of a joint."""
     noise_mm: float | None
@@ -213,6 +213,10 @@ class GapSize(Record):
     """How the held-out rows lie in their 95 % intervals."""
     steps: Records[GapStep]
     """Steps of the search."""
+    validation_after_all_deg: float | None
+    """After, on every held-out row, those set aside too, degrees of a joint; None: none was."""
+    validation_after_all_mm: float | None
+    """After, on every held-out row, those set aside too, mm; None: none was set aside."""
     validation_after_deg: float | None
     """After, on the held-out rows, degrees of a joint."""
     validation_after_mm: float | None

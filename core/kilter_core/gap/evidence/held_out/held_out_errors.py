@@ -40,8 +40,9 @@ class HeldOut:
     """Whitened errors (V, m) by the fits before and after, and how they came about.
 
     ``lower (m, m)`` converts them back to m or rad; ``floor`` is the variance a perfect model's would have, in units of
-    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes. Whitening
-    correlated samples took ``inflation`` off their variance too.
+    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes; ``every`` are the
+    errors after with them, None where there are none. Whitening correlated samples took ``inflation`` off their
+    variance too.
     """
 
     before: Floats
@@ -52,6 +53,7 @@ class HeldOut:
     set_aside: int = 0
     inflation: float = 1.0
     predictive: dict[str, Any] | None = None
+    every: Floats | None = None
 
 
 class HoldoutEvaluator:
@@ -163,7 +165,8 @@ class HoldoutEvaluator:
             how += " of other placements, with contacts and ball fitted to them"
         grown = problem.settings.inflation if self.moving else 1.0
         told = None if spread is None else self._predictive(after, spread, ~spike)
-        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
+        every = after if spike.any() else None
+        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told, every)
 
     @cached_property
     def kept(self) -> Bools:
@@ -298,6 +301,7 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
 
     ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
     ``validation_noise_rms_mm`` are what the noise alone would give for before and after: lengths in space.
+    ``validation_after_all_mm`` counts the held-out rows that were set aside too; it is there where some were.
     """
     problem = search.problem
     size = problem.settings.whitener.shape[-1]
@@ -319,6 +323,8 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
         "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,
         "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
     }  # fmt: skip
+    if held.every is not None:
+        numbers["validation_after_all"] = source.rms(held.every @ held.lower.T)
     unit, scale = reported("rad" if joint else "m")
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
     if joint:

@@ -174,7 +174,11 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
     if closure is not None:
         say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
     if gap.get("held_out_set_aside") is not None:
-        say(f"held-out rows left out as no measurements: {gap['held_out_set_aside'] or 'none'}")
+        every = gap.get(f"validation_after_all_{unit}")
+        with_them = (
+            f", which no model of this search predicts; with them after is {number(every)} {unit}" if every else ""
+        )
+        say(f"held-out rows left out of these errors: {gap['held_out_set_aside'] or 'none'}{with_them}")
     unseen = (result.get("adequacy") or {}).get("held_out")
     if unseen:
         say(
