@@ -21,8 +21,8 @@ from sqlalchemy import text
 from kilter_core.twin import thesis_katana
 from kilter_service.page.words import chance as written
 from kilter_service.page.words import like
-from kilter_service.versions.differences import _beyond as beyond
-from kilter_service.versions.paired import chance
+from kilter_service.versions.predictions.differences import _beyond as beyond
+from kilter_service.versions.predictions.paired import chance
 from tests.service.conftest import Katana
 
 from .conftest import opened

@@ -18,8 +18,8 @@ import pytest
 from pyarrow import parquet
 from scipy.io import savemat
 
-from kilter_service.ground import sandbox
-from kilter_service.ground.sandbox import Limits
+from kilter_service.ground.processes import sandbox
+from kilter_service.ground.processes.sandbox import Limits
 from kilter_service.page.drop import reading
 from tests.service.conftest import Katana
 
@@ -124,7 +124,7 @@ def test_nothing_of_the_servers_environment_is_in_reach(tmp_path: Path, monkeypa
     assert "KILTER_CHILD_LIMITS" in seen
 
 
-CONFINED = "from kilter_service.ground.sandbox import confine; confine()"
+CONFINED = "from kilter_service.ground.processes.sandbox import confine; confine()"
 
 
 def mutated(random_: random.Random, content: bytes) -> bytes:

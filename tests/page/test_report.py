@@ -16,10 +16,10 @@ from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground import sandbox
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, RobotRow, VersionRow
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.processes import sandbox
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.kind import VersionContent

@@ -18,7 +18,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from kilter_service.page.assets import FOLDER, hashed
-from kilter_service.versions.places import WORST, spread
+from kilter_service.versions.predictions.places import WORST, spread
 from tests.core.palletiser import palletiser, said
 
 from .conftest import opened

@@ -36,7 +36,7 @@ ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 _COMMAND = ["kilter_service.run.program"]
 _JOBS = [
     "kilter_service.run.serving",
-    "kilter_service.jobs.worker",
+    "kilter_service.jobs.work.worker",
     "kilter_core.identify",
     "kilter_core.gap",
     "kilter_core.evaluate",

@@ -26,7 +26,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.fan_out import cluster as engine
 from kilter_service.jobs.fan_out import fan_out, part
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.runner import Runner
+from kilter_service.jobs.work.runner import Runner
 from tests.blind.generator import cases
 from tests.blind.run import run as benchmark
 from tests.service.conftest import Katana

@@ -12,7 +12,7 @@ from sqlalchemy import func, select
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.runner import Runner
+from kilter_service.jobs.work.runner import Runner
 from tests.service.conftest import Katana
 
 Until = Callable[..., None]

@@ -12,7 +12,7 @@ from kilter_service.ground.caller import CALLER, Caller, as_document
 from kilter_service.ground.db import Database
 from kilter_service.jobs.fleet_versions import fleet_versions
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.runner import Runner
+from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 from tests.service.test_fleet_jobs import work

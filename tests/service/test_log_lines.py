@@ -19,7 +19,7 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.ground import child_output
+from kilter_service.ground.processes import child_output
 from kilter_service.ground.settings import Settings
 from kilter_service.web.auth.token import admin_token
 from tests.service.forked import ForkedPopen, children_of, forked_command

@@ -11,8 +11,8 @@ from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import CampaignRow, JobRow, VersionRow
 from kilter_service.versions import store
+from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.store import NewVersion
-from kilter_service.versions.unfitted_rows import Archive
 
 ROBOT = {"name": "katana", "convention": "preset", "preset": "katana450-chapter5"}
 OTHER = {**ROBOT, "name": "other"}

@@ -38,7 +38,7 @@ try:
     worker(settings, Namespace(supervised=True))
 except Exception as error:
     assert "worker.lock" in str(error), error
-assert "kilter_service.jobs.runner" in sys.modules
+assert "kilter_service.jobs.work.runner" in sys.modules
 assert gc.isenabled(), "the collector stays off"
 assert gc.get_freeze_count() > 50_000, gc.get_freeze_count()
 assert len(collected) < 20, len(collected)  # of what comes after the import
@@ -46,7 +46,7 @@ assert len(collected) < 20, len(collected)  # of what comes after the import
 
 SHORT = """
 import gc, weakref
-from kilter_service.ground.memory import ShortPauses
+from kilter_service.ground.processes.memory import ShortPauses
 class Thing: pass
 def cycle():
     one, other = Thing(), Thing()

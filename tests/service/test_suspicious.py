@@ -50,7 +50,12 @@ def rows_of(text: str) -> list[tuple[str, ...]]:
                 html.unescape(re.sub(r"<[^>]*>", "", cell)).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", line)
             ]
             told = dict(zip(head, cells, strict=True))
-            who = told["Says who"].removesuffix(" (its job)")
+            for name in [
+                one for one in told if one.startswith("Off by, ")
+            ]:  # its unit stands in the head of the column
+                told["Off by"] = f"{told[name]} {name.removeprefix('Off by, ')}"
+            # A page links an unnamed version, a report on paper has its id.
+            who = re.sub(r" (ver_\w+|\(its version, its job\)|\(its job\))$", "", told["Says who"])
             found.append((told["Row"], told["Off by"], told["Standard deviations"], who, told["Why"]))
     return sorted(found)
 

@@ -17,7 +17,7 @@ from kilter_core.identify.run import identify
 from kilter_core.identify.view_report import WRONG_VIEWS
 from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.board_poses import board_poses
+from kilter_core.measurement.camera.board_poses import board_poses
 from kilter_core.measurement.pose_weights import DEVIATIONS, scale_of, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig

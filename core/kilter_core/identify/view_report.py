@@ -21,7 +21,7 @@ from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.view_scatter import ViewScatter
+from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Ints

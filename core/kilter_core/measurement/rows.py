@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import cast
 
 from kilter_core.errors import ObservationError
+from kilter_core.measurement.camera.pixels import Pixels
 from kilter_core.measurement.kind import Block, Kind, Residual, Rows
 from kilter_core.measurement.markers import shape_of
-from kilter_core.measurement.pixels import Pixels
 from kilter_core.measurement.registry import KINDS
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera_model import normalised, project
+from kilter_core.measurement.camera.camera_model import normalised, project
 from kilter_core.model import Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse, inverses

@@ -14,7 +14,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.setups import without_frames
 from kilter_core.identify.views.cameras import Cameras, with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.pixels import Pixels
+from kilter_core.measurement.camera.pixels import Pixels
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.pixels import ToolErrors
-from kilter_core.measurement.rig_fit import fit_rig, placed_by
-from kilter_core.measurement.view_scatter import ViewScatter
-from kilter_core.measurement.views import Views, sight_and_slopes
+from kilter_core.measurement.camera.pixels import ToolErrors
+from kilter_core.measurement.camera.rig_fit import fit_rig, placed_by
+from kilter_core.measurement.camera.view_scatter import ViewScatter
+from kilter_core.measurement.camera.views import Views, sight_and_slopes
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints

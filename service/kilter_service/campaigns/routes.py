@@ -10,7 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.campaigns import keeping, service
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.ground.digests import check_digest
+from kilter_service.ground.files.digests import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import spool_upload

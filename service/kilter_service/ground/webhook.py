@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.private_files import secret_in
+from kilter_service.ground.files.private_files import secret_in
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.version import code_version
 

@@ -13,8 +13,8 @@ from kilter_service.contract.jobs.check import CheckedCampaign, JobCheck
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store, wire
-from kilter_service.jobs.default_load import unstated
 from kilter_service.jobs.durations import PastRun, duration
+from kilter_service.jobs.inputs.default_load import unstated
 from kilter_service.jobs.job_preview import JobPreview, Lack, poses_of
 from kilter_service.jobs.kind import JobInput, JobKind
 from kilter_service.jobs.records import JobRequest

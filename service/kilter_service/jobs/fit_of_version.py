@@ -11,7 +11,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.kind import Dates, FitOfVersion
 from kilter_service.versions import store as versions
 from kilter_service.versions.drift import store as drift
-from kilter_service.versions.unfitted_rows import Archive
+from kilter_service.versions.predictions.unfitted_rows import Archive
 
 
 def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion:

@@ -13,7 +13,7 @@ from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.campaigns.suspicious.routes import router as suspicious
 from kilter_service.correction.routes import router as correction
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.private_files import TEMPORARY, Scratch
+from kilter_service.ground.files.private_files import TEMPORARY, Scratch
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.version import code_version
 from kilter_service.jobs.fleet.routes import router as fleet_jobs

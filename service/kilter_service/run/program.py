@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NoReturn
 from pydantic import ValidationError
 
 from kilter_files.ground.later import Later
-from kilter_service.ground.private_files import UMASK, protect
+from kilter_service.ground.files.private_files import UMASK, protect
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings
 from kilter_service.ground.version import code_version
 from kilter_service.run.zenoh_config import command as zenoh_command
@@ -25,10 +25,11 @@ from kilter_service.web.observability import logs, tracing
 
 # A command loads what it runs, and nothing else.
 if TYPE_CHECKING:
-    from kilter_service.ground import db, server_file
+    from kilter_service.ground import db
     from kilter_service.ground.db import failures, revision
-    from kilter_service.jobs import worker as jobs
+    from kilter_service.ground.files import server_file
     from kilter_service.jobs.retention import service as retention
+    from kilter_service.jobs.work import worker as jobs
     from kilter_service.run import compiling, serving, supervisor
     from kilter_service.run.backup import commands
     from kilter_service.run.backup import upgrade as upgrading
@@ -50,9 +51,9 @@ else:
     revision = Later("kilter_service.ground.db.revision")
     doctor_commands = Later("kilter_service.run.doctor.commands")
     retention = Later("kilter_service.jobs.retention.service")
-    jobs = Later("kilter_service.jobs.worker")
+    jobs = Later("kilter_service.jobs.work.worker")
     ros2_process = Later("kilter_service.stream.ros2.process")
-    server_file = Later("kilter_service.ground.server_file")
+    server_file = Later("kilter_service.ground.files.server_file")
     serving = Later("kilter_service.run.serving")
     supervisor = Later("kilter_service.run.supervisor")
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from kilter_files.ground.later import Later
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.memory import ShortPauses, keep_small
+from kilter_service.ground.processes.memory import ShortPauses, keep_small
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:

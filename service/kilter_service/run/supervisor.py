@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from kilter_files.ground.later import Later
-from kilter_service.ground.child import Child
-from kilter_service.ground.child_output import ChildOutput
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.private_files import private_folder
-from kilter_service.ground.server_file import ServerFile
+from kilter_service.ground.files.private_files import private_folder
+from kilter_service.ground.files.server_file import ServerFile
+from kilter_service.ground.processes.child import Child
+from kilter_service.ground.processes.child_output import ChildOutput
 from kilter_service.ground.settings import LOCK_FILE, Settings
 from kilter_service.run.serving import listener, url_of
 from kilter_service.stream.corrector.endpoints import check_free, check_listening

@@ -15,7 +15,8 @@ from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits, Objection
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_deg, to_mm
-from kilter_service.versions import preview, store, wire
+from kilter_service.versions import store, wire
+from kilter_service.versions.predictions import preview
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

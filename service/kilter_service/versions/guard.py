@@ -22,10 +22,11 @@ from kilter_service.ground.core import compare, core_model
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
-from kilter_service.versions import own_errors, store, wire
+from kilter_service.versions import store, wire
 from kilter_service.versions.objections import objections_of, of_calibration
+from kilter_service.versions.predictions import own_errors
+from kilter_service.versions.predictions.unfitted_rows import Archive, Unseen
 from kilter_service.versions.store import Training
-from kilter_service.versions.unfitted_rows import Archive, Unseen
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

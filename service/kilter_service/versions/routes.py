@@ -20,8 +20,9 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
-from kilter_service.versions import activation, differences, keeping, service
+from kilter_service.versions import activation, keeping, service
 from kilter_service.versions.if_match import ExpectedState, tag_of_robot
+from kilter_service.versions.predictions import differences
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.conditional import ConditionalRoute
 from kilter_service.web.page_query import PageOfList

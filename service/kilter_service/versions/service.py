@@ -15,13 +15,14 @@ from kilter_service.robots import store as robots
 from kilter_service.robots.exporters.exportable import Exportable
 from kilter_service.robots.exporters.registry import Exported, export
 from kilter_service.robots.into_controller import said_of_controller
-from kilter_service.versions import at_pose as poses
-from kilter_service.versions import contributions as moves
-from kilter_service.versions import joint_space, store, wire
-from kilter_service.versions import places as measured
-from kilter_service.versions import residuals as left
-from kilter_service.versions import workspace as space
-from kilter_service.versions.preview import preview as looked_at
+from kilter_service.versions import store, wire
+from kilter_service.versions.predictions import at_pose as poses
+from kilter_service.versions.predictions import contributions as moves
+from kilter_service.versions.predictions import joint_space
+from kilter_service.versions.predictions import places as measured
+from kilter_service.versions.predictions import residuals as left
+from kilter_service.versions.predictions import workspace as space
+from kilter_service.versions.predictions.preview import preview as looked_at
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import believable, core_needs
 from kilter_service.ground.wire import to_deg, to_mm
-from kilter_service.versions.preview import at_poses, drawn
+from kilter_service.versions.predictions.preview import at_poses, drawn
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

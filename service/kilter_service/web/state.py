@@ -10,7 +10,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from kilter_service.ground.db import Database
-from kilter_service.ground.private_files import Scratch
+from kilter_service.ground.files.private_files import Scratch
 from kilter_service.ground.settings import Settings
 
 

@@ -15,8 +15,8 @@ from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera_model import normalised, project
-from kilter_core.measurement.hand_eye import solve_axxb, solve_axzb
+from kilter_core.measurement.camera.camera_model import normalised, project
+from kilter_core.measurement.camera.hand_eye import solve_axxb, solve_axzb
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.measurement.board_shape import board_shapes
+from kilter_core.measurement.camera.board_shape import board_shapes
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE
 

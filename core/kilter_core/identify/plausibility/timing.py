@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.measurement.view_motion import Delay, timing
+from kilter_core.measurement.camera.view_motion import Delay, timing
 from kilter_core.types import QUANTILE
 
 CHANCE = 1e-3

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.views.cameras import rig_of
-from kilter_core.measurement.views import sight_and_slopes
+from kilter_core.measurement.camera.views import sight_and_slopes
 from kilter_core.observations.rig import Board, Camera
 from kilter_core.types import Floats, Ints
 

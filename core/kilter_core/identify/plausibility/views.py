@@ -15,10 +15,10 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.board_poses import board_poses
-from kilter_core.measurement.hand_eye import HandEye, grown, solve_axzb
-from kilter_core.measurement.pixels import Pixels
-from kilter_core.measurement.views import Views, sight
+from kilter_core.measurement.camera.board_poses import board_poses
+from kilter_core.measurement.camera.hand_eye import HandEye, grown, solve_axzb
+from kilter_core.measurement.camera.pixels import Pixels
+from kilter_core.measurement.camera.views import Views, sight
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations

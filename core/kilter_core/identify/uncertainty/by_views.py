@@ -18,7 +18,7 @@ from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
 from kilter_core.identify.uncertainty.predictive import CHANCE, Predictive
 from kilter_core.identify.views.cameras import rig_at, unknown_rig
-from kilter_core.measurement.view_scatter import ViewScatter
+from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
 from kilter_core.parameters import Parameter
 from kilter_core.transforms import inverse, skew

@@ -18,9 +18,9 @@ from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.camera.pixels import PixelsAlone
 from kilter_core.measurement.contacts import Contacts
 from kilter_core.measurement.kind import POINTS
-from kilter_core.measurement.pixels import PixelsAlone
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import QUANTILE, Bools, Floats, Ints

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_core.identify.views.cameras import rig_of
-from kilter_core.measurement.view_scatter import ViewScatter
+from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place, PlacedRig
 from kilter_core.parameters import degrees, mm

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kilter_core.measurement.camera.views import Views, pairs_of, sight_and_slopes
 from kilter_core.measurement.pose_weights import Scale, weights
-from kilter_core.measurement.views import Views, pairs_of, sight_and_slopes
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations

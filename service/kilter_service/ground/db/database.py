@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session, sessionmaker
 
 from kilter_service.ground.db import audited, sealed, seals
 from kilter_service.ground.db.outages import DatabaseAwayError, outages
-from kilter_service.ground.private_files import private_file, private_folder
+from kilter_service.ground.files.private_files import private_file, private_folder
 
 BUSY_TIMEOUT_MS = 15_000
 CONNECT_TIMEOUT_S = 5

@@ -20,7 +20,7 @@ from sqlalchemy.dialects import sqlite
 from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, SealedTableRow, SealRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.private_files import secret_in
+from kilter_service.ground.files.private_files import secret_in
 
 # The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but
 # a metric. Nor does anything on the progress of a job, which workers note beside each other, and the bytes of chunks and

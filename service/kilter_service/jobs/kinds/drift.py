@@ -9,9 +9,9 @@ from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
 from kilter_service.ground.wire import to_metres_if_known, to_mm
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
-from kilter_service.jobs.plain import plain
 from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:

@@ -15,12 +15,12 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.cancellable import cancellable
+from kilter_service.jobs.inputs.plain import plain
+from kilter_service.jobs.inputs.poses import Pose, document_of
+from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.gap import gap_figures
-from kilter_service.jobs.poses import Pose, document_of
-from kilter_service.jobs.rows_of_campaigns import by_campaign
 from kilter_service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:

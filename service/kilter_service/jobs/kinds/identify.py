@@ -21,13 +21,13 @@ from kilter_service.ground.core import (
     measurement_of_rows,
 )
 from kilter_service.jobs.budgets import add_to_metrics
+from kilter_service.jobs.inputs.plain import plain
+from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
+from kilter_service.jobs.inputs.setups import FRAMES, Setups
+from kilter_service.jobs.inputs.sheets import bar_lengths, doubts
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.jobs.plain import plain
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
-from kilter_service.jobs.rows_of_campaigns import by_campaign
-from kilter_service.jobs.setups import FRAMES, Setups
-from kilter_service.jobs.sheets import bar_lengths, doubts
 
 if TYPE_CHECKING:
     from kilter_core.identify import Folds, Identification

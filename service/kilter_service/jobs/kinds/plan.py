@@ -26,10 +26,10 @@ from kilter_service.ground.core import (
     separation,
 )
 from kilter_service.ground.wire import to_metres, to_metres_if_known
+from kilter_service.jobs.inputs.plain import plain
+from kilter_service.jobs.inputs.poses import Pose, document_of, poses_of
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
-from kilter_service.jobs.plain import plain
-from kilter_service.jobs.poses import Pose, document_of, poses_of
 from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
 from kilter_service.ground.wire import to_metres_if_known
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
-from kilter_service.jobs.plain import plain
 from kilter_service.versions.drift import wire
 from kilter_service.versions.guard import REZEROED
 

@@ -26,7 +26,7 @@ from kilter_service.page.campaign import service
 from kilter_service.page.campaign.series import KEPT
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
-from kilter_service.versions.paired import residuals, size_of
+from kilter_service.versions.predictions.paired import residuals, size_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,7 +18,7 @@ from kilter_files.formats.unknown.table_shape import shape_of
 from kilter_files.ground.errors import FileError, KilterError, MissingPackageError
 from kilter_files.look.draft import draft
 from kilter_files.look.inspection import inspect
-from kilter_service.ground.sandbox import confine
+from kilter_service.ground.processes.sandbox import confine
 
 MOST_ROWS = 2_000_000
 MOST_COLUMNS = 400  # of the file, that are described one by one

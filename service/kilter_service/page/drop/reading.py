@@ -8,9 +8,9 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
-from kilter_service.ground import sandbox
 from kilter_service.ground.db import Database
-from kilter_service.ground.sandbox import Ended, Limits
+from kilter_service.ground.processes import sandbox
+from kilter_service.ground.processes.sandbox import Ended, Limits
 from kilter_service.page.drop.drafts import Draft
 
 CHILD = "kilter_service.page.drop.child"

@@ -12,7 +12,7 @@ _ROOM: ContextVar[float] = ContextVar("room", default=WIDEST)
 
 
 def heard(told: str | None) -> None:
-    """Take the width of the window; what is no width, or none, leaves all figures as wide as they are."""
+    """Take the width of the window; what is not a width, or is missing, leaves all figures as wide as they are."""
     width = int(told) if told is not None and told.isascii() and told.isdigit() and len(told) < 6 else 0
     _ROOM.set(min(max(width - MARGINS, NARROWEST), WIDEST) if width else WIDEST)
 

@@ -14,7 +14,7 @@ from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import listed_jobs
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.versions.differences import version_of
+from kilter_service.versions.predictions.differences import version_of
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_service.ground import sandbox
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.sandbox import Limits
+from kilter_service.ground.processes import sandbox
+from kilter_service.ground.processes.sandbox import Limits
 
 CHILD = "kilter_service.page.report.child"
 LIMITS = Limits(seconds=90, memory_mb=3072, output_mb=64)

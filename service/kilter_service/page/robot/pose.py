@@ -18,7 +18,7 @@ from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 
 if TYPE_CHECKING:
-    from kilter_service.versions.at_pose import AtPose
+    from kilter_service.versions.predictions.at_pose import AtPose
 
 MOST_JOINTS = 64
 

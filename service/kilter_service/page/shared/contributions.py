@@ -12,7 +12,7 @@ from kilter_service.page.figures.scale import around, named
 from kilter_service.versions import service
 
 if TYPE_CHECKING:
-    from kilter_service.versions.contributions import Contribution
+    from kilter_service.versions.predictions.contributions import Contribution
 
 COLOURS = ("", "")  # those of plots
 

@@ -19,7 +19,7 @@ from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.words import beside
 from kilter_service.versions import service
-from kilter_service.versions.paired import residuals, size_of
+from kilter_service.versions.predictions.paired import residuals, size_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

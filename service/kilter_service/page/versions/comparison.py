@@ -18,7 +18,8 @@ from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.versions.paired import maps
-from kilter_service.versions import differences, service
+from kilter_service.versions import service
+from kilter_service.versions.predictions import differences
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
 MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: 0.15 s of processor

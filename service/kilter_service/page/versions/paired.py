@@ -14,7 +14,7 @@ from kilter_service.page.figures.plot import BLUE, SKY, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.words import beside, largest, mm
 from kilter_service.versions import service
-from kilter_service.versions.paired import Pairs
+from kilter_service.versions.predictions.paired import Pairs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

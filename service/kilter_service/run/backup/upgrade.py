@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.private_files import private_file
+from kilter_service.ground.files.private_files import private_file
 from kilter_service.ground.settings import Settings
 
 log = logging.getLogger("kilter.serve")

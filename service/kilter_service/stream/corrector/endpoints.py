@@ -8,7 +8,7 @@ import socket
 from pathlib import Path
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.private_files import Scratch, scratch_for_sockets
+from kilter_service.ground.files.private_files import Scratch, scratch_for_sockets
 from kilter_service.ground.settings import Settings
 
 ON_THIS_MACHINE = ("unixsock-stream", "unixpipe")

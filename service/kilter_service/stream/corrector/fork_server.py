@@ -24,9 +24,9 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, NamedTuple, NoReturn
 
-from kilter_service.ground.child import Child, running
 from kilter_service.ground.core import program
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.processes.child import Child, running
 from kilter_service.stream.corrector.orphan import Found
 from kilter_service.stream.corrector.specs import QuerySpec, StreamSpec, enter
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from kilter_service.ground.private_files import held
+from kilter_service.ground.files.private_files import held
 from kilter_service.ground.version import code_version
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.endpoints import door_beside

@@ -21,9 +21,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from kilter_service.ground.child import running
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
+from kilter_service.ground.processes.child import running
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.active import Active, VersionSource
 from kilter_service.stream.corrector.database_source import DatabaseSource

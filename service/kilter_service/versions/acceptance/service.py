@@ -21,16 +21,16 @@ from kilter_service.versions import store as versions
 from kilter_service.versions.acceptance import words
 from kilter_service.versions.acceptance.rows import judged, of_another_arm, shown, span
 from kilter_service.versions.guard import since_rezeroed
+from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.today import sentences
 from kilter_service.versions.today import service as today
-from kilter_service.versions.unfitted_rows import Archive
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_service.contract.instruments import Instrument
     from kilter_service.versions.acceptance.rows import Ints, Judged
-    from kilter_service.versions.unfitted_rows import Unseen
+    from kilter_service.versions.predictions.unfitted_rows import Unseen
 
 
 ANOTHER_ARM = "rows_of_another_arm"

@@ -13,7 +13,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import compensation_in, sentence
-from kilter_service.versions.own_errors import larger
+from kilter_service.versions.predictions.own_errors import larger
 from kilter_service.versions.today import missing, sentences, store
 from kilter_service.versions.today.store import Active, Evaluated, Measured
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prometheus_client.core import GaugeMetricFamily, Metric
 
-from kilter_service.ground import backup_folder
+from kilter_service.ground.files import backup_folder
 from kilter_service.ground.settings import Settings
 
 

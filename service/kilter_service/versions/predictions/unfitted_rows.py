@@ -17,7 +17,7 @@ from kilter_service.ground.core import holding_out, holdout
 from kilter_service.ground.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.versions.earlier_splits import fitted_by_order
+from kilter_service.versions.predictions.earlier_splits import fitted_by_order
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from kilter_service.ground.core import core_model, predictive
-from kilter_service.jobs.plain import plain
+from kilter_service.jobs.inputs.plain import plain
 from kilter_service.versions.suggested import WORKSPACE, suggested
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from kilter_core.measurement.pixels import Pixels
-from kilter_core.measurement.views import sight_and_slopes
+from kilter_core.measurement.camera.pixels import Pixels
+from kilter_core.measurement.camera.views import sight_and_slopes
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints

@@ -12,7 +12,7 @@ from kilter_service.ground.core import core_frames
 from kilter_service.ground.db import Database
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.versions.places import places
+from kilter_service.versions.predictions.places import places
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

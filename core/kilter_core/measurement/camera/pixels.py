@@ -14,10 +14,10 @@ from typing import cast
 import numpy as np
 
 from kilter_core.errors import ObservationError
+from kilter_core.measurement.camera.rig_fit import fit_rig, placed_by, thinned
+from kilter_core.measurement.camera.view_scatter import ViewScatter, scatter_of, shrunk
+from kilter_core.measurement.camera.views import Views, pairs_of, sight, sight_and_slopes
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, anchor_of
-from kilter_core.measurement.rig_fit import fit_rig, placed_by, thinned
-from kilter_core.measurement.view_scatter import ViewScatter, scatter_of, shrunk
-from kilter_core.measurement.views import Views, pairs_of, sight, sight_and_slopes
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations

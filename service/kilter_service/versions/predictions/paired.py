@@ -15,7 +15,7 @@ from kilter_service.contract.comparison_words import said_of_chance, said_of_len
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
-from kilter_service.versions import residuals as left
+from kilter_service.versions.predictions import residuals as left
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

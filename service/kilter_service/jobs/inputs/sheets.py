@@ -10,7 +10,7 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_service.ground.core import bar_length, core_model, sheet_order
 from kilter_service.ground.wire import to_mm
-from kilter_service.jobs.setups import LAID_AGAIN
+from kilter_service.jobs.inputs.setups import LAID_AGAIN
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

@@ -28,8 +28,8 @@ from kilter_service.ground.correction_limits import options_of
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
-from kilter_service.versions.preview import drawn
-from kilter_service.versions.residuals import Part, frames_of, parts_of, refitted
+from kilter_service.versions.predictions.preview import drawn
+from kilter_service.versions.predictions.residuals import Part, frames_of, parts_of, refitted
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot

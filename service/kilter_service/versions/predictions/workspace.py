@@ -13,8 +13,8 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import predictive
 from kilter_service.ground.db import Database
 from kilter_service.versions import store
-from kilter_service.versions.places import in_base
-from kilter_service.versions.preview import at_poses, drawn
+from kilter_service.versions.predictions.places import in_base
+from kilter_service.versions.predictions.preview import at_poses, drawn
 from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.versions import store, wire
+from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.records import VersionRecord
-from kilter_service.versions.unfitted_rows import Archive
 
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.file_hash import has_hash, hash_file
+from kilter_service.ground.files.file_hash import has_hash, hash_file
 
 SUFFIX = ".kilter-backup"
 WHEN = "%Y%m%dT%H%M%SZ"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kilter_core.measurement.camera_model import project, project_held
+from kilter_core.measurement.camera.camera_model import project, project_held
 from kilter_core.model.placed_rig import Place, PlacedRig
 from kilter_core.types import Floats, Ints
 

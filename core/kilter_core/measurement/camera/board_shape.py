@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.measurement.board_poses import PLANAR
-from kilter_core.measurement.pixels import Pixels
-from kilter_core.measurement.views import Views, by_corners, sight_and_slopes
+from kilter_core.measurement.camera.board_poses import PLANAR
+from kilter_core.measurement.camera.pixels import Pixels
+from kilter_core.measurement.camera.views import Views, by_corners, sight_and_slopes
 from kilter_core.model import Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.types import Bools, Floats, Ints

@@ -8,7 +8,8 @@ from kilter_core.errors import CoreError
 from kilter_core.observations.spread import evenly
 from kilter_service.ground.core import core_model
 from kilter_service.jobs.kind import JobInput, JobOutput
-from kilter_service.versions import ability, preview
+from kilter_service.versions import ability
+from kilter_service.versions.predictions import preview
 
 CAUSES = {"board_scale_differs", "camera_moved"}  # that wider limits or zeros entered in the controller do not mend
 MOST_POSES = 500  # looked at, evenly chosen

@@ -20,21 +20,21 @@ from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.failure_log import log_failure
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs import store
-from kilter_service.jobs.can_correct import with_ability_warning
-from kilter_service.jobs.certificates import with_certificate_warnings
-from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
 from kilter_service.jobs.foreign import store as foreign_rows
+from kilter_service.jobs.inputs.default_load import with_load_warning
+from kilter_service.jobs.inputs.limits_of_version import with_limits
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.kinds.drift import FOREIGN
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
-from kilter_service.jobs.limits_of_version import with_limits
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
-from kilter_service.jobs.verdicts import verdict_message
+from kilter_service.jobs.work.can_correct import with_ability_warning
+from kilter_service.jobs.work.certificates import with_certificate_warnings
+from kilter_service.jobs.work.verdicts import verdict_message
 from kilter_service.versions.objections import objections_of
 from kilter_service.web.observability import logs, tracing
 

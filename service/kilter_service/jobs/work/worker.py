@@ -23,10 +23,10 @@ from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.single_worker_lock import single_worker_lock
 from kilter_service.jobs.lease.watch import Watch
-from kilter_service.jobs.queue_consumer import QueueConsumer
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
-from kilter_service.jobs.runner import Runner
+from kilter_service.jobs.work.queue_consumer import QueueConsumer
+from kilter_service.jobs.work.runner import Runner
 from kilter_service.web.health import store as health
 
 log = logging.getLogger("kilter.worker")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kilter_core.measurement.camera_model import normalised, project_held
-from kilter_core.measurement.views import cross
+from kilter_core.measurement.camera.camera_model import normalised, project_held
+from kilter_core.measurement.camera.views import cross
 from kilter_core.observations.rig import Board, Camera
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Bools, Floats

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from kilter_service.ground.private_files import private_folder
+from kilter_service.ground.files.private_files import private_folder
 
 
 class ServerFile:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.board_poses import FEWEST_IN_SPACE, board_poses
-from kilter_core.measurement.hand_eye import HandEye, solve_axzb
-from kilter_core.measurement.views import Slopes, Views, sight, sight_and_slopes
+from kilter_core.measurement.camera.board_poses import FEWEST_IN_SPACE, board_poses
+from kilter_core.measurement.camera.hand_eye import HandEye, solve_axzb
+from kilter_core.measurement.camera.views import Slopes, Views, sight, sight_and_slopes
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.transforms import inverse, inverses

@@ -15,8 +15,8 @@ from kilter_service.ground.called import called
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
-from kilter_service.versions.paired import NOTHING, Pairs, Side, judged, pairs
-from kilter_service.versions.values import Value, wire_values
+from kilter_service.versions.predictions.paired import NOTHING, Pairs, Side, judged, pairs
+from kilter_service.versions.predictions.values import Value, wire_values
 from kilter_service.versions.wire import summary
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Files of the server: private, hashed, beside it, and the folder of backups."""
