@@ -225,7 +225,7 @@ class Scorer:
     @cached_property
     def one_sided(self) -> Bools:
         """Candidates (K,) of one parameter with a known sign."""
-        return np.array([c.positive and len(c.columns) == 1 for c in self.candidates])
+        return np.array([c.positive and len(c.columns) == 1 for c in self.candidates], dtype=bool)
 
 
 @dataclass(frozen=True)
