@@ -17,6 +17,7 @@ from kilter_core.types import Bools, Floats
 FEWEST_VIEWS = 3
 PASSES = 4
 FAR = 4.0  # times the median, beyond which a view does not count for the start
+HIDDEN = 1e-12  # share (squared) of the lengths of an arm that moves about one point, up to rounding
 SAME_AXIS = 0.02  # share of the rotations' spread below which all rotate about one axis
 
 
@@ -86,15 +87,23 @@ def _solved(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats, used: Bools) -> 
 def grown(T_p: Floats, T_R: Floats, M_p: Floats, found: HandEye) -> tuple[float, float, float]:
     """By what factor all lengths that the camera measured grow in T A = B M, its standard deviation, and what is left then (m,
     median), of the views that are not far off.
+
+    The camera's lengths have the noise, so they are what is explained; the deviation is infinite where the poses move the
+    arm only about one point, for then nothing of its lengths is seen.
     """
     used, n = ~_far(found.left_m), len(T_p)
     seen = M_p @ found.world_side[:3, :3].T
-    left = np.concatenate([T_R, np.broadcast_to(-np.eye(3), (n, 3, 3)), -seen[:, :, None]], axis=2)
-    A, right = left[used].reshape(-1, 7), -T_p[used].reshape(-1)
-    x = np.linalg.lstsq(A, right, rcond=None)[0]
-    variance = float(np.sum((A @ x - right) ** 2)) / max(len(right) - 7, 1)
-    off = np.linalg.norm(left @ x + T_p, axis=1)
-    return float(x[6]), float(np.sqrt(variance * np.linalg.pinv(A.T @ A)[6, 6])), float(np.median(off))
+    placed = np.concatenate([T_R, np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2)
+    A, lengths, right = placed[used].reshape(-1, 6), T_p[used].reshape(-1), seen[used].reshape(-1)
+    own = lengths - A @ np.linalg.lstsq(A, lengths, rcond=None)[0]
+    if own @ own < HIDDEN * (lengths @ lengths):
+        return 1.0, float("inf"), float(np.median(found.left_m))
+    shrunk = float(own @ right / (own @ own))  # of the arm's lengths to the camera's
+    x = np.linalg.lstsq(A, right - shrunk * lengths, rcond=None)[0]
+    off = seen - shrunk * T_p - placed @ x
+    variance = float(np.sum(off[used] ** 2)) / max(len(right) - 7, 1)
+    by = 1.0 / shrunk if shrunk else float("inf")
+    return by, float(np.sqrt(variance / (own @ own))) * by**2, float(np.median(np.linalg.norm(off, axis=1))) * abs(by)
 
 
 def solve_axxb(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats) -> Floats:
