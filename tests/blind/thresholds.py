@@ -71,15 +71,15 @@ SEARCH = (
     "search.select.HIDING",
     "search.scan.CAUTION",
     "search.scan.STRICTER",
-    "search.outliers.CHANCE",
-    "search.outliers.MOST",
-    "search.outliers.SUPPLE",
+    "search.rows.outliers.CHANCE",
+    "search.rows.outliers.MOST",
+    "search.rows.outliers.SUPPLE",
     "noise.from_repeats.SPIKE",
     "noise.from_repeats.SPHERICAL",
-    "search.bases.SEEN",
+    "search.linear.bases.SEEN",
     "evidence.local_bump.FAIR",
-    "evidence.testability.BARELY",
-    "evidence.holding_out.SHARE",
+    "evidence.similarity.testability.BARELY",
+    "evidence.held_out.holding_out.SHARE",
 )
 
 
