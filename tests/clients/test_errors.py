@@ -25,8 +25,8 @@ from kilter_client import (
     RobotError,
     ServerUnreachableError,
     TooFewPosesError,
-    again,
 )
+from kilter_client.requests import retries
 
 Answer = Callable[[httpx.Request], httpx.Response]
 
@@ -34,7 +34,7 @@ Answer = Callable[[httpx.Request], httpx.Response]
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What nobody answers is not asked for again for half a minute."""
-    monkeypatch.setattr(again, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(retries, "PATIENCE_S", 0.3)
 
 
 def client(answer: Answer) -> Kilter:
