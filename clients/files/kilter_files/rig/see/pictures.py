@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.later import Image, need
 from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.whole_picture import whole_picture
 
 Grey = NDArray[np.uint8]
 
@@ -54,11 +54,9 @@ def grey_of(name: str, stream: BinaryIO, length: int, size: tuple[int, int] | No
     try:
         if length > MOST_BYTES:
             raise RefusedError(Refusal(name, "picture_too_large", f"has {length >> 20} MB"))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of doubtful metadata; sizes are checked here
-            with Image.open(stream, formats=FORMATS) as image:
-                check_size(name, image.size, size)
-                return _grey(image)
+        with whole_picture(stream, FORMATS) as image:
+            check_size(name, image.size, size)
+            return _grey(image)
     except RefusedError:
         raise
     except (Image.DecompressionBombError, MemoryError) as error:

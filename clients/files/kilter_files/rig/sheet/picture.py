@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, head_of
 from kilter_files.ground.later import Image, ImageOps, need, pypdfium2
+from kilter_files.rig.whole_picture import whole_picture
 
 Pixels = NDArray[np.uint8]
 
@@ -56,13 +56,11 @@ def read_picture(path: Path, page: int = 1) -> Picture:
 def _image(path: Path) -> Picture:
     need("Reading a pencil sheet needs", "Pillow", "PIL.Image")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of doubtful metadata; sizes are checked here
-            with Image.open(path, formats=("PNG", "JPEG")) as image:
-                _check_size(path, *image.size)
-                stated = image.info.get("dpi")
-                turned = ImageOps.exif_transpose(image)
-                rgb = _flat(turned)
+        with whole_picture(path, ("PNG", "JPEG")) as image:
+            _check_size(path, *image.size)
+            stated = image.info.get("dpi")
+            turned = ImageOps.exif_transpose(image)
+            rgb = _flat(turned)
     except FileError:
         raise
     except (Image.DecompressionBombError, MemoryError) as error:

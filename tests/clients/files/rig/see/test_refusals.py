@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import ImageFile
 
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.see.pictures import RefusedError, read_grey
@@ -177,7 +178,9 @@ def test_bombs_and_headers_that_lie(content: bytes, code: str, tmp_path: Path) -
     assert str(path) in refused.value.refusal.sentence()
 
 
-def test_a_picture_that_is_cut_off(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lenient", [False, True], ids=["alone", "beside a library that reads cut pictures"])
+def test_a_picture_that_is_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lenient: bool) -> None:
+    monkeypatch.setattr("PIL.ImageFile.LOAD_TRUNCATED_IMAGES", lenient)
     folder = saved(tmp_path, cut=taken(CHARUCO, small()))
     path = folder / "cut.png"
     whole = path.read_bytes()
@@ -185,6 +188,7 @@ def test_a_picture_that_is_cut_off(tmp_path: Path) -> None:
     with pytest.raises(RefusedError) as refused:
         read_grey(path)
     assert refused.value.refusal.code == "picture_unreadable"
+    assert ImageFile.LOAD_TRUNCATED_IMAGES is lenient
 
 
 def test_a_picture_of_another_size_than_the_camera(tmp_path: Path) -> None:
