@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,12 +56,16 @@ def astray_views(seen: ViewResiduals, far: Bools, numbers: Ints) -> Iterator[dic
     if not far.any():
         return
     size = mm(sizes(seen, ~far))
-    rows = numbers[seen.rows[far]] + 1
-    listed = ", ".join(f"{row} ({one:.3g} mm)" for row, one in list(zip(rows, size[far], strict=True))[:LISTED])
-    more = "" if len(rows) <= LISTED else f" and {len(rows) - LISTED} more"
+    rows, off_mm = (numbers[seen.rows[far]] + 1).tolist(), size[far].tolist()
     yield {
-        "code": "views_astray", "rows": rows.tolist(), "off_mm": size[far].tolist(),
-        "message": f"Rows {listed}{more} are far from where the others put the tool, which are off by "
+        "code": "views_astray", "rows": rows, "off_mm": off_mm,
+        "message": f"Rows {rows_off(rows, off_mm)} are far from where the others put the tool, which are off by "
         f"{float(np.median(size[~far])):.2g} mm (median): joints of another picture, an arm that moved, or corners that are "
         "wrong. Look at these pictures, correct their joints or leave these rows out, and identify again.",
     }  # fmt: skip
+
+
+def rows_off(rows: Sequence[int], off_mm: Sequence[float]) -> str:
+    """The first of some rows, each with how far off it is, and how many more there are."""
+    listed = ", ".join(f"{row} ({one:.3g} mm)" for row, one in list(zip(rows, off_mm, strict=True))[:LISTED])
+    return listed if len(rows) <= LISTED else f"{listed} and {len(rows) - LISTED} more"

@@ -68,10 +68,10 @@ def _step(seen: ViewResiduals, part: Part) -> Step | None:
     able = (before >= PER_SIDE) & (own.sum() - before >= PER_SIDE) & own
     if not able.any() or seen.freedom <= 2 * NUMBERS:
         return None
-    B, r = part.columns, seen.r - seen.A @ (seen.taken @ np.einsum("kif,ki->f", seen.A, seen.r))
+    B = part.columns
     H = _after(B.transpose(0, 2, 1) @ B)
     Z = _after(seen.A.transpose(0, 2, 1) @ B)
-    c = _after(np.einsum("kij,ki->kj", B, r))
+    c = _after(np.einsum("kij,ki->kj", B, seen.left))
     S = H - Z.transpose(0, 2, 1) @ (seen.taken @ Z)
     size = np.sqrt(np.diagonal(H, axis1=1, axis2=2))
     size = np.where(able[:, None] & (size > 0.0), size, 1.0)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
+from kilter_core.identify.plausibility.astray_views import rows_off
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
 from kilter_core.measurement.camera.hand_eye import HandEye, grown, solve_axzb
@@ -40,7 +41,6 @@ MOST_FAR = 0.25  # share of the views above which it is not known which are wron
 SCALE = 0.01  # by which a board is larger or smaller, from which it is said before anything is fitted,
 EXPLAINED = 0.5  # if what is left without it is this share at most of what is left
 CLEAR = 5.0  # standard deviations
-LISTED = 20
 
 
 @dataclass(frozen=True)
@@ -143,13 +143,12 @@ def far_views(begin: Calibration, rows: Observations) -> list[tuple[int, float]]
 def _refuse_far(far: list[tuple[int, float]], given: float) -> None:
     if not far:
         return
-    rows = [row + 1 for row, _ in far]
-    listed = ", ".join(f"{row + 1} ({mm(off):.3g} mm)" for row, off in far[:LISTED])
-    more = "" if len(far) <= LISTED else f" and {len(far) - LISTED} more"
+    rows, off_mm = [row + 1 for row, _ in far], [mm(off) for _, off in far]
     raise ObservationError(
-        f"Rows {listed}{more}: the board is that far from where their joints would have it, in the others {mm(given):.2g} mm "
-        "(median). Their joints are of other pictures. Join these rows with the joints of their own poses, or leave them out.",
-        code="views_astray", rows=rows, off_mm=[mm(off) for _, off in far],
+        f"Rows {rows_off(rows, off_mm)}: the board is that far from where their joints would have it, in the others "
+        f"{mm(given):.2g} mm (median). Their joints are of other pictures. Join these rows with the joints of their own poses, "
+        "or leave them out.",
+        code="views_astray", rows=rows, off_mm=off_mm,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from kilter_core.errors import TooFewPosesError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors, Remark
-from kilter_service.ground.core import predictive
+from kilter_service.ground.core import core_watch_check, predictive
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.ground.errors import ServiceError
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from kilter_service.contract.instruments import Instrument
     from kilter_service.versions.acceptance.rows import Ints, Judged
     from kilter_service.versions.predictions.unfitted_rows import Unseen
-
-
-ANOTHER_ARM = "rows_of_another_arm"
 
 
 class Wish(NamedTuple):
@@ -154,7 +151,7 @@ def _parts(
         if found is None:
             continue
         if not wish.campaigns and of_another_arm(calibration, known, rows, found):
-            foreign.append(Remark(code=ANOTHER_ARM, message=words.another_arm(key), campaigns=[key]))
+            foreign.append(Remark(code=core_watch_check.ANOTHER_ARM, message=words.another_arm(key), campaigns=[key]))
             continue
         parts.append(_part(session, key, found, used, wish.refit or ()))
     return parts, left_out, foreign
