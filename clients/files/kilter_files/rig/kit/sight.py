@@ -11,6 +11,8 @@ from typing import Any
 
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
+from kilter_files.match.arm import rotations
+from kilter_files.rig.see.optics.homography import nearest_rotation, placed
 from kilter_files.rig.see.optics.lens import projected
 
 FEWEST_VIEWS, FEWEST_CORNERS = 6, 6
@@ -140,8 +142,7 @@ def _board_pose(camera: Mapping[str, Any], corners: Floats, pixels: Floats) -> F
     nil = np.zeros_like(flat)
     rows = [np.hstack([flat, nil, -plain[:, :1] * flat]), np.hstack([nil, flat, -plain[:, 1:] * flat])]
     H = np.linalg.svd(np.vstack(rows))[2][-1].reshape(3, 3) / np.array([size, size, 1.0])
-    H *= np.sign(H[2, 2]) / np.linalg.norm(H[:, :2], axis=0).mean()
-    return _pose(_nearest(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])])), H[:, 2])
+    return _pose(*placed(H))
 
 
 def _plain(camera: Mapping[str, Any], pixels: Floats) -> Floats:
@@ -165,7 +166,7 @@ def _hand_eye(T: Floats, M: Floats) -> tuple[Floats, Floats] | None:
         U, _, Vt = np.linalg.svd(K)
         B, A = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
         sign = np.sign(np.linalg.det(A))
-        A, B = _nearest(sign * A), _nearest(sign * B)
+        A, B = nearest_rotation(sign * A), nearest_rotation(sign * B)
         left = np.concatenate([T[used, :3, :3], np.broadcast_to(-np.eye(3), (int(used.sum()), 3, 3))], axis=2)
         right = M[used, :3, 3] @ B.T - T[used, :3, 3]
         t = np.linalg.lstsq(left.reshape(-1, 6), right.ravel(), rcond=None)[0]
@@ -199,7 +200,7 @@ def _refined(sight: Sight, flange: Floats, pixels: Floats) -> Sight:
 
 
 def _moved(sight: Sight, step: Floats) -> Sight:
-    A, B = (side @ _pose(_rotation(own[:3]), own[3:]) for side, own in
+    A, B = (side @ _pose(rotations(own[None, :3])[0], own[3:]) for side, own in
             ((sight.tool_side, step[:6]), (sight.world_side, step[6:])))  # fmt: skip
     return Sight(sight.camera, sight.corners, A, B)
 
@@ -223,18 +224,6 @@ def _model(camera: Mapping[str, Any]) -> str:
 
 def _number(value: Any) -> float:
     return float("nan") if value in (None, "") else float(value)
-
-
-def _rotation(vector: Floats) -> Floats:
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector / max(angle, 1e-300)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
-
-
-def _nearest(M: Floats) -> Floats:
-    u, _, vt = np.linalg.svd(M)
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
 def _pose(R: Floats, p: Floats) -> Floats:

@@ -13,6 +13,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.match.arm import rotations
 from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.optics.camera import Camera
+from kilter_files.rig.see.optics.homography import placed
 from kilter_files.rig.see.optics.lens import FREE, projected
 
 Indices = NDArray[np.int64]
@@ -129,7 +130,7 @@ def _best_start(data: _Data, used: Sequence[Seen], size: tuple[int, int]) -> _St
 def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | None:
     """Where the boards are, by the homography of each view."""
     cv2 = opencv()
-    rotations, places = [], []
+    boards = []
     for view in used:
         plain = (view.pixels - intrinsics[2:4]) / intrinsics[:2]
         if model == "fisheye":
@@ -138,11 +139,8 @@ def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | Non
         h, _ = cv2.findHomography(view.mm[:, :2], plain, 0)
         if h is None:
             return None
-        h = h * (1 if h[2, 2] > 0 else -1) / np.linalg.norm(h[:, :2], axis=0).mean()
-        u, _, vt = np.linalg.svd(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
-        rotations.append(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt)
-        places.append(h[:, 2])
-    return _State(intrinsics, np.array(rotations), np.array(places))
+        boards.append(placed(h))
+    return _State(intrinsics, *map(np.array, zip(*boards, strict=True)))
 
 
 def _points(state: _State, data: _Data) -> Floats:
