@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from kilter_files.rig.kit import coverage
 from kilter_files.rig.kit.coverage import captured
+from kilter_files.rig.kit.examples import Sought
 from kilter_files.rig.kit.loads import pulled
 from tests.clients.lerobot.so101_arm import PRESET, tool
 from tests.clients.lerobot.so101_twin import Twin
@@ -168,7 +169,7 @@ def test_where_no_such_pose_shows_the_board_the_camera_is_to_be_moved(tmp_path: 
     )
     assert here.world_side == pytest.approx(camera(), abs=60.0)
     elsewhere = [replace(here, world_side=_looking(place)) for place in PLACES]
-    assert any(pulled(CHAIN, q, [0.0] * len(q), limits, [one])[0].shown for one in elsewhere)
+    assert any(pulled(Sought(CHAIN, q, limits, lambda one=one: [one]), [0.0] * len(q))[0].shown for one in elsewhere)
 
 
 PLACES = [(-700.0, y, z) for y in (-400.0, 0.0, 400.0) for z in (300.0, 600.0, 900.0)]

@@ -67,14 +67,12 @@ def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Ma
     payloads = [row.get("payload_kg") for row in rows]
     known = tuple(sorted({value for value in payloads if value is not None}))
     held, limits = [value or 0.0 for value in payloads], [_limits(joint) for joint in joints]
-    loads, short, sought = pulled(chain, q, held, limits) if rows else [], _short(q, limits), None
-    if loads and (short or any(one.wanted for one in loads)):
-        seen = np.array(q, dtype=float)
-        sought = Sought(chain, seen, limits, sights(rows, flange(chain, seen), rig))
-        loads = pulled(chain, q, held, limits, sought.sights) if sought.sights else loads
+    seen = np.array(q, dtype=float)
+    sought = Sought(chain, seen, limits, lambda: sights(rows, flange(chain, seen), rig))
+    loads = pulled(sought, held) if rows else []
     missing = [
         *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints),
-        *(_travel(one, joints[one[0]]["name"], sought) for one in short),
+        *(_travel(one, joints[one[0]]["name"], sought if loads else None) for one in _short(q, limits)),
         *(one.missing for one in loads if one.missing),
     ]  # fmt: skip
     return Capture(len(rows), len(poses), known, tuple(missing), tuple(loads))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -25,7 +25,7 @@ Examples = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True)
 class Sought:
-    """Where examples are sought: poses ``seen`` (N, n), deg, of an arm with ``limits``; ``sights`` where they are known.
+    """Where examples are sought: poses ``seen`` (N, n), deg, of an arm with ``limits``; ``find`` finds what its cameras see.
 
     The first joint and the last are rotated until the board is seen; the others stand on a grid.
     """
@@ -33,7 +33,12 @@ class Sought:
     chain: Mapping[str, Any]
     seen: Floats
     limits: Limits
-    sights: Sequence[Sight] = ()
+    find: Callable[[], Sequence[Sight]] = tuple
+
+    @cached_property
+    def sights(self) -> Sequence[Sight]:
+        """Cameras and boards where views tell where they stand: found when somebody looks for examples."""
+        return self.find()
 
     @property
     def inner(self) -> list[int]:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
-from kilter_files.rig.kit.examples import Examples, Limits, Sought, near
+from kilter_files.rig.kit.examples import Examples, Sought, near
 from kilter_files.rig.kit.moments import gravity_moments
-from kilter_files.rig.kit.sight import Sight
 
 LEAST_LOAD_NM = 0.05  # well beyond the friction of a servo: it rests on one flank then
 FEWEST_EITHER_WAY = 6  # views
@@ -72,20 +70,14 @@ def loaded(joints: int) -> range:
     return range(2, joints)
 
 
-def pulled(
-    chain: Mapping[str, Any],
-    q_deg: Sequence[Sequence[float]] | Floats,
-    payloads_kg: Sequence[float],
-    limits_deg: Limits,
-    sights: Sequence[Sight] = (),
-) -> list[Pulled]:
-    """Count the views by the way in which gravity pulls each joint; nothing where ``chain`` does not tell its loads.
+def pulled(sought: Sought, payloads_kg: Sequence[float]) -> list[Pulled]:
+    """Count the views by the way in which gravity pulls each joint; nothing where the chain does not tell its loads.
 
-    ``chain`` is a robot document of convention ``chain``, ``q_deg`` (N, n) readings, ``payloads_kg`` (N,). Examples are poses
-    at which one of the ``sights`` shows the board, where there are any.
+    The views are those ``sought.seen`` (N, n), with ``payloads_kg`` (N,). Examples are poses at which one of its sights shows
+    the board, where there are any.
     """
-    q = np.array(q_deg, dtype=float)
-    moments = gravity_moments(chain, q, np.array(payloads_kg, dtype=float))
+    q = sought.seen
+    moments = gravity_moments(sought.chain, q, np.array(payloads_kg, dtype=float))
     if moments is None:
         return []
     lacking, found = dict[int, float](), []
@@ -95,9 +87,9 @@ def pulled(
         wanted = max(0, FEWEST_EITHER_WAY - min(up, down))
         if wanted:
             lacking[joint] = 1.0 if up < down else -1.0
-        name = str(chain["joints"][joint - 1]["name"])
+        name = str(sought.chain["joints"][joint - 1]["name"])
         found.append((joint, name, len(q), max(up, down), min(up, down), wanted))
-    examples = _examples(Sought(chain, q, limits_deg, sights), sorted(set(payloads_kg)), lacking) if lacking else {}
+    examples = _examples(sought, sorted(set(payloads_kg)), lacking) if lacking else {}
     return [Pulled(*one, *examples.get(one[0], ((), None))) for one in found]
 
 
