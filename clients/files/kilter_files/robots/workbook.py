@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
+from kilter_files.ground.archives import unpacked_bytes
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.later import need
 from kilter_files.robots.sheet import Sheet
@@ -51,9 +51,8 @@ def _text(cell: object) -> str:
 
 def _refuse_large(path: Path) -> None:
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(item.file_size for item in archive.infolist())
-    except (OSError, NotImplementedError, zipfile.BadZipFile) as error:  # a zip of a version nobody has yet
+        size = unpacked_bytes(path)
+    except ValueError as error:
         raise FileError(f"{path}: is not an XLSX workbook ({error}).", file=str(path)) from error
     if size > MAX_BYTES:
         raise FileError(

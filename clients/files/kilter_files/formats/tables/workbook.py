@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import datetime
-import zipfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from kilter_files.ground.archives import unpacked_bytes
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
@@ -155,10 +155,8 @@ def _text(value: object, decimal: str) -> str:
 
 def _refuse_large(path: Path) -> None:
     try:
-        with zipfile.ZipFile(path) as archive:
-            items: Iterable[zipfile.ZipInfo] = archive.infolist()
-            size = sum(item.file_size for item in items)
-    except (OSError, NotImplementedError, zipfile.BadZipFile) as error:
+        size = unpacked_bytes(path)
+    except ValueError as error:
         remedy = "Save it as .xlsx (an old .xls has another format), or as CSV."
         raise fault(path, f"is not an .xlsx workbook ({error})", remedy) from error
     if size > MOST_BYTES:
