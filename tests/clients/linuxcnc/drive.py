@@ -13,7 +13,7 @@ POSES, OUT = Path("poses.json"), Path("seen.json")
 
 def main() -> None:
     """Home, and move along a line to each pose."""
-    command, stat = linuxcnc.command(), linuxcnc.stat()
+    command, stat, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
     for state in (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
         command.state(state)
         command.wait_complete(20)
@@ -26,17 +26,20 @@ def main() -> None:
     command.mode(linuxcnc.MODE_MDI)
     command.wait_complete(20)
     stat.poll()
-    seen = [{"pose": stat.position[:6], "joints_deg": [stat.joint[k]["output"] for k in range(6)], "done": 1}]
+    seen = [{"pose": stat.position[:6], "joints_deg": [stat.joint[k]["output"] for k in range(6)], "told": errors.poll()}]
     for pose in json.loads(POSES.read_text()):
         words = " ".join(f"{axis}{value:.9f}" for axis, value in zip("XYZABC", pose, strict=True))
         command.mdi(f"G21 G90 G1 {words} F6000")
-        done = command.wait_complete(60)
-        for _ in range(200):
+        # What the planner says of itself is no help: it is done before a move begins too, and on a busy machine its answer to a
+        # command can be missed. Where the arm is and that it rests decide. The joints never rest quite, as each cycle finds
+        # them by iteration anew.
+        for _ in range(3000):
             time.sleep(0.02)
             stat.poll()
-            if stat.inpos and not any(stat.joint[k]["velocity"] for k in range(6)):
+            there = all(abs(now - wanted) < 1e-6 for now, wanted in zip(stat.position[:6], pose, strict=True))
+            if there and all(abs(stat.joint[k]["velocity"]) < 1e-4 for k in range(6)):
                 break
-        seen.append({"pose": pose, "joints_deg": [stat.joint[k]["output"] for k in range(6)], "done": done})
+        seen.append({"pose": pose, "joints_deg": [stat.joint[k]["output"] for k in range(6)], "told": errors.poll()})
     OUT.write_text(json.dumps(seen))
 
 
