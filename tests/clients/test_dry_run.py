@@ -170,4 +170,4 @@ def test_the_second_file_of_a_map_is_named_on_the_command_line(
     assert [c["high"] for c in found["ranges"]] == [4, 5, 6, 30, 40]
     assert any("of robot log.csv by row" in text for text in found["notes"])
     said = document(capsys, *arguments, code=2)["detail"]
-    assert "--joints goes with --preset (a text export of points) or with --map" in said
+    assert "a second file (--joints) goes with a preset (--preset: a text export of points)" in said

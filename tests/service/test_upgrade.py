@@ -27,7 +27,7 @@ from tests.corrector.conftest import calibration_of
 from tests.corrector.live import ROBOT, Q
 from tests.corrector.stored import store_active
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/upgrade-and-go-back.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/run-a-server.md"
 FIRST = "0001"
 Kilterd = Callable[[list[str]], None]
 
@@ -70,7 +70,7 @@ def revision_of(settings: Settings) -> str | None:
 
 
 def commands(heading: str) -> list[str]:
-    section = PAGE.read_text(encoding="utf-8").split(f"## {heading}\n")[1].split("\n## ")[0]
+    section = PAGE.read_text(encoding="utf-8").split(f"### {heading}\n")[1].split("\n##")[0]
     return [line for block in section.split("```\n")[1::2] for line in block.splitlines()]
 
 

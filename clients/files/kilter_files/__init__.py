@@ -72,41 +72,51 @@ def prepare(
 
     Raises:
         FileError: the file, or the map, is not what it should be; the message names place and remedy.
+        UsageError: something is said that would do nothing with this file.
         MissingPackageError: the format needs the extra ``files``.
 
     """
     path, other = Path(path), None if joined is None else Path(joined)
-    if column_map is not None and (preset or euler):
-        raise UsageError("A preset and the order of its angles belong to an export of points, without a column map.")
-    if column_map is not None:
-        return Prepared.from_table(_mapped(path, Path(column_map), other))
-    preset = preset or preset_of(device, path, joined=other is not None)
+    if column_map is None:
+        preset = preset or _preset_of(device, path, joined=other is not None)
+    said = euler or (hints is not None and (hints.topic or hints.order))
+    if (said and preset is None) or (column_map is not None and (preset or said)):
+        raise UsageError(
+            "A preset, the order of its angles and the topic or order of its joints (--preset, --euler, --topic, "
+            "--joint-order) belong to a text export of points, without a column map."
+        )
+    if other is not None and preset is None and column_map is None:
+        raise UsageError(
+            f"{other}: a second file (--joints) goes with a preset (--preset: a text export of points) or with a column map "
+            "that has a table [join] (--map)."
+        )
     if preset is not None:
-        return _points(path, preset, euler, other, hints)
-    if other is not None:
-        raise FileError(f"{other}: a second file needs a column map with a table [join] (--map).", file=str(other))
+        table = _points(path, preset, euler, other, hints)
+    elif column_map is not None or path.suffix.lower() in (".xlsx", ".xlsm"):
+        table = _mapped(path, None if column_map is None else Path(column_map), other)
+    else:
+        by_device = registry.readers_for(reader.DEVICE).get(device or "")
+        if by_device is None or _is_joined(path):
+            return as_it_is(path)
+        table = by_device.read(path)
+    return Prepared.from_table(table)
 
-    if path.suffix.lower() in (".xlsx", ".xlsm"):
-        return Prepared.from_table(read_contract(path))
-    by_device = registry.readers_for(reader.DEVICE).get(device or "")
-    if by_device is not None and not _is_joined(path):
-        return Prepared.from_table(by_device.read(path))
-    return as_it_is(path)
 
-
-def preset_of(device: str | None, path: Path, joined: bool = False) -> str | None:
+def _preset_of(device: str | None, path: Path, joined: bool) -> str | None:
     """Return the preset that a device names, where its file is an export of points and not contract columns already."""
-
     if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
         return None
     return device if joined or not registry.recognised(path, "contract-columns") else None
 
 
-def _points(path: Path, preset: str, euler: str | None, joints: Path | None, hints: LogHints | None) -> Prepared:
-
+def _points(path: Path, preset: str, euler: str | None, joints: Path | None, hints: LogHints | None) -> Table:
+    """Read an export of points, whose joints are its own or those of another file, row by row."""
     if preset not in tracker_header.PRESETS:
-        raise UsageError(f"preset {preset!r}: is not one of {', '.join(tracker_header.PRESETS)}.")
-    return points.prepare_points(path, preset, euler, None if joints is None else read_joints(joints, None, hints))
+        raise UsageError(f"--preset {preset}: is not one of {', '.join(tracker_header.PRESETS)}.")
+    log = None if joints is None else read_joints(joints, None, hints)
+    beside = None if log is None else points.columns_beside(log)
+    table = registry.readers()["tracker-text"].read(path, reader.Hints(preset=preset, euler=euler, joints=beside))
+    return points.checked_points(path, table, log)
 
 
 def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
@@ -131,16 +141,6 @@ def draft(path: Path | str) -> Draft:
     return drafts.draft(Path(path))
 
 
-def read_contract(path: Path) -> Table:
-    """Read a workbook of contract columns.
-
-    Raises:
-        FileError: other columns, or a damaged workbook.
-
-    """
-    return mapped.contract_table(opening.open_source(path, None, source.Layout()))
-
-
 def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | None = None) -> JointLog:
     """Read a joint log: as it is, or any table through its map.
 
@@ -148,29 +148,27 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
         FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
 
     """
-
     if column_map is None:
         return joint_log.read_joint_log(path, hints or reader.LogHints())
-
     table = _mapped(path, column_map, None)
     return joint_logs.checked_log(path, {name: np.array(values) for name, values in table.columns.items()}, table.lines)
 
 
-def _mapped(path: Path, column_map: Path, joined: Path | None) -> Table:
-    """Read a file and those of the map's [join] tables, and return them in contract columns."""
-
+def _mapped(path: Path, column_map: Path | None, joined: Path | None) -> Table:
+    """Read a file and those of the map's [join] tables into contract columns; without a map it has these already."""
+    if column_map is None:
+        return mapped.contract_table(opening.open_source(path, None, source.Layout()))
     chosen = column_maps.read_map(column_map, registry.readers_for(reader.MAP))
-    opened = opening.open_source(path, chosen.form, chosen.layout)
+    first = opening.open_source(path, chosen.form, chosen.layout)
     places = mapped.further_files(path, chosen, joined)
     further = [
         opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)
     ]
-    return mapped.mapped(opened, chosen, further)
+    return mapped.mapped(first, chosen, further)
 
 
 def _is_joined(path: Path) -> bool:
     """Tell whether a device's log was joined with the joint log already: all of its columns are the contract's."""
-
     if path.suffix.lower() != ".csv":
         return False
     try:

@@ -18,7 +18,6 @@ from scipy.io import savemat
 
 from kilter_client import FileError, Kilter, KilterError, prepare
 from kilter_client.cli import run
-from kilter_files.rig.points import prepare_points
 from tests.clients.files.formats.test_recordings import c3d_bytes
 from tests.clients.files.match.test_rigid_body import long_table
 from tests.clients.files.rig.test_rig import write_tdms
@@ -218,7 +217,7 @@ def test_damaged_files_of_every_other_importer(tmp_path: Path, kind: str) -> Non
             if kind == "long":
                 open_recording(path).whole()
             elif kind == "points":
-                prepare_points(path, "leica")
+                prepare(path, preset="leica")
             else:
                 prepare(path, column_map=column_map)
         except KilterError as error:

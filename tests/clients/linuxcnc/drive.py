@@ -26,7 +26,9 @@ def main() -> None:
     command.mode(linuxcnc.MODE_MDI)
     command.wait_complete(20)
     stat.poll()
-    seen = [{"pose": stat.position[:6], "joints_deg": [stat.joint[k]["output"] for k in range(6)], "told": errors.poll()}]
+    seen = [
+        {"pose": stat.position[:6], "joints_deg": [stat.joint[k]["output"] for k in range(6)], "told": errors.poll()}
+    ]
     for pose in json.loads(POSES.read_text()):
         words = " ".join(f"{axis}{value:.9f}" for axis, value in zip("XYZABC", pose, strict=True))
         command.mdi(f"G21 G90 G1 {words} F6000")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from kilter_files.ground.text_layout import TextLayout, lines_in_cells, sniff
 from kilter_files.tables.source import Layout
 
 if TYPE_CHECKING:
+    from kilter_files.ground.arrays import Floats
     from kilter_files.tables.recording import Recording
 
 Document = dict[str, Any]
@@ -44,7 +45,7 @@ class LogHints:
 
 @dataclass(frozen=True)
 class Hints:
-    """What the person says of a file that does not say it itself."""
+    """What the person says of a file that does not say it itself; ``joints`` are columns of another, a row for each of its."""
 
     rate_hz: float | None = None
     allow_cut: bool = False
@@ -53,6 +54,7 @@ class Hints:
     unit: str | None = None
     log: LogHints = field(default_factory=LogHints)
     layout: Layout = field(default_factory=Layout)
+    joints: Mapping[str, Floats] | None = None
 
     @property
     def say_points(self) -> bool:

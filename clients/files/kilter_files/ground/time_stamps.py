@@ -6,6 +6,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
+from pathlib import Path
+
+from kilter_files.ground.errors import FileError
 
 DAY_S = 86_400.0
 CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2})(?:[.,:](?P<f>\d{1,9}))?)?\s*(?P<half>[AaPp][Mm])?"
@@ -44,6 +47,27 @@ def stamp_of(text: str) -> Stamp | None:
         return None
     midnight = datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
     return Stamp(midnight + clock - _zone_s(parts.get("zone")), True)
+
+
+def stamps_of(texts: Sequence[str], lines: Sequence[int], file: Path, column: str | int) -> list[Stamp]:
+    """Return what a column of a file says; ``lines`` are those of its rows, where rows have lines.
+
+    Raises:
+        FileError: a cell that is not a time stamp.
+
+    """
+    found = [stamp_of(text) for text in texts]
+    wrong = next((row for row, stamp in enumerate(found) if stamp is None), None)
+    if wrong is not None:
+        line = lines[wrong] if wrong < len(lines) else wrong + 1
+        raise FileError(
+            f"{file}, line {line}, column {column!r}: {texts[wrong][:40]!r} is not a time stamp such as 12:00:01.5, "
+            "2026-11-22 12:00:01.5 or 22.11.2026 12:00:01. Write it so, or give the unit of numbers.",
+            file=str(file),
+            line=line,
+            column=column,
+        )
+    return [stamp for stamp in found if stamp is not None]
 
 
 def seconds_of(stamps: Sequence[Stamp]) -> list[float]:

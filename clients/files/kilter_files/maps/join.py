@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.time_stamps import DAY_S, Stamp, seconds_of, stamp_of
+from kilter_files.ground.time_stamps import DAY_S, Stamp, seconds_of, stamps_of
 from kilter_files.ground.units import SIZES, TIMESTAMP
 from kilter_files.maps.columns import Columns, read_columns
 from kilter_files.maps.orientation import Orientation, read_orientation
@@ -163,30 +163,7 @@ def _both_times(join: Join, here: Source, there: Source) -> tuple[list[float], l
     if join.unit != TIMESTAMP:
         size = SIZES["time"][join.unit]
         return [size * t for t in here.numbers(join.here)], [size * t for t in there.numbers(join.there)]
-    ours, theirs = stamps(here, join.here), stamps(there, join.there)
+    ours, theirs = (stamps_of(s.texts(c), s.lines, s.path, c) for s, c in ((here, join.here), (there, join.there)))
     if len({stamp.dated for stamp in (*ours, *theirs)}) > 1:  # one has dates, the other clocks only
         ours, theirs = ([Stamp(stamp.seconds % DAY_S, False) for stamp in found] for found in (ours, theirs))
     return seconds_of(ours), seconds_of(theirs)
-
-
-def stamps(source: Source, column: str | int) -> list[Stamp]:
-    """Return a column of time stamps.
-
-    Raises:
-        FileError: a cell that is none.
-
-    """
-    out = []
-    for row, text in enumerate(source.texts(column)):
-        stamp = stamp_of(text)
-        if stamp is None:
-            line = source.lines[row] if row < len(source.lines) else row + 1
-            raise FileError(
-                f"{source.path}, line {line}, column {column!r}: {text[:40]!r} is not a time stamp such as 12:00:01.5, "
-                "2026-11-22 12:00:01.5 or 22.11.2026 12:00:01. Write it so, or give the unit of numbers.",
-                file=str(source.path),
-                line=line,
-                column=column,
-            )
-        out.append(stamp)
-    return out

@@ -12,11 +12,11 @@ from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
-from kilter_files.ground.time_stamps import seconds_of
+from kilter_files.ground.time_stamps import seconds_of, stamps_of
 from kilter_files.ground.units import MARKER, TIMESTAMP, converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep
 from kilter_files.maps.columns import Column, expanded
-from kilter_files.maps.join import Join, partners, refuse_alone, stamps
+from kilter_files.maps.join import Join, partners, refuse_alone
 from kilter_files.maps.nests import number_nests, spread_nests
 from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source
@@ -49,8 +49,7 @@ def mapped(source: Source, column_map: ColumnMap, further: Sequence[Source]) -> 
         _add_columns(source, table, column_map, join, there)
     if column_map.marker is not None:
         number_nests(source, table, column_map)
-    _filter(source, table, column_map.keep)
-    _missing(source, table, column_map.drop_missing)
+    _keep_rows(source, table, column_map.keep, column_map.drop_missing)
     if column_map.marker is not None:
         spread_nests(table)
     _dead(table)
@@ -77,7 +76,7 @@ def contract_table(source: Source) -> Table:
         )
     table = _table(source, {c.target: _convert(c, source) for c in columns})
     table.notes.append("contract columns of the workbook's first sheet")
-    _missing(source, table, drop=False)
+    _keep_rows(source, table, (), drop_missing=False)
     return table
 
 
@@ -153,7 +152,8 @@ def _contract(there: Source) -> tuple[Column, ...]:
 def _convert(column: Column, source: Source) -> list[float]:
     assert column.source is not None
     if column.unit == TIMESTAMP:
-        seconds = seconds_of(stamps(source, column.source))
+        texts = source.texts(column.source)
+        seconds = seconds_of(stamps_of(texts, source.lines, source.path, column.source))
         return [t - seconds[0] for t in seconds]
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
@@ -217,45 +217,58 @@ def _of_matrix(parts: tuple[float, ...], order: str, path: Path, line: int) -> Q
     return found
 
 
-def _filter(source: Source, table: Table, keep: tuple[Keep, ...]) -> None:
+def _keep_rows(source: Source, table: Table, keep: tuple[Keep, ...], drop_missing: bool) -> None:
+    """Keep the rows that meet the conditions and lack nothing.
+
+    Raises:
+        FileError: a cell is empty and its row is not to be dropped, or no row is left.
+
+    """
+    good = set(table.lines)
     for condition in keep:
-        if condition.equals:
-            good = [text in condition.equals for text in source.texts(condition.column)]
-        else:
-            low = -math.inf if condition.minimum is None else condition.minimum
-            high = math.inf if condition.maximum is None else condition.maximum
-            good = [low <= value <= high for value in source.numbers(condition.column)]
-        left_out = [line for line, is_good in zip(_all_lines(source, good), good, strict=True) if not is_good]
-        gone = set(left_out)
-        before = len(table)
-        table.keep([i for i, line in enumerate(table.lines) if line not in gone])
-        if before != len(table):
-            table.warnings.append(f"{before - len(table)} rows left out by the condition on {condition.column!r}")
-
-
-def _all_lines(source: Source, rows: Sized) -> list[int]:
-    return source.lines or list(range(1, len(rows) + 1))
-
-
-def _missing(source: Source, table: Table, drop: bool) -> None:
-    """Markers may be missing; any other empty cell is dropped with its row, or refused."""
-    needed = {name: values for name, values in table.columns.items() if not MARKER.fullmatch(name)}
-    empty = {i: name for name, values in needed.items() for i, value in enumerate(values) if math.isnan(value)}
-    if empty and not drop:
+        before = len(good)
+        good &= _meeting(source, condition)
+        if before != len(good):
+            table.warnings.append(f"{before - len(good)} rows left out by the condition on {condition.column!r}")
+    kept = [i for i, line in enumerate(table.lines) if line in good]
+    empty = _empty_cells(table, kept)
+    if empty and not drop_missing:
         row, name = min(empty.items())
         place = f"{source.path}, {_at(source, table.lines[row])}"
         raise FileError(
             f"{place}: {name} is missing. Fill the cell, or set drop_missing = true under "
-            f"[rows] to leave such rows out ({len(empty)} of {len(table)}).{getattr(source, 'empty_hint', '')}",
+            f"[rows] to leave such rows out ({len(empty)} of {len(kept)}).{getattr(source, 'empty_hint', '')}",
             file=str(source.path),
             line=table.lines[row],
             column=name,
         )
     if empty:
         table.warnings.append(f"{len(empty)} rows left out because a value is missing")
-        table.keep([i for i in range(len(table)) if i not in empty])
+    table.keep([i for i in kept if i not in empty])
     if not len(table):
         raise FileError(f"{source.path}: no row is left. Loosen the conditions under [rows].", file=str(source.path))
+
+
+def _meeting(source: Source, condition: Keep) -> set[int]:
+    """Lines of the rows that meet a condition."""
+    if condition.equals:
+        good = [text in condition.equals for text in source.texts(condition.column)]
+    else:
+        low = -math.inf if condition.minimum is None else condition.minimum
+        high = math.inf if condition.maximum is None else condition.maximum
+        good = [low <= value <= high for value in source.numbers(condition.column)]
+    lines = list(zip(_all_lines(source, good), good, strict=True))
+    return {line for line, is_good in lines if is_good} - {line for line, is_good in lines if not is_good}
+
+
+def _empty_cells(table: Table, rows: Sequence[int]) -> dict[int, str]:
+    """The column of an empty cell by its row; markers may be missing."""
+    needed = {name: values for name, values in table.columns.items() if not MARKER.fullmatch(name)}
+    return {i: name for name, values in needed.items() for i in rows if math.isnan(values[i])}
+
+
+def _all_lines(source: Source, rows: Sized) -> list[int]:
+    return source.lines or list(range(1, len(rows) + 1))
 
 
 def _at(source: Source, line: int) -> str:

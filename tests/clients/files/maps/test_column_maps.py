@@ -13,7 +13,7 @@ import pytest
 from openpyxl import Workbook
 from scipy.io import savemat
 
-from kilter_client import FileError, MissingPackageError, prepare
+from kilter_client import FileError, MissingPackageError, UsageError, prepare
 
 POINT = """
 x_mm = { from = "x", unit = "mm" }
@@ -307,7 +307,7 @@ def test_the_second_file_is_named_or_refused(tmp_path: Path) -> None:
     other = write(tmp_path / "j.csv", JOINTS)
     with pytest.raises(FileError, match=r"does not say how rows .* Add a table \[join\]"):
         mapped(tmp_path, POINTS, f'[file]\ndelimiter = ";"\n[columns]\n{POINT}', joined=other)
-    with pytest.raises(FileError, match=r"needs a column map with a table \[join\]"):
+    with pytest.raises(UsageError, match=r"a column map that has a table \[join\]"):
         prepare(other, joined=other)
 
 

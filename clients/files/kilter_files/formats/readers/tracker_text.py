@@ -28,8 +28,8 @@ class TrackerText(Reader[Table]):
         return describe_points(head, self.read(head.path, head.hints))
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:
-        """Read the points."""
-        return read_tracker(path, hints.preset, hints.euler)
+        """Read the points, with the joints of the hints beside them."""
+        return read_tracker(path, hints.preset, hints.euler, hints.joints)
 
     def listed(self) -> Iterator[tuple[str, str]]:
         """Each preset."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from os import PathLike
+from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any, Literal
 
 from kilter_client import typed
@@ -75,9 +75,9 @@ def upload(
     wanted |= {"conditions": conditions, "numbered": name is None, "measured_at": at, "instrument": instrument}
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
     into = None if campaign is None else reference("campaign", campaign)
-    return typed.campaigns.Uploaded.read(
-        (yield from _watched(reference("robot", robot), into, wanted, prepared, progress))
-    )
+    file = fspath(data) if isinstance(data, str | PathLike) else wanted["name"]
+    done = yield from _watched(reference("robot", robot), into, wanted, prepared, file, progress)
+    return typed.campaigns.Uploaded.read(done)
 
 
 def conditions_of(**told: Any) -> dict[str, Any]:
@@ -87,15 +87,12 @@ def conditions_of(**told: Any) -> dict[str, Any]:
 
 
 def _watched(
-    robot: str, into: str | None, wanted: Mapping[str, Any], prepared: Prepared, progress: Watching
+    robot: str, into: str | None, wanted: Mapping[str, Any], prepared: Prepared, file: str, progress: Watching
 ) -> Steps[Document]:
     """Send, and show how far it is."""
     with watched(progress, f"sending {wanted['name']}") as bar:
         sent: Sent | None = None if bar is None else lambda some, total: bar(some / max(total, 1), "sending")
-        try:
-            return (yield from send_rows(robot, into, wanted, prepared, sent))
-        except ObservationError as error:
-            raise _placed(error, prepared) from error
+        return (yield from send_rows(robot, into, wanted, prepared, file, sent))
 
 
 def send_rows(
@@ -103,13 +100,32 @@ def send_rows(
     into: str | None,
     wanted: Mapping[str, Any],
     prepared: Prepared,
+    file: str,
     sent: Sent | None,
     begun: Callable[[tuple[str, bool]], None] = lambda target: None,
 ) -> Steps[Document]:
     """Send to a campaign, to the one that has these rows already, or to a new one, seen when the rows are in it.
 
-    ``begun`` is told the campaign and whether it is a new one, before the first row is sent.
+    ``file`` is the person's own; ``begun`` is told the campaign and whether it is a new one, before the first row is sent.
+
+    Raises:
+        ObservationError: the rows are not what their columns say; nothing is stored. Lines of ``file`` are named.
+
     """
+    try:
+        return (yield from _sent(robot, into, wanted, prepared, sent, begun))
+    except ObservationError as error:
+        raise _placed(error, prepared, file) from error
+
+
+def _sent(
+    robot: str,
+    into: str | None,
+    wanted: Mapping[str, Any],
+    prepared: Prepared,
+    sent: Sent | None,
+    begun: Callable[[tuple[str, bool]], None],
+) -> Steps[Document]:
     if into is None:
         for known in (yield from calls.list_campaigns(robot)):
             if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
@@ -129,14 +145,14 @@ def send_rows(
     return done
 
 
-def _placed(error: ObservationError, prepared: Prepared) -> ObservationError:
+def _placed(error: ObservationError, prepared: Prepared, file: str) -> ObservationError:
     """Add on which lines of the person's own file the refused rows stand."""
     rows = [k for k in error.context.get("rows") or [error.context.get("row")] if isinstance(k, int)]
     lines = [prepared.lines[k - 1] for k in rows if 0 < k <= len(prepared.lines)]
     if lines:
-        error.context["lines"] = lines
+        error.context |= {"file": file, "line": lines[0], "lines": lines}
         more = " ..." if len(lines) > MOST_LINES else ""
-        error.detail += f" In the file that is line {', '.join(map(str, lines[:MOST_LINES]))}{more}."
+        error.detail += f" That is line {', '.join(map(str, lines[:MOST_LINES]))}{more} of {file}."
         error.args = (error.detail,)
     return error
 

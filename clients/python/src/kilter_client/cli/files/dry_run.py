@@ -19,12 +19,13 @@ LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
     """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse."""
+    known = {"rows": prepared.rows, "sha256": prepared.sha256}
     try:
         kilter = Kilter()
     except KilterError as error:  # a dry run needs no server
-        return checked_here(prepared, conditions, error)
+        return known | checked_here(prepared, conditions, error)
     with kilter:
-        return kilter.run(checked_rows(robot, prepared, conditions))
+        return known | kilter.run(checked_rows(robot, prepared, conditions))
 
 
 def show_dry_run(document: Document) -> None:

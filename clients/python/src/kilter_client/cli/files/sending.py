@@ -15,8 +15,6 @@ from kilter_client.errors import ConflictError, KilterError, ObservationError
 from kilter_client.verbs.campaigns import send_rows
 from kilter_files import Prepared
 
-SHOWN = 8  # lines of refused rows that are named in the sentence
-
 
 def send(
     robot: str, campaign: str | None, wanted: dict[str, Any], file: Path, prepared: Prepared, as_json: bool
@@ -32,9 +30,11 @@ def send(
         into = resolved(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
         with on_interrupt(partial(_left, kilter, targets, prepared.sha256)), upload_bar(file.name, as_json) as sent:
             try:
-                return kilter.run(send_rows(robot, into, wanted, prepared, sent, targets.append))
+                return kilter.run(send_rows(robot, into, wanted, prepared, str(file), sent, targets.append))
             except ObservationError as error:
-                raise _with_place(error, file, prepared) from error
+                if not prepared.lines and error.context.get("row") is None and error.code == "observations_invalid":
+                    error.detail += f" {REMEDY_FOR_COLUMNS}"
+                raise
 
 
 def _left(kilter: Kilter, targets: list[tuple[str, bool]], sha256: str) -> str:
@@ -70,18 +70,3 @@ def _added(kilter: Kilter, campaign: str, sha256: str) -> str:
     if there:
         return f"the rows are stored in campaign {campaign}."
     return f"nothing is added to campaign {campaign}. The same command sends the file again."
-
-
-def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> ObservationError:
-    """Add where the refused row stands in the person's own file, or how such a file comes in."""
-    row = error.context.get("row")
-    if prepared.lines and isinstance(row, int) and 0 < row <= len(prepared.lines):
-        error.context |= {"file": str(file), "line": prepared.lines[row - 1]}
-        rows = [k for k in error.context.get("rows") or () if isinstance(k, int) and 0 < k <= len(prepared.lines)]
-        lines = [prepared.lines[k - 1] for k in rows or [row]]
-        error.context["lines"] = lines
-        shown = ", ".join(map(str, lines[:SHOWN])) + (" ..." if len(lines) > SHOWN else "")
-        error.detail += f" That is line {shown} of {file}."
-    elif not prepared.lines and row is None and error.code == "observations_invalid":
-        error.detail += f" {REMEDY_FOR_COLUMNS}"
-    return error

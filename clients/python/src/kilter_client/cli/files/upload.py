@@ -12,7 +12,7 @@ import typer
 from kilter_client.cli.files.calibrated_rows import servo_conditions
 from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
-from kilter_client.cli.files.inspect import JointOrder, Topic, check_numpy
+from kilter_client.cli.files.inspect import JointOrder, Topic
 from kilter_client.cli.files.match import joints_of
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
@@ -22,7 +22,7 @@ from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
 from kilter_client.verbs import campaigns
 from kilter_client.verbs.inputs import moment_of
-from kilter_files import DEVICES, Prepared, prepare, preset_of
+from kilter_files import DEVICES, Prepared, prepare
 from kilter_files.formats.reader import LogHints
 from kilter_files.formats.registry import recognised
 from kilter_files.formats.tracker_header import PRESETS
@@ -135,30 +135,23 @@ def upload(
     conditions, at = conditions_of(*stated, cameras, calibration), moment_of(measured_at)
     if campaign and (name or notes or conditions or at or instrument):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
-    by_preset = _preset(preset, file, device, column_map, joints)
-    _refuse_idle(by_preset, column_map, joints, euler, topic, joint_order)
     order, likely = arguments.split_names([joint_order or ""]), _likely(robot, joints, column_map, joint_order)
-    read = prepare(
-        file, device, column_map, joints, preset=by_preset, euler=euler, hints=LogHints(topic, order, likely)
-    )
+    hints = LogHints(topic, order, likely)
+    read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
     prepared = _checked(file, read, unchecked)
     _tell(file, prepared, as_json)
-    if dry_run:
-        _only_shown(robot, prepared, conditions, as_json)
-        return
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
         "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
     }  # fmt: skip
-    done = send(robot, campaign, wanted, file, prepared, as_json)
+    done = (
+        what_it_holds(robot, prepared, conditions)
+        if dry_run
+        else send(robot, campaign, wanted, file, prepared, as_json)
+    )
     _warn(done, as_json)
-    emit(_report(prepared, done), as_json, _show_upload)
-
-
-def _only_shown(robot: str, prepared: Prepared, conditions: dict[str, Any], as_json: bool) -> None:
-    found = {"rows": prepared.rows, "sha256": prepared.sha256} | what_it_holds(robot, prepared, conditions)
-    emit(_report(prepared, found), as_json, show_dry_run)
-    if found["refused"]:
+    emit(_report(prepared, done), as_json, show_dry_run if dry_run else _show_upload)
+    if dry_run and done["refused"]:
         raise typer.Exit(1)
 
 
@@ -180,7 +173,7 @@ def sent_file(
     as_json: bool,
 ) -> dict[str, Any]:
     """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
-    prepared = prepare(file, device, column_map, preset=_preset(None, file, device, column_map, None))
+    prepared = prepare(file, device, column_map)
     prepared = _checked(file, prepared, unchecked=False)
     _tell(file, prepared, as_json)
     wanted = {
@@ -211,41 +204,6 @@ def conditions_of(
             tool_moment_nm=arguments.three("--tool-moment-nm", moment),
         )
     )
-
-
-def _preset(
-    preset: str | None, file: Path, device: str | None, column_map: Path | None, joints: Path | None
-) -> str | None:
-    """The preset by which a text export of points is read, with numpy; None of another file, or with a map."""
-    if column_map is not None:
-        return preset
-    chosen = preset or preset_of(device, file, joined=joints is not None)
-    if chosen is not None and chosen not in PRESETS:
-        raise UsageError(f"--preset {chosen}: is not one of {', '.join(PRESETS)}.")
-    if chosen is not None:
-        check_numpy()
-    return chosen
-
-
-def _refuse_idle(
-    preset: str | None,
-    column_map: Path | None,
-    joints: Path | None,
-    euler: str | None,
-    topic: str | None,
-    order: str | None,
-) -> None:
-    """Refuse options that would do nothing with this file."""
-    if (preset is None and (euler or topic or order)) or (
-        column_map is not None and (preset or euler or topic or order)
-    ):
-        raise UsageError(
-            "--preset, --euler, --topic and --joint-order belong to a text export of points, without --map."
-        )
-    if joints is not None and preset is None and column_map is None:
-        raise UsageError(
-            "--joints goes with --preset (a text export of points) or with --map (a column map with a table [join])."
-        )
 
 
 def _likely(robot: str, joints: Path | None, column_map: Path | None, order: str | None) -> list[str]:
