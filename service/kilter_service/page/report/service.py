@@ -25,10 +25,10 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
-from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.plot import Plot, Table
 from kilter_service.page.report import first
 from kilter_service.page.report.effects import Contributions, closing, effects_of
-from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, SIZES, STAGES, before_and_after
+from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, STAGES, before_and_after, table
 from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
@@ -48,7 +48,7 @@ class Judged:
 
     title: str
     on: str
-    rows: list[list[str]]
+    table: Table
     plot: Plot | None
     curve: Plot | None = None
 
@@ -180,8 +180,10 @@ def _headline(version: Version | None, search: GapResult | None) -> str:
         return (search.sentence if search is not None else None) or "No tool was measured: see the parameters."
     on = "poses that were held out" if version.metrics.validation is not None else "the poses that were fitted"
     before = errors.registration_only or errors.nominal
-    fell = "" if before is None else f", down from {words.mm(before.mean_mm)} with base and tool fitted only"
-    return f"The mean error of the tool is {words.mm(errors.identified.mean_mm)} on {on}{fell}."
+    model = "with base and tool fitted only" if errors.registration_only is not None else "of the nominal robot"
+    ((mean, former),) = words.in_one_unit([[errors.identified.mean_mm, None if before is None else before.mean_mm]])
+    fell = "" if before is None else f", down from {former} {model}"
+    return f"The mean error of the tool is {mean} on {on}{fell}."
 
 
 def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:
@@ -197,16 +199,14 @@ def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judge
 
 def _errors(errors: StageErrors, title: str, on: str) -> Judged:
     found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
-    lengths = words.in_one_unit([[getattr(one, size) for size, _ in SIZES] for _, one in found])
-    rows = [
-        [label, *sizes, words.number(one.orientation_deg)] for (label, one), sizes in zip(found, lengths, strict=True)
-    ]
+    head, sizes = table("Model", found)
+    rows = [[*row, words.number(one.orientation_deg)] for row, (_, one) in zip(sizes, found, strict=True)]
     if errors.place_mm is not None:
         rows[0][0] = PLACE
     counts = ["" if errors.n is None else f"{words.count(errors.n)} points", words.left_out(errors.left_out), on]
-    return Judged(
-        title, "; ".join(one for one in counts if one), rows, before_and_after(errors, f"Errors: {title.lower()}")
-    )
+    counted = "; ".join(one for one in counts if one)
+    plot = before_and_after(errors, f"Errors: {title.lower()}")
+    return Judged(title, counted, ([*head, "orientation, deg"], rows), plot)
 
 
 def _parameter(one: Parameter) -> list[str]:
