@@ -36,7 +36,8 @@ def filled(template: str, sizes: tuple[float, ...]) -> str:
         },
         "campaign/chosen_part.html": {
             "chosen": Fields(
-                campaign=CAMPAIGN, ranges="1-3", version="ver_1", version_name="first", count=3, rows=rows, joints=["A1"]
+                campaign=CAMPAIGN, ranges="1-3", version="ver_1", version_name="first", count=3, rows=rows, joints=["A1"],
+                units=["deg"],
             ),
         },
         "jobs/evaluate.html": {

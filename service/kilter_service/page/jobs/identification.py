@@ -101,8 +101,8 @@ def influence_chart(found: list[Influence]) -> Plot | None:
     plot = Plot(
         "Influence of the parameters on the tool", named("parameter", [one.name for one in rows]),
         lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True), width=760.0,
-        table=(["Parameter", "Change", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
-               [[one.name, f"{number(one.step)} {one.unit or ''}", *sizes]
+        table=(["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
+               [[one.name, number(one.step), one.unit or "", *sizes]
                 for one, sizes in zip(rows, moved, strict=True)]),
     )  # fmt: skip
     return plot.bars([k + 0.5 for k in range(len(rows))], means, 0.6, "mean over the poses", errors=ends)

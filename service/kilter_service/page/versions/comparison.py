@@ -157,9 +157,10 @@ def _bars(left: Sequence[Left]) -> Plot:
 
 def _curve(left: Sequence[Left]) -> Plot:
     shares = np.linspace(0.0, 100.0, STEPS + 1)
-    curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
     told = (10, 25, 50, 75, 90, 95, 99, 100)
-    unit, sizes = in_columns([[float(np.percentile(np.asarray(one.sizes), share)) for one in left] for share in told])
+    found = [np.percentile(np.asarray(one.sizes), [*shares, *told]) for one in left]
+    curves = [one[: len(shares)] for one in found]
+    unit, sizes = in_columns(np.transpose([one[len(shares) :] for one in found]).tolist())
     drawn = Plot(
         "Share of the rows within an error", lengths("error", [float(c[-1]) for c in curves], zero=True),
         around("rows within it, %", [0.0, 100.0], zero=True), height=280.0,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import Parameter
@@ -17,6 +17,7 @@ from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import GREY, Plot
 from kilter_service.page.figures.scale import lengths, named
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.in_names import objections_in_names
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.page.words import in_columns
@@ -79,8 +80,12 @@ def history(database: Database, robot: str, asked: Asked, log: Asked) -> History
         for one in service.list_versions(database, robot, Page(), with_retired=True).versions
     ]
     entries = service.activations(database, robot, Page()).activations
+    shown = part(entries, log, lambda _: "", {}, named=LOG)
+    named = [
+        one.model_copy(update={"objections": objections_in_names(database, one.objections)}) for one in shown.shown
+    ]
     return History(
-        robots.get(database, robot), _part(found, asked), part(entries, log, lambda _: "", {}, named=LOG),
+        robots.get(database, robot), _part(found, asked), replace(shown, shown=named),
         tag_of_robot(database, robot), errors_by_version(found),
         next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
         {one.version.id: called(one.version) for one in found}, today.of_robot(database, robot).sentences[0],
