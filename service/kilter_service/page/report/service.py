@@ -32,6 +32,7 @@ from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, STAGE
 from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
+from kilter_service.page.shared.in_names import in_names
 from kilter_service.page.shared.own_curves import OwnCurve, own_curves
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
@@ -84,6 +85,7 @@ class Sheet:
     campaigns: Mapping[str, str]
     ranges: list[list[str]]
     suspicious: list[SuspiciousRows]
+    names: Mapping[str, str]  # of the versions that these and evaluations name
     today: list[str]
     first: First | None = None
 
@@ -122,16 +124,22 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     figures = job.result.figures if isinstance(job, IdentifyJob) and job.result is not None else None
     judged = [] if version is None else list(_judged(version, figures))
     named = called(version if version is not None else job)
+    odd, evaluated = suspicious.of_campaigns(database, _used(job)), list(_evaluated(database, job, version))
+    judges = {one.version_id for rows in odd for one in rows.found} | {
+        one.job.result.version_id
+        for one in evaluated
+        if isinstance(one.job, EvaluateJob) and one.job.result is not None
+    }
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
         title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),
         judged=judged, parameters=[] if version is None else [_parameter(one) for one in version.parameters],
         effects=effects_of(database, version, search) if version is not None and version.effects else None, search=search,
         closing=closing(search), curves=own_curves(search.effect_curves) if search is not None else [],
-        evaluated=list(_evaluated(database, job, version)), limits=[] if version is None else limits(version, search),
+        evaluated=evaluated, limits=[] if version is None else limits(version, search),
         activations=[one for one in log if version is not None and one.version_id == version.id],
         campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
-        suspicious=suspicious.of_campaigns(database, _used(job)),
+        suspicious=odd, names={one: in_names(database, one) for one in judges if one},
         today=today.of_robot(database, job.robot).sentences if version is not None and version.active else [],
     )  # fmt: skip
 
