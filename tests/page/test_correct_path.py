@@ -65,6 +65,10 @@ def test_people_correct_a_path(there: Made, chromium: Browser, tmp_path: Path) -
         assert f"{REFUSED} joint limit" in counted
         assert page.locator("tr.path-bad").count() == REFUSED
         assert page.locator("[data-rows] tbody tr").first.get_attribute("class") != "path-good"  # those come last
+        numbers = page.locator("[data-rows] tr.path-good td.number").all_inner_texts()
+        assert numbers
+        assert not [one for one in numbers if "e-" in one]  # what rounding leaves is 0
+        assert "`" not in page.locator("[data-notes]").inner_text()
         with page.expect_download() as waiting:
             page.get_by_role("link", name="Download the corrected path").click()
         assert waiting.value.suggested_filename == "path-corrected.csv"

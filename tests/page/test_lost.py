@@ -37,6 +37,7 @@ def test_a_lost_server_says_so_and_comes_back(there: Made, chromium: Browser) ->
         page.context.set_offline(True)
         banner = page.locator("#lost")
         expect(banner).to_contain_text("The server does not answer since")
+        expect(banner.get_by_role("button")).to_be_hidden()  # there is nothing to load yet
         page.context.set_offline(False)
         expect(banner).to_contain_text("The server answers again", timeout=15_000)
         banner.get_by_role("button", name="Load it anew").click()
@@ -62,7 +63,67 @@ def test_a_part_that_does_not_come_is_a_sentence_with_a_way_out(there: Made, chr
 
         page.route("**/worst?*", refused)
         page.reload()
-        expect(tile.get_by_role("alert")).to_have_text("The server is busy: try again.")
+        expect(tile.get_by_role("alert")).to_contain_text("The server is busy: try again.")
+
+
+REFUSED = {
+    "the HTTP interface": (503, "application/problem+json", '{"code": "busy", "detail": "The server is busy: try again."}'),
+    "the page": (404, "text/html", '<div class="note bad" role="alert" data-code="gone">Gone. It is gone.</div>'),
+    "a proxy": (502, "text/html", "<html><body><h1>Bad gateway</h1></body></html>"),
+    "a JSON of a proxy": (500, "application/json", "{"),
+}  # fmt: skip
+SAID = {
+    "the HTTP interface": "The server is busy: try again.", "the page": "Gone. It is gone.",
+    "a proxy": "The server refused this (502).", "a JSON of a proxy": "The server refused this (500).",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("by", sorted(REFUSED))
+def test_every_part_that_is_refused_is_a_sentence_and_can_be_asked_again(
+    there: Made, chromium: Browser, by: str
+) -> None:
+    """Each part that loads by itself, of each view that has some, and a list that is searched."""
+    status, kind, body = REFUSED[by]
+    views = (f"/robots/{there.robot}", f"/robots/{there.robot}/settings", f"/versions/{there.good}")
+    with closing(chromium.new_context(base_url=str(there.client.base_url))) as context:
+        page = context.new_page()
+        log_in(page, there.client.headers["authorization"].removeprefix("Bearer "))
+
+        def refuse(route: Route) -> None:
+            if route.request.headers.get("hx-request"):
+                route.fulfill(status=status, content_type=kind, body=body)
+            else:
+                route.continue_()
+
+        seen = 0
+        for view in views:
+            page.route("**/*", refuse)
+            page.goto(view)
+            parts = page.locator('[hx-get][hx-trigger="load"], [hx-get][hx-trigger="revealed"]')
+            for number in range(parts.count()):
+                part = parts.nth(number)
+                part.scroll_into_view_if_needed()
+                expect(part.get_by_role("alert")).to_contain_text(SAID[by])
+                expect(part).not_to_contain_text("{")
+            page.unroute("**/*", refuse)
+            again = page.get_by_role("button", name="Ask again")
+            assert again.count() == (parts.count() if status >= 500 else 0)  # what is gone stays so
+            for number in range(parts.count() if status >= 500 else 0):
+                parts.nth(number).get_by_role("button", name="Ask again").click()
+                expect(parts.nth(number)).not_to_contain_text(SAID[by], timeout=30_000)
+            seen += parts.count()
+        assert seen >= 6
+        page.goto("/jobs")
+        page.route("**/*", refuse)
+        page.get_by_label("Find a job").press_sequentially("no such job")
+        expect(page.locator("#list").get_by_role("alert")).to_contain_text(SAID[by])
+        page.unroute("**/*", refuse)
+        if status >= 500:
+            page.locator("#list").get_by_role("button", name="Ask again").click()
+        else:
+            page.get_by_label("Find a job").press_sequentially("s")
+        expect(page.locator("#list")).to_contain_text("None of")
+        assert page.locator("#list #list, header.top").count() == 1  # the list alone, not a page within the page
 
 
 def test_the_tab_of_a_job_says_that_it_is_over(there: Made, chromium: Browser) -> None:

@@ -89,7 +89,7 @@ def test_parts_have_intervals_where_something_is_known(there: Made) -> None:
     size, low, high = (float(v) for v in found.groups())
     assert low < size < high
     assert high - low <= 2 * 1.96 * 0.01 + 2e-3
-    assert re.search(r"known to 1\d\.\d µm \(one standard deviation", said)
+    assert re.search(r"known to 0\.01\d\d mm \(one standard deviation", said)
     assert "with the load, temperature and directions of row 5" in said
 
 

@@ -55,7 +55,7 @@ QUESTIONS = (
     Question("How do I undo that?", ("^go back to the version before",), "main", r"Go back to .* on .*\?.*Go back now",
              (OVERVIEW, "GET /robots/{robot}/rollback")),
     Question("What was it before?", (), "main", r"How much better than without\?.*\d", (OVERVIEW,)),
-    Question("Where is the report?", ("of the active version",), "main", r"ISO 9283|[Rr]eport",
+    Question("Where is the report?", ("^its report$",), "main", r"ISO 9283|[Rr]eport",
              (OVERVIEW, "GET /versions/{version}/report")),
 )  # fmt: skip
 

@@ -64,7 +64,8 @@ def test_what_is_said_of_a_row_is_what_the_interface_says(there: Made) -> None:
         assert (one["row"], one["file"], one["file_row"]) == (row, 1, row)
         assert one["error_mm"] * 1e3 == pytest.approx(size_um(left[row - 1]), rel=1e-6)
         assert one["sigma"] == pytest.approx(float(left[row - 1]["residual_sigma"]), rel=1e-6)
-        assert one["joints"] == [f"{measured[f'q{k}_deg'][row - 1]:.2f}°" for k in range(1, 6)]
+        assert one["joints"] == [f"{measured[f'q{k}_deg'][row - 1]:.2f}" for k in range(1, 6)]
+    assert told["units"] == ["deg"] * 5
 
 
 def test_the_active_version_judges_where_none_is_named(there: Made) -> None:

@@ -278,6 +278,8 @@ def test_a_corrector_that_goes_is_a_bypass_and_comes_back(chromium: Browser, cel
         banner = page.locator('[data-live="bypass"]')
         banner.wait_for()
         assert "bypass: not corrected" in banner.inner_text().lower()
+        assert "`" not in banner.inner_text()
+        assert page.locator("[data-opening]").is_hidden()  # that it runs was said before
         assert "does not answer" in banner.inner_text()
         cell.corrector.start()
         banner.wait_for(state="hidden", timeout=20_000)

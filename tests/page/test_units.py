@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from kilter_service.contract.fits import Errors, StageErrors
+from kilter_service.page.figures.scale import lengths
 from kilter_service.page.jobs import stages
 from kilter_service.page.report.figures import before_and_after
 from kilter_service.page.shell import environment
@@ -35,7 +36,8 @@ def filled(template: str, sizes: tuple[float, ...]) -> str:
         },
         "campaign/chosen_part.html": {
             "chosen": Fields(
-                campaign=CAMPAIGN, ranges="1-3", version="ver_1", version_name="first", count=3, rows=rows, joints=["A1"]
+                campaign=CAMPAIGN, ranges="1-3", version="ver_1", version_name="first", count=3, rows=rows, joints=["A1"],
+                units=["deg"],
             ),
         },
         "jobs/evaluate.html": {
@@ -90,7 +92,18 @@ def test_tables_of_errors_have_one_unit() -> None:
     head, rows = stages.table(errors)
     assert head[1:] == ["Mean, mm", "Rms, mm", "95 % are below, mm", "Largest, mm"]
     assert rows[1][1:] == ["0.0200", "0.0220", "0.0500", "0.120"]
-    assert drawn.table[1][1][1:] == ["0.0200 mm", "0.0220 mm", "0.0500 mm", "0.120 mm"]  # of the report
+    assert list(drawn.table[0][1:]) == ["mean, mm", "rms, mm", "95 %, mm", "largest, mm"]
+    assert drawn.table[1][1][1:] == rows[1][1:]  # of the report
+
+
+def test_an_axis_has_the_unit_of_the_table_below_it() -> None:
+    fine, coarse = lengths("error", [0.012, 0.05], zero=True), lengths("error", [0.012, 0.31], zero=True)
+    assert (fine.label, coarse.label) == ("error, µm", "error, mm")
+    assert [text for _, text in fine.ticks()] == ["0", "10", "20", "30", "40", "50"]
+    assert [fine.share(place) for place, _ in fine.ticks()][1] == pytest.approx(0.01 / 0.0525)
+    assert [text for _, text in coarse.ticks()][1:3] == ["0.1", "0.2"]
+    decades = lengths("error", [0.004, 0.05], log=True)
+    assert (decades.label, decades.ticks()) == ("error, µm", [(pytest.approx(0.001), "1"), (0.01, "10"), (0.1, "100")])
 
 
 def test_a_table_of_lengths_has_one_unit() -> None:

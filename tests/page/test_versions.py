@@ -57,7 +57,7 @@ def test_the_history_says_lineage_and_who_activated_what(there: Made) -> None:
     assert "0.900 held out" in said
     assert "Error, mm" in said  # the head of the column
     assert said.count("admin activated version ") == 2
-    assert f"version 2 {there.good} is active, since" in said
+    assert "version 2 is active, since" in said
 
 
 def test_a_version_says_what_it_knows_and_what_it_does_not(there: Made) -> None:
@@ -155,8 +155,7 @@ def test_a_version_is_activated_through_the_dialog_that_says_what_changes(there:
     said = page.get_by_role("dialog").inner_text()
     assert f"Largest correction of the tool: {ahead['largest_mm']:.2f} mm" in said
     assert all(joint["joint"] in said for joint in ahead["joints"])
-    assert "0.900 mm" in said
-    assert "0.0200 mm" in said
+    assert re.search(r"Error on its own held-out poses, mm\s+0\.900\s+0\.0200", said)
     page.get_by_role("button", name="Leave it as it is").click()
     assert active(there) == there.poor
     page.get_by_role("button", name="Activate…").click()
@@ -248,11 +247,11 @@ def test_errors_are_shown_by_what_may_cause_them(there: Made) -> None:
     cells = [
         [words(cell).strip() for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", line)]
         for line in re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
-    ][1:]
+    ]
+    scale = {"Mean error, µm": 1e-3, "Mean error, mm": 1.0}[cells.pop(0)[1]]
     assert sum(int(line[3]) for line in cells) == len(rows)
     for line, part in zip(cells, np.array_split(sizes, len(cells)), strict=True):
-        value, unit = line[1].split()
-        assert float(value) * {"µm": 1e-3, "mm": 1.0}[unit] == pytest.approx(part.mean(), rel=0.01)
+        assert float(line[1]) * scale == pytest.approx(part.mean(), rel=0.01)
 
 
 def test_a_version_of_no_campaign_says_so(there: Made) -> None:

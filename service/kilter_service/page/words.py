@@ -132,11 +132,11 @@ def chance(value: float) -> str:
     return said_of_chance(value)
 
 
-def within(value: float, low: float | None, high: float | None) -> str:
-    """Write a length in mm with its interval, all three in the unit of the largest and to the second digit of the width."""
+def within(value: float, low: float | None, high: float | None, most: float | None = None) -> str:
+    """Write a length in mm with its interval to the second digit of its width, in the unit of ``most`` or of their largest."""
     if low is None or high is None or not high > low:
-        return mm(value)
-    unit, scale = unit_of_length(max(abs(value), abs(low), abs(high)))
+        return beside(value, most)
+    unit, scale = unit_of_length(max(abs(value), abs(low), abs(high)) if most is None else most)
     decimals = max(1 - math.floor(math.log10(scale * (high - low))), 0)
     one, first, last = (_rounded(scale * end, decimals) for end in (value, low, high))
     return f"{one} {unit} ({first} to {last})"

@@ -64,6 +64,8 @@ def problem(
     refusals.note(request, code)
     if request.headers.get("hx-request") == "true":
         return _part(code, title, detail, status, _headers(code, status, context))
+    if _reads(request):
+        return _page(request, code, title, detail, status, _headers(code, status, context))
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,
@@ -81,6 +83,25 @@ def _part(code: str, title: str, detail: str, status: int, headers: dict[str, st
     told = f"<strong>{escape(title)}.</strong> {escape(detail[:MOST_DETAIL])}"
     text = (
         f'<div class="note bad" role="alert" data-code="{escape(code)}">{told} Close this, or load the page anew.</div>'
+    )
+    return Response(text, status, headers, "text/html; charset=utf-8")
+
+
+def _reads(request: Request) -> bool:
+    """Whether a person opened this address in a browser; the interface below /v1 answers everybody alike."""
+    return "text/html" in request.headers.get("accept", "") and not request.url.path.startswith("/v1")
+
+
+def _page(
+    request: Request, code: str, title: str, detail: str, status: int, headers: dict[str, str] | None
+) -> Response:
+    """What a person reads where no view answers: an address that there is not, or a server that has no time."""
+    root = escape(request.scope.get("root_path", ""))
+    text = (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, '
+        f'initial-scale=1"><title>{escape(title)} · Kilter</title></head><body><main><h1>{escape(title)}</h1>'
+        f'<p role="alert" data-code="{escape(code)}">{escape(detail[:MOST_DETAIL])}</p>'
+        f'<p><a href="{root}/">To the robots</a></p></main></body></html>'
     )
     return Response(text, status, headers, "text/html; charset=utf-8")
 

@@ -62,6 +62,7 @@ class Chosen:
     version: str
     version_name: str
     joints: Sequence[str]
+    units: Sequence[str]
     rows: Sequence[Row]
     count: int
     ranges: str
@@ -107,19 +108,19 @@ def chosen(database: Database, campaign_id: str, text: str, version: str) -> Cho
     judge = _judge(database, campaign, version)
     arm, shown = robots.arm(database, campaign.robot), rows[:MOST_LISTED]
     columns = service.joint_columns(database, campaign)
-    units = ["°" if unit == "deg" else " mm" for unit in joint_units(arm)]
     left = _left(database, campaign, judge)
     starts = [0, *accumulate(upload.rows for upload in campaign.uploads)]
     found = []
     for row in shown:
         file = bisect_right(starts[:-1], row - 1)
-        joints = [f"{column[row - 1]:.2f}{unit}" for column, unit in zip(columns, units, strict=True)]
+        joints = [f"{column[row - 1]:.2f}" for column in columns]
         error, sigma = (_known(left.get(name), row) for name in ("error_mm", SIGMA))
         found.append(Row(row, file, row - starts[file - 1], joints, error, sigma))
     name = called(versions.get(database, judge)) if judge and left else ""
     return Chosen(
-        campaign, judge if left else "", name, [joint.name for joint in arm.joints], found, len(rows), ranges(rows)
-    )
+        campaign, judge if left else "", name, [joint.name for joint in arm.joints], joint_units(arm), found, len(rows),
+        ranges(rows),
+    )  # fmt: skip
 
 
 def named_rows(database: Database, campaign_id: str, text: str) -> tuple[Campaign, list[int]]:

@@ -69,7 +69,12 @@ def told(campaign: str, database: DatabaseOfApp, rows: Ranges, version: Short = 
     """Say what is known of rows, for whoever points at them."""
     found = chosen.chosen(database, campaign, rows, version)
     return JSONResponse(
-        {"campaign": found.campaign.name, "joints": found.joints, "rows": [asdict(one) for one in found.rows]}
+        {
+            "campaign": found.campaign.name,
+            "joints": found.joints,
+            "units": found.units,
+            "rows": [asdict(one) for one in found.rows],
+        }
     )
 
 

@@ -11,7 +11,7 @@ from kilter_service.page.figures.plot import BLUE, FONT, LETTER
 from kilter_service.page.figures.room import room_for
 
 HEIGHT, BAR = 42.0, 16.0
-WIDTH, RIGHT = 640.0, 8.0
+WIDTH, RIGHT = 440.0, 8.0
 
 
 @dataclass(frozen=True)

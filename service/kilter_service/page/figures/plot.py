@@ -22,6 +22,7 @@ LINE, THIN = 1.8, 1.0  # width of a stroke, pixels
 LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
 SLANT_DEG = 45  # of names that have no room side by side
 ACROSS, DOWN = math.cos(math.pi / 4), math.sin(math.pi / 4)  # of a slanted name one pixel long
+Table = tuple[Sequence[str], Sequence[Sequence[str]]]  # head and rows
 FONT = 'font-family="system-ui, sans-serif" font-size="12"'
 
 
@@ -38,7 +39,7 @@ class Plot:
     width: float = 640.0
     height: float = 320.0
     description: str = ""
-    table: tuple[Sequence[str], Sequence[Sequence[str]]] = ((), ())
+    table: Table = ((), ())
     rigid: bool = False  # both axes have one scale: it is never drawn narrower
     _drawn: list[str] = field(default_factory=list)
     _legend: list[tuple[str, str]] = field(default_factory=list)
@@ -84,10 +85,11 @@ class Plot:
         ground = self._py(max(self.y.low, 0.0) if not self.y.log else self.y.low)
         for place, value in zip(places, values, strict=True):
             if math.isfinite(value):
+                told = f"<title>{escape(label)} {self.y.times * value:.4g}</title>"
                 left, right, top = self._px(place - width / 2), self._px(place + width / 2), self._py(value)
                 self._drawn.append(
                     f'<rect x="{left}" y="{min(top, ground)}" width="{round(right - left, 1)}" '
-                    f'height="{round(abs(ground - top), 1)}" fill="{fill}"><title>{escape(label)} {value:.4g}</title></rect>'
+                    f'height="{round(abs(ground - top), 1)}" fill="{fill}">{told}</rect>'
                 )
         for place, (low, high) in zip(places, errors, strict=False):
             self._whisker(self._px(place), self._py(low), self._py(high))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, timedelta
+
+from kilter_service.contract.comparison_words import unit_of_length
 
 TICKS = 6  # about so many along an axis
 DATES = 5  # dates that have room along an axis
@@ -23,6 +25,7 @@ class Axis:
     high: float = 1.0
     log: bool = False
     names: tuple[str, ...] = ()
+    times: float = 1.0  # what is written along it for each of what is drawn: 1000 where mm are written as µm
 
     def share(self, value: float) -> float:
         """Return how far along the axis a value is, 0 to 1 (outside where it is outside)."""
@@ -36,7 +39,9 @@ class Axis:
         """Return the numbers or names along the axis, each with its place."""
         if self.names:
             return [(place + 0.5, name) for place, name in enumerate(self.names)]
-        return _decades(self.low, self.high) if self.log else _round_numbers(self.low, self.high)
+        low, high = self.times * self.low, self.times * self.high
+        written = _decades(low, high) if self.log else _round_numbers(low, high)
+        return [(place / self.times, text) for place, text in written]
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,12 @@ def around(label: str, values: Sequence[float], zero: bool = False, log: bool = 
         high = high if high > low else 1.0  # nothing but zeros
     room = 0.05 * (high - low) or 0.5 * abs(high) or 1.0
     return Axis(label, low if zero and low == 0 else low - room, high if zero and high == 0 else high + room)
+
+
+def lengths(what: str, values: Sequence[float], zero: bool = False, log: bool = False) -> Axis:
+    """Return an axis of lengths in mm, along which stands the unit of the largest, as in the table below."""
+    unit, times = unit_of_length(max((abs(value) for value in values if math.isfinite(value)), default=1.0))
+    return replace(around(f"{what}, {unit}", values, zero, log), times=times)
 
 
 def written(value: float, step: float) -> str:

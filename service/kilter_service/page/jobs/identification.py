@@ -12,7 +12,7 @@ from kilter_service.contract.jobs.job import IdentifyJob
 from kilter_service.ground.db import Database
 from kilter_service.page.figures.heat_map import HeatMap
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.scale import lengths, named
 from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.masses import of_a_mass
@@ -100,9 +100,9 @@ def influence_chart(found: list[Influence]) -> Plot | None:
     unit, moved = in_columns([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
     plot = Plot(
         "Influence of the parameters on the tool", named("parameter", [one.name for one in rows]),
-        around("movement of the tool, mm", [*means, *(high for _, high in ends)], zero=True), width=760.0,
-        table=(["Parameter", "Change", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
-               [[one.name, f"{number(one.step)} {one.unit or ''}", *sizes]
+        lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True), width=760.0,
+        table=(["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
+               [[one.name, number(one.step), one.unit or "", *sizes]
                 for one, sizes in zip(rows, moved, strict=True)]),
     )  # fmt: skip
     return plot.bars([k + 0.5 for k in range(len(rows))], means, 0.6, "mean over the poses", errors=ends)

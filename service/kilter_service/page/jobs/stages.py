@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
-from kilter_service.page.words import in_columns, mm
+from kilter_service.page.figures.scale import lengths, named
+from kilter_service.page.words import in_columns, in_one_unit
 
 STAGES = (
     ("nominal", "Before"),
@@ -43,14 +43,19 @@ def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_O
         return None
     shown = [getattr(one, name) or 0.0 for _, one in stages for name, _, _ in BARS]
     plot = Plot(
-        f"Errors of the tool on {where}", named("", [title for title, _ in stages]), around("error, mm", shown, zero=True),
-        description="; ".join(f"{title}: mean {mm(one.mean_mm)}" for title, one in stages), table=table(errors, other),
+        f"Errors of the tool on {where}", named("", [title for title, _ in stages]), lengths("error", shown, zero=True),
+        description=_means(stages), table=table(errors, other),
     )  # fmt: skip
     for number, (name, label, shift) in enumerate(BARS):
         values = [getattr(one, name) for _, one in stages]
         places = [k + 0.5 + shift for k, value in enumerate(values) if value is not None]
         plot.bars(places, [value for value in values if value is not None], 0.25, label, number)
     return plot
+
+
+def _means(stages: Sequence[tuple[str, Errors]]) -> str:
+    sizes = in_one_unit([[one.mean_mm] for _, one in stages])
+    return "; ".join(f"{title}: mean {mean}" for (title, _), (mean,) in zip(stages, sizes, strict=True))
 
 
 def table(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> tuple[list[str], list[list[str]]]:

@@ -28,9 +28,10 @@ class Effect:
 
 @dataclass(frozen=True)
 class Contributions:
-    """The effects of a version, and the plot of how far each moves the tool at ``poses`` within the joint limits."""
+    """The effects of a version in one ``unit``, and how far each moves the tool at ``poses`` within the joint limits."""
 
     poses: int
+    unit: str
     effects: list[Effect]
     plot: Plot | None
 
@@ -43,13 +44,14 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
     searched = [named[one].moves_mm if one in named else None for one in version.effects]
     lengths = [[*sizes.get(effect, [None, None]), here] for effect, here in zip(version.effects, searched, strict=True)]
     shown = []
-    for effect, (rms, largest, here) in zip(version.effects, words.in_one_unit(lengths), strict=True):
+    unit, columns = words.in_columns(lengths)
+    for effect, (rms, largest, here) in zip(version.effects, columns, strict=True):
         found = named.get(effect)
         joints = words.of_joints(found.joints) if found is not None and found.joints else ""
         kind = registry.EFFECTS.get(effect)
         what = kind.summary if kind is not None else ""
         shown.append(Effect(effect, joints, what, rms, largest, here))
-    return Contributions(moved.poses, shown, moved.plot(SHADES[1:], 620.0) if moved.effects else None)
+    return Contributions(moved.poses, unit, shown, moved.plot(SHADES[1:], 620.0) if moved.effects else None)
 
 
 def closing(search: GapResult | None) -> tuple[Plot, str] | None:

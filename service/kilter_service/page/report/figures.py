@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from kilter_service.contract.fits import StageErrors
+from collections.abc import Sequence
+
+from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page import words
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.plot import Plot, Table
+from kilter_service.page.figures.scale import lengths, named
 
 INK, HEIGHT = "#141414", 230.0
 SHADES = ("#c8c8c8", "#828282", INK)
@@ -28,7 +30,7 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
     values = [getattr(one, size) for _, one in found for size, _ in SIZES if getattr(one, size) is not None]
     if not values or min(values) <= 0:
         return None
-    axis = around("error, mm (logarithmic)", values, log=True)
+    axis = lengths("error on a logarithmic scale", values, log=True)
     plot = Plot(title, named("", [label for _, label in SIZES]), axis, width=620, height=HEIGHT, description=title)
     width = 0.8 / len(found)
     shades = SHADES[-len(found) :]
@@ -37,7 +39,12 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
         there = [(place, value) for place, value in enumerate(sizes) if value is not None]
         places = [place + 0.1 + (k + 0.5) * width for place, _ in there]
         plot.bars(places, [value for _, value in there], width * 0.92, label, colour=shades[k])
-    lengths = words.in_one_unit([[getattr(one, size) for size, _ in SIZES] for _, one in found])
-    rows = [[label, *sizes] for (label, _), sizes in zip(found, lengths, strict=True)]
-    plot.table = (["Model", *(label for _, label in SIZES)], rows)
+    plot.table = table("Model", found)
     return plot
+
+
+def table(what: str, judged: Sequence[tuple[str, Errors]]) -> Table:
+    """Return the errors of each line below heads that name their unit, that of the largest of them."""
+    unit, lengths = words.in_columns([[getattr(one, size) for size, _ in SIZES] for _, one in judged])
+    rows = [[label, *sizes] for (label, _), sizes in zip(judged, lengths, strict=True)]
+    return [what, *(f"{label}, {unit}" for _, label in SIZES)], rows

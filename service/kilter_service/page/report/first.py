@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kilter_core.errors import CoreError
 from kilter_service.contract.acceptance import Acceptance, JudgedCampaign
 from kilter_service.contract.budgets import Budget
-from kilter_service.contract.fits import Errors
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
 from kilter_service.page import words
-from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.plot import Plot, Table
 from kilter_service.page.figures.scale import around
-from kilter_service.page.report.figures import INK, SIZES, STAGES
+from kilter_service.page.report.figures import INK, STAGES, table
 from kilter_service.versions.acceptance import service as acceptance
 from kilter_service.versions.acceptance.routes import LARGEST_MM
 from kilter_service.versions.acceptance.service import Wish
@@ -23,6 +21,7 @@ WIDE, TALL = 320.0, 240.0
 MOST_CAMPAIGNS = 4  # named on the page, those that decide first
 SHADES = ("#b8b8b8", "#777777", INK)
 MEASURED = "measured"
+MERIT, BUDGET = "Figure of merit", "Budget, standard uncertainties of a coordinate"
 NOT_STATED = (
     "Nothing is decided, because no tolerance was stated: state one above the report on the page, or ask "
     "`kilter accept {robot} --tolerance 0.3`."
@@ -51,9 +50,9 @@ class First:
     decision: str
     sentence: str
     found: Acceptance | None
-    merits: list[list[str]]
-    budget: list[list[str]]
-    sums: list[list[str]]
+    merits: Table
+    budget: Table | None
+    sums: Table | None
     missing: str
     views: list[Plot]
 
@@ -104,46 +103,42 @@ def _of_fit(version: Version, title: str, sentence: str) -> First:
     errors = version.metrics.validation or version.metrics.train
     held = "held-out" if version.metrics.validation is not None else "fitted"
     stages = [] if errors is None else [(label, getattr(errors, name)) for name, label in STAGES]
-    merits = _in_one_unit([(f"{held} rows, {label}", one) for label, one in stages if one is not None])
+    merits = table(MERIT, [(f"{held} rows, {label}", one) for label, one in stages if one is not None])
     budget = None if errors is None else errors.budget
     return First(title, "", sentence, None, merits, *_budgeted(budget), [])
 
 
-def _budgeted(budget: Budget | None) -> tuple[list[list[str]], list[list[str]], str]:
+def _budgeted(budget: Budget | None) -> tuple[Table | None, Table | None, str]:
     """The contributions, their sums, and what they lack."""
     if budget is None:
-        return [], [], "the whole budget: identify again from measured places of the tool"
+        return None, None, "the whole budget: identify again from measured places of the tool"
     missing = ", ".join(SOURCES[one] for one in budget.not_assessed if one in SOURCES)
     return _budget(budget), _sums(budget), missing
 
 
-def _merits(found: Acceptance) -> list[list[str]]:
-    return _in_one_unit([
+def _merits(found: Acceptance) -> Table:
+    return table(MERIT, [
         (f"{one.name} ({one.rows} rows), {label}", errors)
         for one in found.campaigns[:MOST_CAMPAIGNS]
         for label, errors in (("base and tool fitted only", one.before), ("calibrated", one.after))
     ])  # fmt: skip
 
 
-def _in_one_unit(judged: Sequence[tuple[str, Errors]]) -> list[list[str]]:
-    lengths = words.in_one_unit([[getattr(errors, size) for size, _ in SIZES] for _, errors in judged])
-    return [[label, *sizes] for (label, _), sizes in zip(judged, lengths, strict=True)]
-
-
-def _budget(budget: Budget) -> list[list[str]]:
-    widths = words.in_one_unit([[one.half_width_mm, one.standard_mm] for one in budget.contributions])
-    return [
+def _budget(budget: Budget) -> Table:
+    unit, widths = words.in_columns([[one.half_width_mm, one.standard_mm] for one in budget.contributions])
+    return [BUDGET, "Type", "Distribution", f"Half width, {unit}", f"u, {unit}", "Of a measured error"], [
         [SOURCES.get(one.source, one.source), one.type, one.distribution, *sizes, "yes" if one.of_measured else "no"]
         for one, sizes in zip(budget.contributions, widths, strict=True)
     ]
 
 
-def _sums(budget: Budget) -> list[list[str]]:
+def _sums(budget: Budget) -> Table:
     k = words.number(budget.k, 2)
     sizes = [[budget.measured_standard_mm, budget.measured_expanded_mm], [budget.standard_mm, budget.expanded_mm]]
     labels = ("of a measured error", "of a prediction")
-    found = zip(labels, words.in_one_unit(sizes), strict=True)
-    return [[label, standard, f"{expanded} (k = {k})"] for label, (standard, expanded) in found]
+    unit, lengths = words.in_columns(sizes)
+    rows = [[label, *row] for label, row in zip(labels, lengths, strict=True)]
+    return ["Expanded uncertainty", f"u, {unit}", f"U (k = {k}), {unit}"], rows
 
 
 def _views(found: Acceptance, worst: JudgedCampaign, decided: bool) -> list[Plot]:

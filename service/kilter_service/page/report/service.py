@@ -25,13 +25,14 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
-from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.plot import Plot, Table
 from kilter_service.page.report import first
 from kilter_service.page.report.effects import Contributions, closing, effects_of
-from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, SIZES, STAGES, before_and_after
+from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, STAGES, before_and_after, table
 from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
+from kilter_service.page.shared.in_names import in_names
 from kilter_service.page.shared.own_curves import OwnCurve, own_curves
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
@@ -48,7 +49,7 @@ class Judged:
 
     title: str
     on: str
-    rows: list[list[str]]
+    table: Table
     plot: Plot | None
     curve: Plot | None = None
 
@@ -84,6 +85,7 @@ class Sheet:
     campaigns: Mapping[str, str]
     ranges: list[list[str]]
     suspicious: list[SuspiciousRows]
+    names: Mapping[str, str]  # of the versions that these and evaluations name
     today: list[str]
     first: First | None = None
 
@@ -122,16 +124,22 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     figures = job.result.figures if isinstance(job, IdentifyJob) and job.result is not None else None
     judged = [] if version is None else list(_judged(version, figures))
     named = called(version if version is not None else job)
+    odd, evaluated = suspicious.of_campaigns(database, _used(job)), list(_evaluated(database, job, version))
+    judges = {one.version_id for rows in odd for one in rows.found} | {
+        one.job.result.version_id
+        for one in evaluated
+        if isinstance(one.job, EvaluateJob) and one.job.result is not None
+    }
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
         title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),
         judged=judged, parameters=[] if version is None else [_parameter(one) for one in version.parameters],
         effects=effects_of(database, version, search) if version is not None and version.effects else None, search=search,
         closing=closing(search), curves=own_curves(search.effect_curves) if search is not None else [],
-        evaluated=list(_evaluated(database, job, version)), limits=[] if version is None else limits(version, search),
+        evaluated=evaluated, limits=[] if version is None else limits(version, search),
         activations=[one for one in log if version is not None and one.version_id == version.id],
         campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
-        suspicious=suspicious.of_campaigns(database, _used(job)),
+        suspicious=odd, names={one: in_names(database, one) for one in judges if one},
         today=today.of_robot(database, job.robot).sentences if version is not None and version.active else [],
     )  # fmt: skip
 
@@ -180,8 +188,10 @@ def _headline(version: Version | None, search: GapResult | None) -> str:
         return (search.sentence if search is not None else None) or "No tool was measured: see the parameters."
     on = "poses that were held out" if version.metrics.validation is not None else "the poses that were fitted"
     before = errors.registration_only or errors.nominal
-    fell = "" if before is None else f", down from {words.mm(before.mean_mm)} with base and tool fitted only"
-    return f"The mean error of the tool is {words.mm(errors.identified.mean_mm)} on {on}{fell}."
+    model = "with base and tool fitted only" if errors.registration_only is not None else "of the nominal robot"
+    ((mean, former),) = words.in_one_unit([[errors.identified.mean_mm, None if before is None else before.mean_mm]])
+    fell = "" if before is None else f", down from {former} {model}"
+    return f"The mean error of the tool is {mean} on {on}{fell}."
 
 
 def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:
@@ -197,16 +207,14 @@ def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judge
 
 def _errors(errors: StageErrors, title: str, on: str) -> Judged:
     found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
-    lengths = words.in_one_unit([[getattr(one, size) for size, _ in SIZES] for _, one in found])
-    rows = [
-        [label, *sizes, words.number(one.orientation_deg)] for (label, one), sizes in zip(found, lengths, strict=True)
-    ]
+    head, sizes = table("Model", found)
+    rows = [[*row, words.number(one.orientation_deg)] for row, (_, one) in zip(sizes, found, strict=True)]
     if errors.place_mm is not None:
         rows[0][0] = PLACE
     counts = ["" if errors.n is None else f"{words.count(errors.n)} points", words.left_out(errors.left_out), on]
-    return Judged(
-        title, "; ".join(one for one in counts if one), rows, before_and_after(errors, f"Errors: {title.lower()}")
-    )
+    counted = "; ".join(one for one in counts if one)
+    plot = before_and_after(errors, f"Errors: {title.lower()}")
+    return Judged(title, counted, ([*head, "orientation, deg"], rows), plot)
 
 
 def _parameter(one: Parameter) -> list[str]:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.wire import joint_scale, joint_units, to_mm, to_mm_if_known
+from kilter_service.page import words
 from kilter_service.page.robot import scene
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
@@ -56,6 +58,11 @@ class Pose:
     versions: Sequence[Said]
     row: int
 
+    @property
+    def largest(self) -> float | None:
+        """The largest of the lengths that are compared, mm: all are written in its unit."""
+        return words.largest(size for one in self.versions for size in (one.moved, *(part.size for part in one.parts)))
+
 
 def read(text: str) -> list[float] | None:
     """Read joints as ``10.5,-20,...``, in degrees and mm; None of an empty text.
@@ -96,7 +103,7 @@ def asked(
     for version in dict.fromkeys(filter(None, chosen)):
         scene.check(database, robot, version)
         found = versions.at_pose(database, version, q, campaign, row, settings.temperature_c)
-        said.append(_moves_of_version(version, versions.get(database, version).name, found))
+        said.append(_moves_of_version(version, called(versions.get(database, version)), found))
         q = found.q
     shown = [] if q is None else q * scale
     units = ["mm" if unit == "mm" else "°" for unit in joint_units(arm)]
@@ -108,7 +115,7 @@ def _moves_of_version(version: str, name: str, found: AtPose) -> Said:
     moved = to_mm(found.moved)
     parts = [Part(one.name, to_mm(one.size), to_mm_if_known(one.low), to_mm_if_known(one.high)) for one in found.parts]
     return Said(
-        version, name or version, to_mm(found.tool).tolist(), float(np.linalg.norm(moved)), moved.tolist(),
+        version, name, to_mm(found.tool).tolist(), float(np.linalg.norm(moved)), moved.tolist(),
         "" if found.status == "OK" else found.status, parts, found.missing,
         to_mm_if_known(found.sigma),
     )  # fmt: skip

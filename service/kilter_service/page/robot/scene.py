@@ -121,17 +121,18 @@ def worst(database: Database, version: str, campaign: str, most: int = 5) -> Doc
     size = to_mm(np.linalg.norm(found.left["identified"], axis=1))
     held = found.held_out if found.held_out.any() else np.ones(len(size), dtype=bool)
     order = [k for k in np.argsort(-size) if held[k]][:most]
-    units = ["mm" if unit == "mm" else "°" for unit in joint_units(found.robot)]
     readings = found.q * np.asarray(joint_scale(found.robot))
     return {
         "held_out": bool(found.held_out.any()),
-        "joints": [joint.name for joint in found.robot.joints],
+        "joints": [
+            f"{joint.name}, {unit}" for joint, unit in zip(found.robot.joints, joint_units(found.robot), strict=True)
+        ],
         "rows": [
             {
                 "row": int(found.row[k]),
                 "error": float(size[k]),
                 "at": to_mm(found.at[k]).tolist(),
-                "q": [f"{v:.1f}{unit}" for v, unit in zip(readings[k], units, strict=True)],
+                "q": [f"{v:.1f}" for v in readings[k]],
             }
             for k in order
         ],

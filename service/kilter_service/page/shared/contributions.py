@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from kilter_service.ground.db import Database
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.scale import lengths, named
+from kilter_service.page.words import in_columns
 from kilter_service.versions import service
 
 if TYPE_CHECKING:
@@ -32,12 +33,13 @@ class Moved:
         """Draw rms and largest movement."""
         names = [one.effect for one in self.effects]
         rms, largest = [one.rms_mm or 0.0 for one in self.effects], [one.largest_mm or 0.0 for one in self.effects]
+        unit, rows = in_columns(list(zip(rms, largest, strict=True)))
         drawn = Plot(
-            "Movement of the tool by each effect", named("", names), around("movement, mm", [*rms, *largest], zero=True),
+            "Movement of the tool by each effect", named("", names), lengths("movement", [*rms, *largest], zero=True),
             width, 260.0,
             description="Two bars for each effect: root mean square and largest movement of the tool.",
-            table=(["effect", "rms, mm", "largest, mm"],
-                   [[name, f"{mean:.3g}", f"{most:.3g}"] for name, mean, most in zip(names, rms, largest, strict=True)]),
+            table=(["effect", f"rms, {unit}", f"largest, {unit}"],
+                   [[name, *sizes] for name, sizes in zip(names, rows, strict=True)]),
         )  # fmt: skip
         drawn.bars([k + 0.32 for k in range(len(names))], rms, 0.3, "root mean square", 0, colours[0])
         drawn.bars([k + 0.68 for k in range(len(names))], largest, 0.3, "largest", 1, colours[1])

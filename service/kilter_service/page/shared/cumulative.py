@@ -7,8 +7,8 @@ from itertools import accumulate
 
 from kilter_service.contract.figures import PlaneFigure, Scatter
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around
-from kilter_service.page.words import in_one_unit
+from kilter_service.page.figures.scale import around, lengths
+from kilter_service.page.words import in_columns
 
 
 def cumulative(
@@ -24,12 +24,12 @@ def cumulative(
     traces = [one for one in traces if one[1]]
     if not traces:
         return None
-    errors = in_one_unit([[_at(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
+    unit, errors = in_columns([[_at(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
     plot = Plot(
-        f"Share of {where} with at most an error", around("error, mm", [x for one in traces for x in one[1]], log=True),
+        f"Share of {where} with at most an error", lengths("error", [x for one in traces for x in one[1]], log=True),
         around("share of rows, %", [0.0, 100.0], zero=True), height=height,
         description="The further left a curve rises, the smaller the errors.",
-        table=(["Model", "Half of the rows are below", "All are below"],
+        table=(["Model", f"Half of the rows are below, {unit}", f"All are below, {unit}"],
                [[one[0], *row] for one, row in zip(traces, errors, strict=True)]),
     )  # fmt: skip
     for place, (name, xs, ys) in enumerate(traces):

@@ -1,6 +1,7 @@
 // data-correct="PATH"   sends the chosen path as it is, shows what became of each row, and keeps the answer to be downloaded
 // data-reads="ID"       puts the text of the chosen file into the text area with that id, beside the file's name
 const LISTED = 200;
+const DIGITS = 4; // of a degree or mm in the list; the file has all
 const BARS = 400;
 const SVG = "http://www.w3.org/2000/svg";
 const LOOKS = { OK: "good", DAMPED: "warn", LIMITED: "warn" }; // all others are refusals
@@ -43,14 +44,15 @@ function tabled(table, head, rows) {
   const cell = (kind, text) => Object.assign(document.createElement(kind), { textContent: text });
   const line = document.createElement("tr");
   const others = head.map((_, c) => c).filter((c) => head[c] !== "status");
-  line.append(...["row", "status", ...others.map((c) => head[c])].map((name) => cell("th", name)));
+  line.append(...["row", "status", ...others.map((c) => head[c])].map((name, c) => Object.assign(cell("th", name), { className: c > 1 ? "number" : "" })));
   table.tHead.replaceChildren(line);
   const odd = rows.filter((row) => lookOf(row) !== "good");
   const shown = [...odd, ...rows.filter((row) => lookOf(row) === "good")].slice(0, LISTED);
   table.tBodies[0].replaceChildren(...shown.map((row) => {
     const made = Object.assign(document.createElement("tr"), { className: `path-${lookOf(row)}` });
-    const short = (text) => (text !== "" && Number.isFinite(Number(text)) ? Number(Number(text).toPrecision(7)) : text);
-    made.append(cell("th", row.number), cell("td", row.status), ...others.map((c) => cell("td", short(row.cells[c]))));
+    const short = (text, name) => (text === "" || !Number.isFinite(Number(text)) ? text : /_(deg|mm)$/.test(name) ? Number(text).toFixed(DIGITS).replace(/^-(0\.0+)$/, "$1") : Number(Number(text).toPrecision(7)));
+    const number = (c) => Object.assign(cell("td", short(row.cells[c], head[c])), { className: "number" });
+    made.append(cell("th", row.number), cell("td", row.status), ...others.map(number));
     return made;
   }));
   return { listed: shown.length, odd: odd.length };
@@ -63,7 +65,7 @@ function show(text, name, notes) {
   const counts = new Map();
   rows.forEach((row) => counts.set(row.status, (counts.get(row.status) || 0) + 1));
   find("counts").replaceChildren(...[...counts].map(([status, count]) => Object.assign(document.createElement("span"), { className: `badge ${LOOKS[status] || "bad"}`, textContent: `${count} ${status.toLowerCase().replaceAll("_", " ")}` })));
-  find("notes").replaceChildren(...notes.map((one) => Object.assign(document.createElement("div"), { className: "note warn", textContent: one })));
+  find("notes").replaceChildren(...notes.map((one) => Object.assign(document.createElement("div"), { className: "note warn", textContent: one.replaceAll("`", "") })));
   const { svg, most } = strip(rows);
   find("strip").querySelector("svg")?.remove();
   find("strip").prepend(svg);

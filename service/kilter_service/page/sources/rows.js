@@ -76,10 +76,10 @@ async function told(campaign, row) {
   if (!known.has(key)) {
     const answer = await fetch(`${window.kilter.root}/campaigns/${campaign}/rows.json?${new URLSearchParams({ rows: row, version: judge() })}`);
     if (!answer.ok) return "";
-    const { campaign: name, joints, rows: [found] } = await answer.json();
+    const { campaign: name, joints, units, rows: [found] } = await answer.json();
     const left = found.error_mm === null ? "error not known" : `${mm(found.error_mm)}${found.sigma === null ? "" : `, ${found.sigma.toPrecision(2)} σ`}`;
     const file = found.file > 1 || found.file_row !== found.row ? ` (row ${found.file_row} of file ${found.file})` : "";
-    known.set(key, `${name}, row ${row}${file}: ${left}\n${joints.map((joint, k) => `${joint} ${found.joints[k]}`).join(", ")}`);
+    known.set(key, `${name}, row ${row}${file}: ${left}\n${joints.map((joint, k) => `${joint} ${found.joints[k]} ${units[k]}`).join(", ")}`);
   }
   return known.get(key);
 }

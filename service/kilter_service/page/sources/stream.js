@@ -51,7 +51,7 @@ function rows(table, cells) {
     const line = body.insertRow();
     row.forEach((cell, k) => {
       const box = document.createElement(k ? "td" : "th");
-      if (k) box.className = cell instanceof Node ? "barbox" : "number";
+      if (k) box.className = cell instanceof Node ? "barbox" : /^[-\d–]/.test(cell) ? "number" : "";
       else box.scope = "row";
       box.append(cell);
       line.append(box);
@@ -116,14 +116,14 @@ class Section {
   tables(stream) {
     this.tablesAt = performance.now();
     const table = (name) => this.element.querySelector(`[data-table="${name}"]`);
-    rows(table("joints"), stream.joints.map((joint) => [joint.name, fixed(joint.wanted, joint.unit), fixed(joint.correction, joint.unit)]));
+    rows(table("joints"), stream.joints.map((joint) => [joint.name, ...[joint.wanted, joint.correction].map((value) => fixed(value, joint.unit).split(" ")[0]), joint.unit]));
     const refused = Object.entries(stream.refusals);
     rows(table("refusals"), refused.length ? refused.map(([name, n]) => [name, count(n)]) : [["none", "0"]]);
     const times = stream.times;
     if (!times) return;
     const shown = times.counts.map((n, k) => [n, k]).filter(([n]) => n);
     const most = Math.log1p(Math.max(...shown.map(([n]) => n)));
-    const to = (k) => (k + 1 < times.from_us.length ? ` – ${number(times.from_us[k + 1], 2)} µs` : " µs and more");
+    const to = (k) => (k + 1 < times.from_us.length ? ` – ${number(times.from_us[k + 1], 2)}` : " and more");
     rows(table("times"), shown.map(([n, k]) => [`${number(times.from_us[k], 2)}${to(k)}`, count(n), bar(Math.log1p(n) / most)]));
   }
 
@@ -197,7 +197,7 @@ function show(told) {
   updates += 1;
   place.dataset.updates = updates;
   part("stale").hidden = true;
-  write(part("why"), told.bypass);
+  write(part("why"), told.bypass.replaceAll("`", ""));
   part("bypass").hidden = !told.bypass;
   place.classList.toggle("bypassed", Boolean(told.bypass));
   const at = told.since ? told.since.replace("T", " ").replace("+00:00", " UTC") : "";
@@ -207,6 +207,9 @@ function show(told) {
   const activation = part("activation");
   if (activation) activation.hidden = activation.dataset.version !== told.active_version;
   part("none").hidden = told.streams.length > 0;
+  write(part("since"), at ? `since the corrector started, ${at}` : "that this server knows of");
+  const opening = document.querySelector("[data-opening]"); // what the server said when the view was opened
+  opening.hidden = Boolean(told.bypass) || told.reach === "away" || told.streams.length !== Number(opening.dataset.opening);
   for (const stream of told.streams) {
     if (!sections.has(stream.name)) add(stream.name);
     sections.get(stream.name).show(stream, told.active_version);

@@ -15,9 +15,9 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import joint_scale
 from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
-from kilter_service.page.words import beside
+from kilter_service.page.figures.plot import Plot, Table
+from kilter_service.page.figures.scale import around, lengths, named
+from kilter_service.page.words import in_columns
 from kilter_service.versions import service
 from kilter_service.versions.predictions.paired import residuals, size_of
 
@@ -108,14 +108,12 @@ def _course(seen: Seen, cause: Cause) -> Plot:
     there = np.flatnonzero(~np.isnan(cause.values) & ~np.isnan(seen.sizes))
     found = [_mean(seen.sizes[part], cause.values[part]) for part in _parts(there, cause.values)]
     bins = [one for one in found if one is not None]
-    most = max((one[3] for one in bins), default=0.0)
     drawn = _drawn(there, seen.sizes)
     plot = Plot(
         f"Error {cause.title}", around(cause.label, cause.values[there].tolist()),
-        around("error, mm", seen.sizes[drawn].tolist(), zero=True), width=560.0,
+        lengths("error", seen.sizes[drawn].tolist(), zero=True), width=560.0,
         description="A mean that rises or falls beyond its intervals says that the model misses something there.",
-        table=(["From about", "Mean error", "95 % interval of the mean", "Rows"],
-               [[f"{x:.4g}", *_beside(m, low, high, most), str(n)] for x, m, low, high, n in bins]),
+        table=_table("From about", [f"{one[0]:.4g}" for one in bins], bins),
     )  # fmt: skip
     for held, label, number in ((False, "fitted", 0), (True, "held out", 1)):
         part = drawn[seen.held_out[drawn] == held]
@@ -137,22 +135,24 @@ def _levels(seen: Seen, cause: Cause) -> Plot:
         if found is not None:
             names.append(name)
             bars.append(found)
-    most = max((one[3] for one in bars), default=0.0)
     plot = Plot(
-        f"Error {cause.title}", named(cause.label, names), around("mean error, mm", [one[3] for one in bars], zero=True),
+        f"Error {cause.title}", named(cause.label, names), lengths("mean error", [one[3] for one in bars], zero=True),
         width=280.0, height=240.0, description="Whiskers are the 95 % interval of the mean.",
-        table=(["Direction", "Mean error", "95 % interval", "Rows"],
-               [[name, *_beside(m, low, high, most), str(n)]
-                for name, (_, m, low, high, n) in zip(names, bars, strict=True)]),
+        table=_table("Direction", names, bars),
     )  # fmt: skip
     return plot.bars(
         [k + 0.5 for k in range(len(bars))], [one[1] for one in bars], 0.5, errors=[(one[2], one[3]) for one in bars]
     )
 
 
-def _beside(mean: float, low: float, high: float, most: float) -> tuple[str, str]:
-    """A mean and its interval in the unit of the largest that stands beside them."""
-    return beside(mean, most), f"{beside(low, most)} to {beside(high, most)}"
+def _table(what: str, names: Sequence[str], bins: Sequence[tuple[float, float, float, float, int]]) -> Table:
+    """Means and their intervals below heads that name their unit."""
+    unit, sizes = in_columns([one[1:4] for one in bins])
+    rows = [
+        [name, mean, f"{low} to {high}", str(one[4])]
+        for name, (mean, low, high), one in zip(names, sizes, bins, strict=True)
+    ]
+    return [what, f"Mean error, {unit}", f"95 % interval of the mean, {unit}", "Rows"], rows
 
 
 def _parts(there: Any, values: Floats) -> Iterator[Any]:

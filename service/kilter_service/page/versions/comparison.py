@@ -16,8 +16,9 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.scale import around, lengths, named
 from kilter_service.page.versions.paired import maps
+from kilter_service.page.words import in_columns
 from kilter_service.versions import service
 from kilter_service.versions.predictions import differences
 
@@ -140,11 +141,12 @@ def title(version: Version) -> str:
 def _bars(left: Sequence[Left]) -> Plot:
     names = [MEASURES[measure] for measure in BARS]
     values = [[one.numbers[measure] for measure in BARS] for one in left]
+    unit, sizes = in_columns(list(zip(*values, strict=True)))
     drawn = Plot(
-        "Errors on the same rows", named("", names), around("error, mm", [v for row in values for v in row], zero=True),
+        "Errors on the same rows", named("", names), lengths("error", [v for row in values for v in row], zero=True),
         height=280.0, description="Mean, 95th percentile and largest error of each version on the rows chosen.",
-        table=(["error, mm", *(one.name for one in left)],
-               [[name, *(f"{row[k]:.3g}" for row in values)] for k, name in enumerate(names)]),
+        table=([f"error, {unit}", *(one.name for one in left)],
+               [[name, *row] for name, row in zip(names, sizes, strict=True)]),
     )  # fmt: skip
     width = 0.7 / len(left)
     for number, (one, row) in enumerate(zip(left, values, strict=True)):
@@ -155,14 +157,16 @@ def _bars(left: Sequence[Left]) -> Plot:
 
 def _curve(left: Sequence[Left]) -> Plot:
     shares = np.linspace(0.0, 100.0, STEPS + 1)
-    curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
     told = (10, 25, 50, 75, 90, 95, 99, 100)
+    found = [np.percentile(np.asarray(one.sizes), [*shares, *told]) for one in left]
+    curves = [one[: len(shares)] for one in found]
+    unit, sizes = in_columns(np.transpose([one[len(shares) :] for one in found]).tolist())
     drawn = Plot(
-        "Share of the rows within an error", around("error, mm", [float(c[-1]) for c in curves], zero=True),
+        "Share of the rows within an error", lengths("error", [float(c[-1]) for c in curves], zero=True),
         around("rows within it, %", [0.0, 100.0], zero=True), height=280.0,
         description="Cumulative curves: how many of the rows have at most a given error. Further left is better.",
-        table=(["rows, %", *(f"{one.name}, mm" for one in left)],
-               [[f"{share}", *(f"{np.percentile(np.asarray(one.sizes), share):.3g}" for one in left)] for share in told]),
+        table=(["rows, %", *(f"{one.name}, {unit}" for one in left)],
+               [[f"{share}", *row] for share, row in zip(told, sizes, strict=True)]),
     )  # fmt: skip
     for number, (one, curve) in enumerate(zip(left, curves, strict=True)):
         drawn.line(curve.tolist(), shares.tolist(), one.name, number)

@@ -12,7 +12,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.words import beside, largest, mm
+from kilter_service.page.words import beside, in_columns, largest
 from kilter_service.versions import service
 from kilter_service.versions.predictions.paired import Pairs
 
@@ -69,13 +69,14 @@ def _map(
         width=480.0, height=340.0,
         description=f"{title}: at which measured places {names[1]} is better than {names[0]}, and where it is worse.",
     )  # fmt: skip
+    most = largest(gain)
     for better, label, number, colour in (
         (True, f"{names[1]} better", 1, SKY),
         (False, f"{names[0]} better", 0, BLUE),
     ):
         part = np.flatnonzero((gain > 0) == better)
         if len(part):
-            told = [f"{mm(abs(gain[k]))} {'less' if better else 'more'} left" for k in part]
+            told = [f"{beside(abs(gain[k]), most)} {'less' if better else 'more'} left" for k in part]
             plot.points(
                 at[part, across].tolist(),
                 at[part, up].tolist(),
@@ -86,9 +87,10 @@ def _map(
                 [rows[int(k)] for k in part],
             )
     worst = np.argsort(gain)[:10]
-    most = largest(-gain[worst])
+    unit, more = in_columns([[float(-gain[k])] for k in worst])
     numbers = [
-        [rows[int(k)].rpartition("/")[2], *(f"{v:.0f}" for v in at[k]), beside(float(-gain[k]), most)] for k in worst
+        [rows[int(k)].rpartition("/")[2], *(f"{v:.0f}" for v in at[k]), left]
+        for k, (left,) in zip(worst, more, strict=True)
     ]
-    plot.table = (["Row", "x, mm", "y, mm", "z, mm", f"More left by {names[1]}"], numbers)
+    plot.table = (["Row", "x, mm", "y, mm", "z, mm", f"More left by {names[1]}, {unit}"], numbers)
     return plot

@@ -11,6 +11,7 @@ from kilter_service.contract.versions import ActivationWish
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import contributions
+from kilter_service.page.shared.in_names import in_names
 from kilter_service.page.shared.lists import Asked
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.page.versions import by_factor, comparison, looking_ahead, service, workspace
@@ -106,7 +107,8 @@ def activate(
     except ServiceError as error:
         if error.code != "activation_refused":
             raise
-        return render(request, "versions/refused.html", 409, version=version, etag=etag, refused=error.context)
+        said = [in_names(database, str(one["message"])) for one in error.context["objections"]]
+        return render(request, "versions/refused.html", 409, version=version, etag=etag, said=said)
     return redirect(request, f"{root_of(request)}/robots/{done.robot}/versions")
 
 

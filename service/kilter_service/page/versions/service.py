@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import Parameter
@@ -15,10 +15,12 @@ from kilter_service.ground.called import called
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import GREY, Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.scale import lengths, named
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.in_names import objections_in_names
 from kilter_service.page.shared.lists import Asked, Part, part
 from kilter_service.page.shared.masses import of_a_mass
+from kilter_service.page.words import in_columns
 from kilter_service.robots import service as robots
 from kilter_service.versions import service
 from kilter_service.versions.if_match import tag_of_robot
@@ -78,8 +80,12 @@ def history(database: Database, robot: str, asked: Asked, log: Asked) -> History
         for one in service.list_versions(database, robot, Page(), with_retired=True).versions
     ]
     entries = service.activations(database, robot, Page()).activations
+    shown = part(entries, log, lambda _: "", {}, named=LOG)
+    named = [
+        one.model_copy(update={"objections": objections_in_names(database, one.objections)}) for one in shown.shown
+    ]
     return History(
-        robots.get(database, robot), _part(found, asked), part(entries, log, lambda _: "", {}, named=LOG),
+        robots.get(database, robot), _part(found, asked), replace(shown, shown=named),
         tag_of_robot(database, robot), errors_by_version(found),
         next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
         {one.version.id: called(one.version) for one in found}, today.of_robot(database, robot).sentences[0],
@@ -131,13 +137,13 @@ def errors_by_version(found: Sequence[Listed]) -> Plot | None:
     names = [version.name or f"{version.created_at:%m-%d %H:%M:%S}" for version, _ in known]
     means = [accuracy.mean for _, accuracy in known]
     ends = [(a.mean if a.low is None else a.low, a.mean if a.high is None else a.high) for _, a in known]
-    told = zip(names, means, ends, strict=True)
-    table = [[name, f"{mean:.3g}", f"{low:.3g} to {high:.3g}"] for name, mean, (low, high) in told]
+    unit, sizes = in_columns([[mean, *both] for mean, both in zip(means, ends, strict=True)])
+    table = [[name, mean, f"{low} to {high}"] for name, (mean, low, high) in zip(names, sizes, strict=True)]
     drawn = Plot(
         "Held-out error of each version", named("version, oldest first", names),
-        around("mean error, mm", [0.0, *means, *(high for _, high in ends)], zero=True), height=260.0,
+        lengths("mean error", [0.0, *means, *(high for _, high in ends)], zero=True), height=260.0,
         description="A bar for each version, with the 95 % interval of its mean error on the poses held out of its own fit.",
-        table=(["version", "mean error, mm", "95 % interval, mm"], table),
+        table=(["version", f"mean error, {unit}", f"95 % interval, {unit}"], table),
     )  # fmt: skip
     active = [version.active for version, _ in known]
     for which, label, number, colour in ((True, "active", 0, ""), (False, "not active", 1, GREY)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,13 @@ from kilter_service.ground.wire import joint_scale, to_mm
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.versions.looking_ahead import REFUSED
-from kilter_service.page.words import mm, percent
+from kilter_service.page.words import bare, largest, percent, unit
 from kilter_service.versions import service
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
 
 WHAT = {
     "OK": "corrected to within what is stated",
@@ -32,6 +38,7 @@ class Shown:
     """Rows of the table (what, share, how many, most that is left), and the map."""
 
     poses: int
+    unit: str
     rows: Sequence[tuple[str, str, int, str]]
     map: Plot
 
@@ -45,19 +52,20 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
     """
     seen = service.workspace(database, version_id, temperature_c)
     found, words = seen.found, np.array(seen.found.words)
-    rows = []
-    for word in sorted(found.counts, key=_order):
-        mine = words == word
-        left = found.left[mine]
-        most = _most(float(np.nanmax(left))) if not np.isnan(left).all() else "–"
-        rows.append((_state_words(word), percent(float(mine.mean())), int(mine.sum()), most))
+    order = sorted(found.counts, key=_order)
+    left = [_most(found.left[words == word]) for word in order]
+    most = largest([*left, to_mm(REACHED_M)])
+    rows = [
+        (_state_words(word), percent(float((words == word).mean())), int((words == word).sum()), _left(one, most))
+        for word, one in zip(order, left, strict=True)
+    ]
     out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
     up = to_mm(seen.points[:, 2])
     plot = Plot(
         "Where the version corrects", around("distance from the axis of the base, mm", out.tolist(), zero=True),
         around("height above the base, mm", up.tolist()), width=560.0, height=380.0,
         description="Each point is a pose drawn within the joint limits, at the place of its tool.",
-        table=(["What", "Share", "Poses", "Most that is left"], [[a, b, str(c), d] for a, b, c, d in rows]),
+        table=(["What", "Share", "Poses", f"Most that is left, {unit(most)}"], [[a, b, str(c), d] for a, b, c, d in rows]),
     )  # fmt: skip
     scale = np.array(joint_scale(seen.robot))
     for word in sorted(found.counts, key=_drawn):
@@ -65,12 +73,18 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
         number, colour = LOOKS.get(word, REFUSED_LOOK)
         names = [f"{_label(word)}: {', '.join(f'{v:.0f}' for v in found.q[k] * scale)}" for k in mine]
         plot.points(out[mine].tolist(), up[mine].tolist(), _label(word), number, colour, names)
-    return Shown(len(words), rows, plot)
+    return Shown(len(words), unit(most), rows, plot)
 
 
-def _most(left: float) -> str:
-    """The most that is left; to less than a micrometre nothing is computed."""
-    return mm(to_mm(left)) if left >= REACHED_M else f"below {mm(to_mm(REACHED_M))}"
+def _most(left: Floats) -> float | None:
+    """The most that is left, mm; None where it is not known."""
+    return None if np.isnan(left).all() else to_mm(float(np.nanmax(left)))
+
+
+def _left(left: float | None, most: float | None) -> str:
+    """Write it in the unit of the most; to less than a micrometre nothing is computed."""
+    least = to_mm(REACHED_M)
+    return bare(left, most) if left is None or left >= least else f"below {bare(least, most)}"
 
 
 def _order(word: str) -> tuple[int, str]:
