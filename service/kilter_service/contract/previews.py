@@ -53,7 +53,8 @@ class VersionPreview(Strict):
         description="Ids of its effects that would not be corrected where rows state joints and loads alone, as in a stream."
     )
     corrected_where_stated: dict[str, list[str]] = Field(
-        {}, description="Those of them that rows of a file are corrected for, by id with the columns that rows must state."
+        {},
+        description="Those of them that rows of a file are corrected for, by id with the columns that rows must state.",
     )
     not_corrected: str = Field("", description="Both in words; empty: nothing is left out.")
     temperature_c: Celsius | None = Field(

@@ -111,7 +111,8 @@ class ActivatedVersion(VersionSummary):
         description="Ids of its effects that are not corrected where rows state joints and loads alone, as in a stream."
     )
     corrected_where_stated: dict[str, list[str]] = Field(
-        {}, description="Those of them that rows of a file are corrected for, by id with the columns that rows must state."
+        {},
+        description="Those of them that rows of a file are corrected for, by id with the columns that rows must state.",
     )
     not_corrected: str = Field("", description="Both in words; empty: nothing is left out.")
     forced: bool = Field(False, description="Whether it was activated in spite of what speaks against it.")
