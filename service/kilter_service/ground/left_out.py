@@ -34,7 +34,7 @@ def fields(unsupported: Sequence[str], where_stated: Mapping[str, Sequence[str]]
 
 def _where(asked: Sequence[str], names: Sequence[str]) -> str:
     columns = " and ".join(COLUMNS[one] for one in asked)
-    where = f"Only in files and paths whose rows state {columns}"
+    where = f"in files and paths, whose rows must state {columns}"
     if tuple(asked) == ("temperature_c",):
-        where = "Only in rows that state temperature_c, or with KILTER_TEMPERATURE_C, which a stream needs"
-    return f"{where}, this is corrected: {', '.join(names)}."
+        where = f"in rows that state {columns}, in all others and in a stream with KILTER_TEMPERATURE_C"
+    return f"Corrected only {where}: {', '.join(names)}."
