@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from kilter_core.arm.run_time import Conditions, RunTimeForm
-from kilter_core.effects.base import Effect
 from kilter_core.model import RobotModel
 from kilter_core.types import Floats
 
@@ -39,20 +38,22 @@ def at_run_time(model: RobotModel, values: Floats, conditions: Conditions) -> At
     unsupported: list[str] = []
     where_stated: dict[str, tuple[str, ...]] = {}
     loaded = False
-    for effect, (key, where) in zip(model.effects, model.effect_slices().items(), strict=True):
+    for k, (key, where) in enumerate(model.effect_slices().items()):
+        effect = model.effects[k]
         if effect.at_run_time(form, values[where]):
             supported.append(effect.id)
             loaded |= "moments" in effect.needs
             continue
         unsupported.append(key)
-        asked = _asked(effect, model, values[where], conditions)
+        asked = _asked(model, k, values[where], conditions)
         if asked:
             where_stated[key] = asked
     return AtRunTime(form, tuple(dict.fromkeys(supported)), tuple(unsupported), loaded, where_stated)
 
 
-def _asked(effect: Effect, model: RobotModel, values: Floats, conditions: Conditions) -> tuple[str, ...]:
+def _asked(model: RobotModel, which: int, values: Floats, conditions: Conditions) -> tuple[str, ...]:
     """Quantities that must be stated for an effect to be made up for; empty: no statement helps."""
+    effect = model.effects[which]
     for quantities, tried in _STATED:
         if effect.needs.issuperset(quantities):
             form = RunTimeForm.empty(model.load_robot, replace(conditions, **tried))
