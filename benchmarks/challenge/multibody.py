@@ -143,7 +143,9 @@ class Arm:
             if k in flaw.springs:
                 along, stiffness = flaw.springs[k]
                 parent.add_joint(name=f"spring{k}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=along, stiffness=stiffness)
-        parent.add_body(name="load", pos=FLANGE, mass=1e-9, inertia=[1e-9] * 3, explicitinertial=True)
+        parent.add_body(
+            name="load", pos=FLANGE, mass=1e-9, ipos=[0.0, 0.0, 0.0], inertia=[1e-9] * 3, explicitinertial=True
+        )  # without ipos MuJoCo takes pos for it too
         parent.add_site(name="marker", pos=FLANGE + MARKER)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)

@@ -10,7 +10,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.challenge import multibody
 from benchmarks.challenge.answers import answer
@@ -19,6 +21,7 @@ from benchmarks.challenge.page import page
 from benchmarks.challenge.score import Scored, figures
 from kilter_client import Kilter
 
+Floats = NDArray[np.float64]
 SALT = "0123456789abcdef"
 TWIST: dict[str, Any] = {"physical_class": "joint_twist", "effects": ["link_torsion"], "joints": [3, 4]}
 
@@ -72,6 +75,22 @@ def test_the_how_to_lists_every_class() -> None:
 def test_a_folder_without_cases_says_where_the_format_is(tmp_path: Path) -> None:
     with pytest.raises(CaseError, match=r"hide-a-case\.md"):
         cases(tmp_path)
+
+
+def test_the_load_hangs_where_the_truth_says() -> None:
+    """Virtual work: what the load adds to a joint is its weight times how far the flange rises as the joint moves."""
+    rng = np.random.default_rng(3)
+    arm = multibody.Arm(multibody.Nominal.drawn(rng), multibody.clean(rng), rng)
+    q, load = rng.uniform(-1.0, 1.0, 6), 4.0
+
+    def told(kg: float, pose: Floats) -> tuple[Floats, float]:
+        arm.point(pose, kg)
+        return arm.data.qfrc_bias[arm.driven].copy(), float(arm.data.xpos[arm.load, 2])
+
+    added = told(load, q)[0] - told(0.0, q)[0]
+    step = 1e-5 * np.eye(6)
+    rises = [(told(0.0, q + d)[1] - told(0.0, q - d)[1]) / 2e-5 for d in step]
+    assert added == pytest.approx(load * 9.81 * np.array(rises), abs=1e-4)
 
 
 def test_an_author_s_tools_write_what_is_read(tmp_path: Path) -> None:

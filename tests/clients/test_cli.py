@@ -190,11 +190,16 @@ def test_what_a_correction_leaves_out_is_said(
     measured.write_text("\n".join([f"{head},temperature_c", *warm, ""]))
     campaign = command.json("upload", robot, measured)["campaign_id"]
     job = command.json("identify", robot, "-c", campaign, "--effects", "thermal_growth")
-    command("activate", job["result"]["version_id"])
+    where = "Corrected only in rows that state temperature_c"
+    assert where in command("activate", job["result"]["version_id"])
+    program = ("export", job["result"]["version_id"], "--format", "corrector", "-o", tmp_path / "arm.bin")
+    assert "Not corrected by this file: thermal_growth." in command(*program)
+    assert any(where in note for note in command.json(*program)["notes"])
     path.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg\n0,20,30,10,5\n")
     said = ("correct", robot, path, "-o", tmp_path / "out.csv")
     assert command.json(*said)["not_corrected"] == ["thermal_growth"]  # no thermometer: KILTER_TEMPERATURE_C is unset
     assert "not corrected is what thermal_growth does" in command(*said)
+    assert where in command(*said)
 
 
 def _columns(path: Path) -> list[tuple[str, ...]]:

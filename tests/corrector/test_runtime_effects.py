@@ -162,8 +162,14 @@ def test_a_tool_that_sags_is_held_up_beside_a_link_that_bends() -> None:
 
 def test_what_follows_the_temperature_or_a_measured_tilt_needs_one() -> None:
     names = ("zero_thermal", "link_growth", "column_bending", "measured_tilt")
-    program = compile_program(calibration_with(*names))
-    assert program.unsupported == names
+    calibration = calibration_with(*names, "drift")
+    program = compile_program(calibration)
+    assert program.unsupported == (*names, "drift")
+    tilt = ("base_tilt_x", "base_tilt_y")
+    assert program.where_stated == dict.fromkeys(names[:3], ("temperature_c",)) | {"measured_tilt": tilt}
+    warm = compile_program(calibration, CorrectionOptions(temperature_c=20.0))
+    assert (warm.unsupported, warm.where_stated) == (("measured_tilt", "drift"), {"measured_tilt": tilt})
+    assert compile_program(calibration, CorrectionOptions(temperature_c=20.0, base_tilt=(0.0, 0.0))).where_stated == {}
 
 
 def test_a_guess_that_goes_on_ends_where_one_from_zero_does() -> None:

@@ -61,3 +61,18 @@ def test_what_is_read_of_the_base_is_identified_and_corrected(
     assert np.median(np.linalg.norm(removed, axis=1)) > 8e-4
     assert np.linalg.norm(reached - (uncorrected - removed)[good], axis=1).max() < 1e-4
     assert corrected(columns(q, None, None))[1] == "measured_tilt"
+    where = (
+        "Corrected only in files and paths, whose rows must state base_tilt_x_deg and base_tilt_y_deg: measured_tilt."
+    )
+    active = client.post(f"/v1/versions/{version}/activate").raise_for_status().json()
+    for said in (active, active["preview"], client.get(f"/v1/versions/{version}/preview").raise_for_status().json()):
+        assert said["unsupported_effects"] == ["measured_tilt"]
+        assert said["corrected_where_stated"] == {"measured_tilt": ["base_tilt_x_deg", "base_tilt_y_deg"]}
+        assert said["not_corrected"] == where
+    path = {"json": columns(q, None, None)}
+    notes = client.post("/v1/robots/column/correct", **path).raise_for_status().headers["Kilter-Notes"]
+    assert where in notes
+    exported = client.get(f"/v1/versions/{version}/export", params={"format": "corrector"}).raise_for_status()
+    told = exported.headers["Kilter-Notes"]
+    assert "Not corrected by this file: measured_tilt." in told
+    assert where in told

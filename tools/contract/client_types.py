@@ -21,8 +21,9 @@ MODULES: Mapping[str, Sequence[str]] = {
     "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
     "fleet_priors": ("PriorUsed",),
     "identifications": ("IdentifyResult", "JointParametersResult"),
+    "previews": ("VersionPreview",),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
-    "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),
+    "comparisons": ("VersionDiff", "Tombstone"),
     "search_numbers": (
         "Adequacy",
         "AliasMatrix",

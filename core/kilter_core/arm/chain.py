@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -152,9 +153,24 @@ class Chain:
         Row n is the base's, from the base frame to the first joint; the last link ends at the flange. Constants between
         two joints only, at their nominal values.
         """
+        out = np.zeros((self.n_joints + 1, 3))
+        for j, start, _, _, reach in self._links():
+            out[j] = reach if start < 0 else _joint_frame(self.elements[start]).T @ reach
+        return out
+
+    @cached_property
+    def next_axes(self) -> Floats:
+        """Direction (n, 3) of the next joint's axis in each joint frame, constants between the two only; 0 for the last."""
+        out = np.zeros((self.n_joints, 3))
+        for j, start, end, turn, _ in self._links():
+            if start >= 0 and end < len(self.elements):
+                out[j] = _joint_frame(self.elements[start]).T @ turn @ _joint_frame(self.elements[end])[:, 2]
+        return out
+
+    def _links(self) -> Iterator[tuple[int, int, int, Floats, Floats]]:
+        """Each joint (n: the base) with its element, the next joint's, and from one to the other: rotation, and way."""
         starts = [(-1, self.n_joints), *sorted((k, j) for j, k in enumerate(self.primary))]
         ends = [k for k, _ in starts[1:]] + [len(self.elements)]
-        out = np.zeros((self.n_joints + 1, 3))
         for (start, j), end in zip(starts, ends, strict=True):
             turn, reach = np.eye(3), np.zeros(3)
             for e in self.elements[start + 1 : end]:
@@ -163,8 +179,7 @@ class Chain:
                     reach = reach + turn[:, k] * e.value
                 elif e.joint is None:
                     turn = turn @ rotation_along(k, e.value)
-            out[j] = reach if start < 0 else _joint_frame(self.elements[start]).T @ reach
-        return out
+            yield j, start, end, turn, reach
 
     @cached_property
     def program(self) -> Program:

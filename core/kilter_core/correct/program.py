@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -19,7 +19,8 @@ from kilter_core.arm.chain import Axis, Chain, Element
 from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS
 from kilter_core.arm.loads.slopes import with_masses, with_payload
 from kilter_core.arm.robot import Joint, Link, Payload, Robot
-from kilter_core.arm.run_time import Conditions, RunTimeForm
+from kilter_core.arm.run_time import Conditions
+from kilter_core.correct.at_run_time import at_run_time
 from kilter_core.correct.collapse import (
     chains_of,
     collapse_constants,
@@ -34,7 +35,7 @@ from kilter_core.correct.kernels import layout, stream
 from kilter_core.correct.rows import bending_rows, curve_rows, joint_rows
 from kilter_core.correct.softening import softening
 from kilter_core.errors import OptionError
-from kilter_core.model import Calibration, RobotModel
+from kilter_core.model import Calibration
 from kilter_core.types import Floats, Ints
 
 Task = Literal["auto", "position", "axis", "pose"]
@@ -145,7 +146,10 @@ class CorrectedRows:
 
 @dataclass(frozen=True)
 class CorrectionProgram:
-    """A calibration as the flat array of the kernel; ``unsupported`` effects are left out and named."""
+    """A calibration as the flat array of the kernel; ``unsupported`` effects are left out and named.
+
+    ``where_stated`` are those of them that it makes up for where quantities are stated, by name with these quantities.
+    """
 
     array: Floats
     n_joints: int
@@ -153,6 +157,7 @@ class CorrectionProgram:
     first: int
     supported: tuple[str, ...]
     unsupported: tuple[str, ...]
+    where_stated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @cached_property
     def digest(self) -> str:
@@ -302,7 +307,8 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     model, values = arm.model.absorb_frame_increments(arm.values)
     load = options.load(robot)
     conditions = Conditions(load.mass, options.temperature_c, options.base_tilt)
-    form, supported, unsupported, loaded = _at_run_time(model, values, conditions)
+    made = at_run_time(model, values, conditions)
+    form, loaded = made.form, made.loaded
     chains = chains_of(calibration, model, values)
     weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())
     weighed = _with_more(weighed, options.link_masses)
@@ -326,7 +332,8 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     if loads is not chains.nominal:
         scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))
-    return CorrectionProgram(np.vstack([*parts, *mount, scalars]), n, m, first, supported, unsupported)
+    array = np.vstack([*parts, *mount, scalars])
+    return CorrectionProgram(array, n, m, first, made.supported, made.unsupported, made.where_stated)
 
 
 def _with_more(robot: Robot, masses: tuple[tuple[float, ...], ...]) -> Robot:
@@ -373,20 +380,3 @@ def _scalars(robot: Robot, options: CorrectionOptions, task: tuple[int, int], mo
     row[layout.N] = robot.n_joints
     row[layout.M] = moves
     return row
-
-
-def _at_run_time(
-    model: RobotModel, values: Floats, conditions: Conditions
-) -> tuple[RunTimeForm, tuple[str, ...], tuple[str, ...], bool]:
-    """What the effects do at run time; ids of those that say so, names of the others, and whether one needs loads."""
-    form = RunTimeForm.empty(model.load_robot, conditions)
-    supported: list[str] = []
-    unsupported: list[str] = []
-    loaded = False
-    for effect, (key, where) in zip(model.effects, model.effect_slices().items(), strict=True):
-        if effect.at_run_time(form, values[where]):
-            supported.append(effect.id)
-            loaded |= "moments" in effect.needs
-        else:
-            unsupported.append(key)
-    return form, tuple(dict.fromkeys(supported)), tuple(unsupported), loaded

@@ -8,7 +8,7 @@ it only decodes and encodes, so that a trajectory gives the same numbers however
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -92,7 +92,8 @@ class CorrectedTrajectory:
     ``q (N, n)`` rad or m, ``error_removed (N, 3)`` m, ``left (N, 3)`` m and ``left_rad (N,)`` are NaN where
     ``status (N,)`` is not 0. ``left`` is what remains of the error of the tool, actual minus wanted, in the wanted base
     frame, and ``left_rad`` its angle; ``flags (N,)`` say how a row was corrected; ``limit_mask (N,)`` has the bits of the
-    joints at a limit.
+    joints at a limit. ``where_stated`` are effects left out that rows which state more are corrected for, by name with the
+    quantities that they must state.
     """
 
     wanted: Observations
@@ -105,6 +106,7 @@ class CorrectedTrajectory:
     limit_mask: Ints
     not_corrected: tuple[str, ...]
     reversal_band: float
+    where_stated: Mapping[str, tuple[str, ...]]
 
     @cached_property
     def direction(self) -> Floats:
@@ -260,6 +262,7 @@ def correct_trajectory(
     return CorrectedTrajectory(
         rows, walked.q, -walked.info[:, _REMOVED], walked.left, walked.left_rad, walked.status, walked.flags,
         walked.limit_mask, left_out, options.reversal_band,
+        {name: asked for _, program in stretches for name, asked in program.where_stated.items()},
     )  # fmt: skip
 
 

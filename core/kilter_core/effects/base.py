@@ -215,6 +215,10 @@ class Effect(ABC):
         own = {f.name: _plain(getattr(self, f.name), int(f.name in self.counted)) for f in fields(self)}
         return {"id": self.id, **own}
 
+    def as_stored(self, robot: Robot, document: Mapping[str, Any]) -> Self:
+        """An effect of a stored version: what its ``document`` does not state yet is what it was when it was stored."""
+        return self
+
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Self:
         """Build the effect from :meth:`to_document`.

@@ -115,8 +115,9 @@ def _refuse_line(markers: Floats, seen: Bools) -> None:
     if seen.sum(axis=1).max() < 3:
         raise ObservationError(
             "No row shows three markers, and no pose that was visited again does, so none fixes a pose: measure rows that do, "
-            "visit the same poses with the reflector in each of three nests, or write what was measured in each as x_mm, y_mm, "
-            "z_mm with a session of its own, and give every session a tool of its own (refit)."
+            "visit the same poses with the reflector in each of three nests, or upload the points as x_mm, y_mm, z_mm with the "
+            'nest as their session (session = { from = "nest" } in a column map, without [markers]) and give every session a '
+            "tool point of its own (--refit tool)."
         )
     raise ObservationError(
         "The markers lie in one line: their rotation about it is unobservable. Add one off the line.",

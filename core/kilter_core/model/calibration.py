@@ -92,7 +92,7 @@ class Calibration:
     @staticmethod
     def from_document(robot: Robot, document: Mapping[str, Any]) -> Calibration:
         """Rebuild from :meth:`to_document` for the same robot; names the robot does not have raise ``OptionError``."""
-        effects = tuple(effect_from_document(e) for e in document["effects"])
+        effects = tuple(effect_from_document(e).as_stored(robot, e) for e in document["effects"])
         frames = np.array(document["T_base"]), np.array(document["T_tool"])
         model = RobotModel(robot, effects, *frames, LoadChain.from_document(robot, document.get("load_chain")))
         values = model.values0()

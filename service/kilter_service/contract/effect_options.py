@@ -123,6 +123,10 @@ class LinkTorsionEffect(_AtJoints):
     """Twist of a link about its own long axis under the moment it carries."""
 
     id: Literal["link_torsion"] = Field(description="Id of the effect.")
+    directions: list[list[float]] | None = Field(
+        None,
+        description="Direction of each link's shaft in the frame of its joint; null: to the next joint, across parallel axes.",
+    )
 
 
 class FrictionWindupEffect(_AtJoints):

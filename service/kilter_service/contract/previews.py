@@ -49,7 +49,14 @@ class VersionPreview(Strict):
     )
     left_at: list[float] | None = Field(None, description="The joints there: degrees, mm for prismatic ones.")
     joints: list[JointPreview] = Field(description="The largest correction of each joint.")
-    unsupported_effects: list[str] = Field(description="Ids of its effects that would not be corrected at run time.")
+    unsupported_effects: list[str] = Field(
+        description="Ids of its effects that would not be corrected where rows state joints and loads alone, as in a stream."
+    )
+    corrected_where_stated: dict[str, list[str]] = Field(
+        {},
+        description="Those of them that rows of a file are corrected for, by id with the columns that rows must state.",
+    )
+    not_corrected: str = Field("", description="Both in words; empty: nothing is left out.")
     temperature_c: Celsius | None = Field(
         description="Temperature it was looked at with, degrees Celsius; null: not known."
     )

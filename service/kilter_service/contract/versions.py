@@ -101,13 +101,20 @@ class Comparison(Strict):
 
 
 class ActivatedVersion(VersionSummary):
-    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time.
+    """A version that corrects from now on; ``unsupported_effects`` are those that its stream does not correct.
 
     ``compared`` is null when there were no rows to compare on; ``warnings`` say why, and what else was left out.
     ``objections`` are what would have refused it without ``forced``. A roll-back is never compared.
     """
 
-    unsupported_effects: list[str] = Field(description="Ids of its effects that are not corrected at run time.")
+    unsupported_effects: list[str] = Field(
+        description="Ids of its effects that are not corrected where rows state joints and loads alone, as in a stream."
+    )
+    corrected_where_stated: dict[str, list[str]] = Field(
+        {},
+        description="Those of them that rows of a file are corrected for, by id with the columns that rows must state.",
+    )
+    not_corrected: str = Field("", description="Both in words; empty: nothing is left out.")
     forced: bool = Field(False, description="Whether it was activated in spite of what speaks against it.")
     objections: list[Objection] = Field([], description="What would have refused it without `force`.")
     compared: Comparison | None = Field(None, description="How it was compared; null: there was nothing to compare on.")

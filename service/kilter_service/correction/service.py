@@ -18,6 +18,7 @@ from kilter_service.ground import correction_outcome as outcome
 from kilter_service.ground.correction_limits import options_of
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.left_out import where_sentences
 from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import Column
@@ -96,7 +97,8 @@ def correct(
         _refuse_what_is_left(found)
     left_out = found.done.not_corrected
     told = load.load_notes(calibration, stated.payload_kg is not None, left_out, carried)
-    notes = (*told, *outcome.summary(found), *([compensated] if compensated else ()))
+    where = where_sentences(found.done.where_stated)
+    notes = (*told, *where, *outcome.summary(found), *([compensated] if compensated else ()))
     if wanted.form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
         return Answer(joint_trajectory(names, rows.t, found, notes), left_out, notes)

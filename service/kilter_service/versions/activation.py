@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
+from kilter_service.ground import left_out
 from kilter_service.ground.core import program
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
@@ -39,7 +41,7 @@ def activate(
     """
     with database.reading() as session:
         expected.check(session, _refuse_retired(session, version_id), becomes=version_id)
-    left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
+    uncorrected = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
     able = ability(database, version_id, temperature_c)
     for _ in range(ATTEMPTS):
         verdict = _with_controller(database, _with(judge(database, version_id), able, version_id), version_id)
@@ -49,7 +51,7 @@ def activate(
         if summary is not None:
             return ActivatedVersion(
                 **summary.model_dump(),
-                unsupported_effects=left_out,
+                **uncorrected,
                 forced=wish.force and verdict.active != version_id,
                 objections=list(verdict.objections),
                 compared=verdict.compared,
@@ -84,13 +86,12 @@ def _with_controller(database: Database, verdict: Verdict, version_id: str) -> V
     return replace(verdict, warnings=(*verdict.warnings, *said))
 
 
-def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
-    """Effects of a version that setpoints are not corrected for."""
+def _left_out(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:
+    """Effects of a version that setpoints are not corrected for, as fields of the answer."""
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
-    return list(
-        program.compile_program(calibration, program.CorrectionOptions(temperature_c=temperature_c)).unsupported
-    )
+    made = program.compile_program(calibration, program.CorrectionOptions(temperature_c=temperature_c))
+    return left_out.fields(made.unsupported, made.where_stated)
 
 
 def _refuse_retired(session: Session, version_id: str) -> int:
@@ -156,7 +157,7 @@ def rollback(
     said = [one.model_dump() for one in (*able.objections, *controller) if one is not None]
     return ActivatedVersion(
         **summary.model_dump(),
-        unsupported_effects=_left_out(database, before, temperature_c),
+        **_left_out(database, before, temperature_c),
         warnings=[*said, *able.remarks],
         preview=able.preview,
     )

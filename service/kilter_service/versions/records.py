@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -82,7 +83,8 @@ class PreviewedPoses:
 
     ``words (N,)`` is the verdict on each pose, as in a corrected file: OK, DAMPED, LIMITED, or why it is refused.
     ``moved (N,)`` and ``left (N,)`` are how far the tool is moved and what is left of its error, NaN where refused;
-    ``delta (N, n)`` the corrections of the joints. ``unsupported`` effects are not corrected at run time.
+    ``delta (N, n)`` the corrections of the joints. ``unsupported`` effects are left out, but for those in
+    ``where_stated``: rows are corrected for them that state these quantities.
     """
 
     q: Floats
@@ -91,6 +93,7 @@ class PreviewedPoses:
     left: Floats
     delta: Floats
     unsupported: tuple[str, ...]
+    where_stated: Mapping[str, tuple[str, ...]]
 
     @property
     def counts(self) -> dict[str, int]:

@@ -23,6 +23,7 @@ from kilter_service.contract.versions import (
     VersionSummary,
 )
 from kilter_service.contract.written import as_written
+from kilter_service.ground import left_out
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_of
 from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
@@ -136,7 +137,7 @@ def preview(
             )
             for joint, unit, size, at in zip(robot.joints, units, sizes, shown, strict=True)
         ],
-        unsupported_effects=list(found.unsupported),
+        **left_out.fields(found.unsupported, found.where_stated),
         temperature_c=temperature_c,
     )
 

@@ -122,9 +122,11 @@ def _line(columns: Columns, entry: Entry) -> str:
 def _turned_lines(columns: Columns, turn: Turned) -> list[str]:
     listed = ", ".join(_quoted(columns.key(name)) for name in turn.names)
     out = ["[orientation]", f"from = [{listed}]"]
-    if turn.quaternion:
-        return [*out, f"quaternion = {_quoted(turn.quaternion)}" + (f"   # {turn.remark}" if turn.remark else "")]
     mark = f"   # {turn.remark}" if turn.remark else ""
+    if turn.quaternion:
+        return [*out, f"quaternion = {_quoted(turn.quaternion)}{mark}"]
+    if turn.matrix:
+        return [*out, f"matrix = {_quoted(turn.matrix)}{mark}"]
     return [*out, f"euler = {_quoted(turn.euler)}{mark}", f"unit = {_quoted(turn.unit)}"]
 
 

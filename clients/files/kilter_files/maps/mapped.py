@@ -17,7 +17,7 @@ from kilter_files.ground.units import MARKER, TIMESTAMP, converter, unit_of
 from kilter_files.maps.column_map import ColumnMap, Keep
 from kilter_files.maps.columns import Column, expanded
 from kilter_files.maps.join import Join, partners, refuse_alone
-from kilter_files.maps.nests import number_nests, spread_nests
+from kilter_files.maps.nests import by_name, number_nests, spread_nests, told
 from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source
 from kilter_files.tables.table import Table
@@ -26,6 +26,7 @@ from kilter_files.tables.text_source import TextSource
 PLAIN_JOINT = re.compile(r"q\d+")
 JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
 LINK = re.compile(r"link\d+_(deg|rad|mm|m)")
+SESSION, NUMBER = "session", re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -41,7 +42,7 @@ def mapped(source: Source, column_map: ColumnMap, further: Sequence[Source]) -> 
     if column_map.orientation:
         measured |= _orientation(source, column_map.orientation)
     table = _table(source, measured, bool(further))
-    table.notes += [_understood(column) for column in columns]
+    table.notes += [_understood(column, source) for column in columns]
     for column in columns:
         if column.value is not None:
             table.columns[column.target] = [column.value] * len(table)
@@ -137,7 +138,7 @@ def _add_columns(source: Source, table: Table, column_map: ColumnMap, join: Join
     table.columns |= {
         name: [math.nan if row is None else values[row] for row in rows] for name, values in found.items()
     }
-    table.notes += [f"{_understood(column)}, of {there.path.name} by {join.by}" for column in columns]
+    table.notes += [f"{_understood(column, there)}, of {there.path.name} by {join.by}" for column in columns]
     idle = len(theirs) - len({row for row in rows if row is not None})
     table.warnings += [f"{idle} rows of {there.path.name} have no partner and are left out"] if idle else []
 
@@ -155,10 +156,21 @@ def _convert(column: Column, source: Source) -> list[float]:
         texts = source.texts(column.source)
         seconds = seconds_of(stamps_of(texts, source.lines, source.path, column.source))
         return [t - seconds[0] for t in seconds]
+    names = _session_names(column, source)
+    if names is not None:
+        return by_name(names)[0]
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
     values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
     return values if column.still_below is None else _directions(values, column.still_below)
+
+
+def _session_names(column: Column, source: Source) -> list[str] | None:
+    """Cells of sessions that have names, none a number; None for any other column."""
+    if column.target != SESSION or column.source is None:
+        return None
+    cells = source.texts(column.source)
+    return None if any(NUMBER.fullmatch(cell.strip()) for cell in cells) or not any(map(str.strip, cells)) else cells
 
 
 def _directions(speeds: list[float], still_below: float) -> list[float]:
@@ -171,12 +183,15 @@ def _directions(speeds: list[float], still_below: float) -> list[float]:
     return out
 
 
-def _understood(column: Column) -> str:
+def _understood(column: Column, source: Source) -> str:
     if column.value is not None:
         return f"{column.target} = {column.value:g} in every row"
     turned = f" x {column.scale:g}" if column.scale != 1 else ""
     shifted = f" {column.offset:+g}" if column.offset else ""
-    return f"{column.target} from {column.source!r}{turned}{shifted}" + (f" [{column.unit}]" if column.unit else "")
+    names = _session_names(column, source)
+    numbered = "" if names is None else f": {told(by_name(names)[1])}"
+    unit = f" [{column.unit}]" if column.unit else ""
+    return f"{column.target} from {column.source!r}{turned}{shifted}{unit}{numbered}"
 
 
 def _table(source: Source, measured: dict[str, list[float]], joined: bool = False) -> Table:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 
 from kilter_files.ground.errors import FileError
 from kilter_files.maps.column_map import ColumnMap
@@ -31,15 +32,27 @@ def number_nests(source: Source, table: Table, column_map: ColumnMap) -> None:
     if len(places) != 3:
         what = "the place of the marker belongs beside it: map x_mm, y_mm and z_mm under [columns]"
         raise FileError(f"{where}: {what}.", file=str(column_map.path), key="markers")
-    texts = [text.strip() for text in source.texts(column_map.marker)]
+    values, numbers = by_name(source.texts(column_map.marker))
+    if len(numbers) > MOST:
+        what = (
+            f"column {column_map.marker!r} names {len(numbers)} markers, and there may be {MOST}: it is another column"
+        )
+        raise FileError(f"{where}: {what}.", file=str(column_map.path), key="markers.from")
+    table.columns[NEST] = values
+    table.notes.append(f"markers from {column_map.marker!r}, one in a row: {told(numbers, 'm')}")
+
+
+def by_name(cells: Sequence[str]) -> tuple[list[float], dict[str, int]]:
+    """Numbers from 1 in the order of the names or numbers in the cells, NaN for empty ones; and which name has which."""
+    texts = [text.strip() for text in cells]
     named = sorted(set(texts) - {""}, key=lambda text: (len(text) if text.isdecimal() else 0, text))
     numbers = {text: number for number, text in enumerate(named, 1)}
-    if len(named) > MOST:
-        what = f"column {column_map.marker!r} names {len(named)} markers, and there may be {MOST}: it is another column"
-        raise FileError(f"{where}: {what}.", file=str(column_map.path), key="markers.from")
-    table.columns[NEST] = [numbers.get(text, math.nan) for text in texts]
-    shown = ", ".join(f"m{number} is {text!r}" for text, number in list(numbers.items())[:6])
-    table.notes.append(f"markers from {column_map.marker!r}, one in a row: {shown}")
+    return [float(numbers.get(text, math.nan)) for text in texts], numbers
+
+
+def told(numbers: Mapping[str, int], prefix: str = "") -> str:
+    """Say which of the first names has which number."""
+    return ", ".join(f"{prefix}{number} is {text!r}" for text, number in list(numbers.items())[:6])
 
 
 def spread_nests(table: Table) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from kilter_core.correct.file import to_bytes
 from kilter_core.correct.program import CorrectionProgram, compile_program
 from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.left_out import sentence, where_sentences
 from kilter_service.robots.exporters.exportable import Exportable, Written
 
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -61,9 +62,11 @@ def _file(version: Exportable, program: CorrectionProgram) -> bytes:
 
 
 def _notes(program: CorrectionProgram) -> tuple[str, ...]:
+    """What the program leaves out: nobody states a temperature or a tilt to it, so all that follows them as well."""
     if not program.unsupported:
         return ()
-    return (f"Not corrected by this file: {', '.join(program.unsupported)}.",)
+    never = sentence(program.unsupported, {}, "by this file")
+    return (never, *(f"`kilter correct` does more. {where}" for where in where_sentences(program.where_stated)))
 
 
 def _plain(text: str) -> str:

@@ -23,6 +23,7 @@ from typing import Any
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
+from kilter_service.ground.left_out import sentence
 from kilter_service.ground.processes.child import running
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.active import Active, VersionSource
@@ -224,8 +225,8 @@ class Corrector:
             self._active[robot] = active
             self._send_all("use", active)
             if active.program.unsupported:
-                names = ", ".join(active.program.unsupported)
-                log.warning("version %s of %s: not corrected at run time: %s", active.version_id, robot, names)
+                said = sentence(active.program.unsupported, active.program.where_stated)
+                log.warning("version %s of %s: %s", active.version_id, robot, said)
             log.info("robot %s follows version %s, epoch %d", robot, active.version_id, active.epoch)
 
     def _send_all(self, *message: Any) -> None:

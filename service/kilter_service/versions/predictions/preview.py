@@ -81,6 +81,7 @@ def at_poses(
         left=found.left,
         delta=found.done.q - q,
         unsupported=found.done.not_corrected,
+        where_stated=found.done.where_stated,
     )
 
 

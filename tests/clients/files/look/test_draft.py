@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
@@ -299,3 +300,37 @@ def test_inspection_sees_the_joints_that_a_draft_sees(tmp_path: Path, capsys: Ca
     points = tmp_path / "points.csv"  # points alone stay points
     points.write_text("\n".join(["X;Y;Z", *(row.split(";", 3)[3] for row in rows)]).replace(".", ",") + "\n")
     assert document(capsys, "inspect", points)["kind"] == "tracker-text"
+
+
+@pytest.mark.parametrize(
+    ("cell", "first", "scale"), [("m{}{}", 0, 1.0), ("T_{}_{}", 1, 1000.0), ("pose[{},{}]", 0, 1.0)]
+)
+def test_a_pose_matrix_is_recognised(tmp_path: Path, capsys: Capture, cell: str, first: int, scale: float) -> None:
+    """Nine numbers that are a rotation in every row, and beside them the point; scipy made the rotations."""
+    rng = np.random.default_rng(2)
+    turned = Rotation.random(12, random_state=3)
+    points = rng.uniform(-1.0, 1.0, (12, 3))
+    poses = np.tile(np.eye(4), (12, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turned.as_matrix(), scale * points
+    head = [f'"{cell.format(i, j)}"' for i in range(first, first + 4) for j in range(first, first + 4)]
+    joints = rng.uniform(-100.0, 100.0, (12, 2))
+    lines = [",".join(f"{v:.9g}" for v in (*q, *pose.reshape(-1))) for q, pose in zip(joints, poses, strict=True)]
+    path, target = tmp_path / "poses.csv", tmp_path / "map.toml"
+    path.write_text("\n".join([",".join(["A1 [deg]", "A2 [deg]", *head]), *lines]) + "\n")
+    found = document(capsys, "inspect", path, "--draft", target)
+    assert (found["open"], found["unused"]) == ([], [])
+    columns = columns_of(prepare(path, column_map=target))
+    assert pytest.approx(1000.0 * points, abs=1e-4) == np.array([columns[f"{a}_mm"] for a in "xyz"]).T
+    quaternion = np.array([columns[f"q{a}"] for a in "xyzw"]).T
+    assert np.abs((quaternion * turned.as_quat()).sum(axis=1)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_nine_numbered_columns_that_are_no_rotation_are_left_alone(tmp_path: Path, capsys: Capture) -> None:
+    rng = np.random.default_rng(5)
+    head = [f"m{i}{j}" for i in range(3) for j in range(3)]
+    rows = [",".join(f"{v:.4f}" for v in row) for row in rng.uniform(-90.0, 90.0, (9, 11))]
+    path = tmp_path / "numbers.csv"
+    path.write_text("\n".join([",".join(["A1 [deg]", "A2 [deg]", *head]), *rows]) + "\n")
+    found = document(capsys, "inspect", path, "--draft", tmp_path / "map.toml")
+    assert set(head) <= set(found["unused"])
+    assert "[orientation]" not in (tmp_path / "map.toml").read_text()

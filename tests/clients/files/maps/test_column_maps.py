@@ -6,6 +6,7 @@ import csv
 import datetime
 import io
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -477,3 +478,24 @@ def test_a_time_stamp_under_a_number_is_named(tmp_path: Path) -> None:
 def test_numbers_kept_as_text_by_a_spreadsheet_and_a_row_of_units(tmp_path: Path) -> None:
     columns = '[file]\nunits_row = true\n[columns]\nq1_deg = { from = "Gelenk 1", unit = "deg" }\n'
     assert mapped(tmp_path, "Gelenk 1\n[deg]\n'1.5\n", columns) == [{"q1_deg": 1.5}]
+
+
+BY_SESSION = NESTS.replace('[markers]\nfrom = "nest"\n', 'session = { from = "nest" }\n')
+
+
+@pytest.mark.parametrize(
+    ("cells", "sessions"),
+    [("BAC", [2, 1, 3]), (["early", "", "late"], None), ("979", [9, 7, 9]), (["9", "A", "9"], None)],
+)
+def test_sessions_may_have_names(tmp_path: Path, cells: Sequence[str], sessions: list[int] | None) -> None:
+    """A nest or a day: names are numbered in their order, numbers stay; an empty cell, or a name among numbers, is refused."""
+    lines = [f"{k},{cell},{k},2,3" for k, cell in enumerate(cells)]
+    text = "\n".join(["A1,nest,x,y,z", *lines]) + "\n"
+    if sessions is None:
+        with pytest.raises(FileError, match="line 3"):
+            mapped(tmp_path, text, BY_SESSION)
+        return
+    assert [row["session"] for row in mapped(tmp_path, text, BY_SESSION)] == sessions
+    notes = prepare(tmp_path / "lab.csv", column_map=tmp_path / "map.toml").notes
+    told = "session from 'nest'" + (": 1 is 'A', 2 is 'B', 3 is 'C'" if "A" in cells else "")
+    assert told in notes

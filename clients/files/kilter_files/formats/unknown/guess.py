@@ -242,8 +242,16 @@ def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
     said = words_of(best.pattern)
     if COMPUTED.search(said) and not re.search(r"\b(?:meas\w*|tracker|laser|leica|smr|gemessen)\b", said):
         remark = "; ".join(text for text in (remark, ASK_INSTRUMENT) if text)
-    axes = zip("xyz", best.names, strict=True)
-    return [Entry(f"{axis}_mm", name, unit, remark, (name,)) for axis, name in axes], [t.pattern for t in ranked[1:]]
+    return _axes(best.names, unit, remark), [t.pattern for t in ranked[1:]]
+
+
+def placed(columns: Columns, names: Sequence[str]) -> list[Entry]:
+    """Return the lines of a position whose columns are known."""
+    return _axes(names, *_length(columns, names))
+
+
+def _axes(names: Sequence[str], unit: str, remark: str) -> list[Entry]:
+    return [Entry(f"{axis}_mm", name, unit, remark, (name,)) for axis, name in zip("xyz", names, strict=True)]
 
 
 def _as_triple(family: Family) -> Triple | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kilter_files.formats.unknown.guess import Columns
@@ -23,17 +24,24 @@ ANGLES: tuple[tuple[tuple[str, ...], str, str], ...] = (
 )
 ASK = 'order of the angles: "XYZ" about the moving axes, "xyz" about the fixed ones, or delete this table'
 UNIT = 0.01
+CELL = re.compile(r"(.*?)([0-4])[_ ,]?([0-4])\W*")  # of a matrix: m03, R_1_2, pose[2,3]
 
 
 @dataclass(frozen=True)
 class Turned:
-    """Columns of an orientation; ``quaternion`` or ``euler`` with ``unit``."""
+    """Columns of an orientation; ``quaternion``, ``euler`` with ``unit``, or ``matrix``.
+
+    Of the pose matrix that holds it ``place`` are the columns of the point, and ``rest`` those of its last row.
+    """
 
     names: tuple[str, ...]
     quaternion: str = ""
     euler: str = ""
     unit: str = ""
     remark: str = ""
+    matrix: str = ""
+    place: tuple[str, ...] = ()
+    rest: tuple[str, ...] = ()
 
     @property
     def open(self) -> bool:
@@ -54,7 +62,43 @@ def turned(columns: Columns) -> Turned | None:
             unit, remark = _unit(columns, names)
             told = "; ".join(text for text in (whose, f"{UNKNOWN} {ASK}" if order == UNKNOWN else "", remark) if text)
             return Turned(names, euler=order, unit=unit, remark=told)
+    return _matrix(columns)
+
+
+def _matrix(columns: Columns) -> Turned | None:
+    """Nine numbered columns that are a rotation in every row: m00 to m22, or r11 to r33; with m03, m13, m23 a pose."""
+    for cells in _by_prefix(columns.names).values():
+        first = 0 if (0, 0) in cells else 1
+        turn, across = range(first, first + 3), first + 3
+        names = tuple(cells.get((i, j), "") for i in turn for j in turn)
+        if all(names) and _is_rotation(columns, names):
+            place = tuple(cells.get((i, across), "") for i in turn)
+            rest = tuple(name for (i, _), name in cells.items() if i == across)
+            known = all(place) and columns.largest(place) is not None
+            remark = "nine numbers that are a rotation in every row"
+            return Turned(names, matrix="rows", remark=remark, place=place if known else (), rest=rest)
     return None
+
+
+def _by_prefix(names: Sequence[str]) -> dict[str, dict[tuple[int, int], str]]:
+    out: dict[str, dict[tuple[int, int], str]] = {}
+    for name in names:
+        found = CELL.fullmatch(name) or CELL.fullmatch(re.sub(r"\s*[\[(].*$", "", name))
+        if found:
+            out.setdefault(found[1], {})[int(found[2]), int(found[3])] = name
+    return out
+
+
+def _is_rotation(columns: Columns, names: Sequence[str]) -> bool:
+    values = [columns.numbers(name) or [] for name in names]
+    if len({len(column) for column in values}) != 1 or not values[0]:
+        return False
+    return all(_orthonormal(row) for row in zip(*values, strict=True))
+
+
+def _orthonormal(m: Sequence[float]) -> bool:
+    sides = (m[:3], m[3:6], m[6:])
+    return all(abs(sum(x * y for x, y in zip(a, b, strict=True)) - float(a is b)) < UNIT for a in sides for b in sides)
 
 
 def _plain(name: str) -> str:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from kilter_files.formats.reader import Head
-from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, points, time
+from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, placed, points, time
 from kilter_files.formats.unknown.table_shape import TableShape, shape_of
 from kilter_files.formats.unknown.turns import Turned, turned
 from kilter_files.ground.errors import FileError
@@ -72,10 +72,11 @@ def understand(path: Path) -> Understood:
     """
     columns = Columns(shape_of(path))
     turn = turned(columns)
-    axes, others = joints(columns.without(turn.names if turn else ()))
-    taken = {name for entry in axes for name in entry.used} | set(turn.names if turn else ())
-    place, elsewhere = points(columns, taken)
-    entries = [*axes] or [_unknown_joints(columns)]
+    pose = {*turn.names, *turn.place, *turn.rest} if turn else set()
+    axes, others = joints(columns.without(list(pose)))
+    taken = {name for entry in axes for name in entry.used} | pose
+    place, elsewhere = (placed(columns, turn.place), []) if turn and turn.place else points(columns, taken)
+    entries = [*axes] or [_unknown_joints(columns.without(list(pose)))]
     entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not determine which column this is") for a in "xyz"]
     taken |= {name for entry in place for name in entry.used}
     for entry in _rest(columns, taken):

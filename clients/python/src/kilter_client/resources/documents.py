@@ -13,6 +13,7 @@ from kilter_client.resources.references import Kept
 from kilter_files import prepare
 
 if TYPE_CHECKING:
+    from kilter_client.requests.exported import Exported
     from kilter_files import Prepared
 
 
@@ -230,6 +231,6 @@ class Versions(Kept):
         """Return what a version leaves of every row as a file, csv or parquet: of these campaigns, or of all its own."""
         return self._run(versions.residuals(version, campaigns, form, robot))
 
-    def export(self, version: str, form: str = "json", robot: str | None = None) -> bytes:
-        """Return a version as a file: json, urdf, dh-csv, ..."""
+    def export(self, version: str, form: str = "json", robot: str | None = None) -> Exported:
+        """Return a version as a file: json, urdf, dh-csv, ...; its ``notes`` say what it leaves out."""
         return self._run(versions.export(version, form, robot))

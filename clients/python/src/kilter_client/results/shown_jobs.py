@@ -186,13 +186,15 @@ class ShownActivated(Shown):
     robot: str
     forced: bool
     compared: Any
+    not_corrected: str
 
     def _line(self) -> str:
         compared = self.compared
         rival = None if compared is None else compared.active
         before = "" if rival is None else f", {rival.mean_mm:.3g} mm with the version before"
         error = "" if compared is None else f": mean error {compared.mean_mm:.3g} mm on {compared.rows} rows{before}"
-        return f"version {self.id} corrects {self.robot}{' (forced)' if self.forced else ''}{error}"
+        left_out = f". {self.not_corrected}" if self.not_corrected else ""
+        return f"version {self.id} corrects {self.robot}{' (forced)' if self.forced else ''}{error}{left_out}"
 
 
 class ShownDiff(Shown):

@@ -24,6 +24,7 @@ from kilter_client.typed.identifications import (
     Scale,
     SetAside,
 )
+from kilter_client.typed.previews import VersionPreview
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -286,58 +287,8 @@ class Comparison(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointPreview(Record):
-    """The largest correction of a joint."""
-
-    joint: str
-    """Name of the joint."""
-    largest_at: tuple[float, ...]
-    """The joints there: degrees, mm for prismatic ones."""
-    largest_deg: float | None
-    """Largest correction, degrees; None: prismatic, or nothing was corrected."""
-    largest_mm: float | None
-    """Largest correction, mm; None: revolute, or nothing was corrected."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class VersionPreview(Record):
-    """How a version would correct, without activating it: what `correct` does with these poses, within its limits."""
-
-    corrected: int
-    """How many of them get corrected joints, damped and limited ones among them."""
-    damped: int
-    """How many of these keep more of their error than is stated: a singularity is near, or out of reach."""
-    joints: Records[JointPreview]
-    """The largest correction of each joint."""
-    largest_at: tuple[float, ...]
-    """The joints there: degrees, mm for prismatic ones."""
-    largest_mm: float | None
-    """Largest movement of the tool by the correction, mm; None: as above."""
-    left_at: tuple[float, ...]
-    """The joints there: degrees, mm for prismatic ones."""
-    left_mm: float | None
-    """The most that a correction leaves of the tool's error by the version, mm; None: as above."""
-    limited: int
-    """How many of these keep more of their error than is stated because the correction is at a limit."""
-    mean_mm: float | None
-    """Mean movement of the tool by the correction, mm; None: nothing was corrected."""
-    poses: int
-    """How many poses were looked at."""
-    refused: Mapping[str, int]
-    """The others, by why they would be refused, such as `CORRECTION_TOO_LARGE` for its limits."""
-    temperature_c: float | None
-    """Temperature it was looked at with, degrees Celsius; None: not known."""
-    unsupported_effects: tuple[str, ...]
-    """Ids of its effects that would not be corrected at run time."""
-    version_id: str
-    """Id of the version."""
-    within: str
-    """Poses looked at: `campaigns`, where the robot was driven before; `limits`, anywhere in its limits."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ActivatedVersion(ShownActivated, Record):
-    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time.
+    """A version that corrects from now on; ``unsupported_effects`` are those that its stream does not correct.
 
     ``compared`` is None when there were no rows to compare on; ``warnings`` say why, and what else was left out.
     ``objections`` are what would have refused it without ``forced``. A roll-back is never compared."""
@@ -348,6 +299,8 @@ class ActivatedVersion(ShownActivated, Record):
     """Release of Kilter that made it."""
     compared: Comparison | None
     """How it was compared; None: there was nothing to compare on."""
+    corrected_where_stated: Mapping[str, tuple[str, ...]]
+    """Those of them that rows of a file are corrected for, by id with the columns that rows must state."""
     created_at: str
     """When it was made."""
     effects: tuple[str, ...]
@@ -362,6 +315,8 @@ class ActivatedVersion(ShownActivated, Record):
     """Errors on the rows fitted and on those held out."""
     name: str
     """What people call it, at most 200 characters; unique for its robot while it is in use."""
+    not_corrected: str
+    """Both in words; empty: nothing is left out."""
     notes: str
     """What people noted on it."""
     objections: Records[Objection]
@@ -375,7 +330,7 @@ class ActivatedVersion(ShownActivated, Record):
     robot: str
     """Name of its robot."""
     unsupported_effects: tuple[str, ...]
-    """Ids of its effects that are not corrected at run time."""
+    """Ids of its effects that are not corrected where rows state joints and loads alone, as in a stream."""
     warnings: Records[Remark]
     """What the comparison left out, and where it does not correct."""
 

@@ -16,6 +16,7 @@ from kilter_client.verbs.inputs import Data, rows_of
 from kilter_client.verbs.references import ResourceReference, reference, references
 
 if TYPE_CHECKING:
+    from kilter_client.requests.exported import Exported
     from kilter_client.results.corrected import Corrected
     from kilter_client.results.rows import Rows
 
@@ -69,9 +70,9 @@ def activations(robot: ResourceReference) -> Steps[Records[typed.versions.Activa
     return Records(typed.versions.Activation, [typed.versions.Activation.read(one) for one in found])
 
 
-def preview(version: ResourceReference, *, robot: str | None = None) -> Steps[typed.versions.VersionPreview]:
+def preview(version: ResourceReference, *, robot: str | None = None) -> Steps[typed.previews.VersionPreview]:
     """Return how a version would correct: the largest correction in mm and where, and which poses it would refuse."""
-    return typed.versions.VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
+    return typed.previews.VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
 
 
 def diff(
@@ -105,8 +106,10 @@ def residuals(
 
 def export(
     version: ResourceReference, form: str = "json", *, robot: str | None = None, path: str | Path | None = None
-) -> Steps[bytes]:
+) -> Steps[Exported]:
     """Return a version as a file (``"json"``, ``"urdf"``, ``"dh-csv"``, ...), and write it to ``path`` if one is given.
+
+    Its ``notes`` say what the file leaves out.
 
     Raises:
         OptionError: there is no such format; FileError: the file cannot be written.
@@ -162,5 +165,5 @@ def correct(
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
-    corrected.notes = tuple(filter(None, answer.headers.get("kilter-notes", "").split(" | ")))
+    corrected.notes = calls.notes_of(answer)
     return corrected

@@ -18,8 +18,8 @@ def show_active(document: Mapping[str, Any], state: str) -> None:
     for objection in document.get("objections") or ():
         say(f"forced, though: {objection['message']}")
     say(f"{document['id']} is {state}.")
-    if document["unsupported_effects"]:
-        say(f"Not corrected at run time: {', '.join(document['unsupported_effects'])}.")
+    if document["not_corrected"]:
+        say(document["not_corrected"])
 
 
 def _show_preview(preview: Mapping[str, Any] | None) -> None:

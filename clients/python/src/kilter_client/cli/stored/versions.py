@@ -12,7 +12,7 @@ from kilter_client.cli.reports.activation_report import show_activations, show_a
 from kilter_client.cli.reports.results import show_version
 from kilter_client.cli.stored import exported, keeping
 from kilter_client.cli.terminal.arguments import Json, Retired, Robot, VersionId
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.cli.terminal.references import OfRobot, resolved
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.errors import UsageError
@@ -120,11 +120,14 @@ def export(
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
         content = kilter.versions.export(version, form)
+    for said in content.notes:
+        note(f"Note: {said}", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
         return
     write(output, content)
     document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
+    document["notes"] = list(content.notes)
     emit(document | files_exported.lists_of_export(content), as_json, _show_written)
 
 

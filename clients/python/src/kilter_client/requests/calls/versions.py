@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from kilter_client.requests.calls.kept import place
 from kilter_client.requests.calls.references import id_of
 from kilter_client.requests.calls.robots import also
+from kilter_client.requests.exported import Exported
 from kilter_client.requests.steps import Answer, Document, Request, Steps, address, answer_of, get, post
 
 if TYPE_CHECKING:
@@ -74,11 +75,18 @@ def residuals(version: str, campaigns: Sequence[str], form: str, robot: str | No
     return answer.content
 
 
-def export(version: str, form: str, robot: str | None = None) -> Steps[bytes]:
+def export(version: str, form: str, robot: str | None = None) -> Steps[Exported]:
     """Return a version as a file."""
     path = yield from place("version", version, robot, "export")
     answer = yield from answer_of(Request("GET", path, params={"format": form}))
-    return answer.content
+    exported = Exported(answer.content)
+    exported.notes = notes_of(answer)
+    return exported
+
+
+def notes_of(answer: Answer) -> tuple[str, ...]:
+    """What the server says of a file beside it."""
+    return tuple(filter(None, answer.headers.get("kilter-notes", "").split(" | ")))
 
 
 def correct(
