@@ -26,11 +26,11 @@ LINE_END = re.compile(r"\n")
 
 @dataclass
 class _Known:
-    """What a program moves to: by name, by place where it is written into a move, and the target that came last."""
+    """What a program moves to: by name, by place where it is written into a move (None: left), and what came last."""
 
     joints: dict[str, JointTarget]
     poses: dict[str, PoseTarget]
-    written: dict[int, JointTarget | PoseTarget] = field(default_factory=dict)
+    written: dict[int, JointTarget | PoseTarget | None] = field(default_factory=dict)
     last: tuple[int, JointTarget | PoseTarget] | None = None
 
 
@@ -53,9 +53,11 @@ def find(program: Program) -> None:
     count = max((len(one.joints_deg) for one in declared.targets), default=0) if declared is not None else 0
     count = max([count, *(len(ARM_AXIS.findall(match[2])) for match in lists)])
     for match in lists:
-        target = _take(program, match, count) if match.start() not in away else None
+        if match.start() in away:
+            continue
+        target = known.written[match.start()] = _take(program, match, count)
         if target is not None:
-            known.written[match.start()] = known.joints[(match[1] or "").upper()] = target
+            known.joints[(match[1] or "").upper()] = target
     frames = KrlFrames(program, text)
     _take_poses(program, text, moves, relative, frames, known)
     for match in moves:
@@ -119,7 +121,8 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
         where = " or of its .dat" if program.beside is not None else ""
-        program.leave(match.start(), f"{said}: not a target of this file{where}")
+        if goal is None or match.start(2) + goal.start(1) not in known.written:
+            program.leave(match.start(), f"{said}: not a target of this file{where}")
         program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
     elif isinstance(target, JointTarget):
         program.moves.append(target)

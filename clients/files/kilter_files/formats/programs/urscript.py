@@ -59,7 +59,7 @@ def find(program: Program) -> None:
             target = taken[_before(match.start(), places)]
             poses.last = None if target is None else (match.start(), target)
             program.moves.append(target and replace(target, line=line_at(text, match.start())))
-            if target is None:
+            if target is None and not goal.startswith("["):
                 program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
         hint = _hint(program, text, match, declared) if match[1] == "movej" else None
