@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
+from kilter_core.correct.program import CorrectionProgram
 from tests.core.correct.c_corrector import COMPILER, FOLDER, blob_of
 from tests.core.correct.test_c_corrector import HANGING, program_of
 
-CASES = {
+CASES: dict[str, Callable[[], CorrectionProgram]] = {
     "geometry alone": lambda: program_of("ur10"),
     "one effect that bends the arm": lambda: program_of("ur10", "axial_compliance", hanging=True),
     "three, one of them with sides": lambda: program_of("ur10", *HANGING[0], hanging=True, payload_kg=5.0),

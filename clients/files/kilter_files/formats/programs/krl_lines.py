@@ -36,12 +36,13 @@ def not_kept(
     ``text`` has its comments blanked; ``targets`` and ``poses`` are names of joint targets and of poses in capitals,
     ``within`` the starts of lines that are the inside of a list of axes.
     """
-    bases, places = ({name.partition("[")[0] for name in names} for names in (targets, poses))
+    bases = {name.partition("[")[0] for name in targets}
+    handed = bases | {name.partition("[")[0] for name in poses}
     at = 0
     for number, line in enumerate(text.split("\n"), 1):
         said = line.strip()
         if said and at not in within:
-            why = _changes_target(said, bases) or _not_understood(said) or _handed_on(said, bases | places)
+            why = _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
             if why:
                 yield number, f"{said[:40]}: {why}"
         at += len(line) + 1

@@ -10,8 +10,9 @@ TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"
 DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*\{{[\d,*\s]*\}})?\s*(:=)?", re.I)
 ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=")
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
-ENDS = re.compile(r";|\b(?:THEN|ELSE|DO)\b", re.I)
+OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
+ROUTINE = re.compile(r"\bPROC\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
 GIVES_BACK = re.compile(r"\b(?:INOUT|VAR|PERS)\b", re.I)
 LOOKED_BACK = 4000
 
@@ -54,6 +55,7 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
     components are left out: what is made of them is named where a move goes to it.
     """
     declared = {match.start(1) for match in DECLARES.finditer(text)}
+    by_value = {match[1].lower() for match in ROUTINE.finditer(text) if GIVES_BACK.search(match[2]) is None}
     for match in WORD.finditer(text):
         at = match.start()
         if match[1].lower() in names and at not in understood and at not in declared:
@@ -61,20 +63,17 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
                 continue
             before = text[_begin(text, at) : at]
             bare = before[-1:] in ", \t\r\n" and before.count("(") == before.count(")")
-            yield Use(at, match[1], _instruction(text, before) if bare else "")
+            yield Use(at, match[1], _instruction(before, by_value) if bare else "")
 
 
 def _begin(text: str, at: int) -> int:
     """Where the statement of a place begins, with the words that open a block in front of it."""
-    first = max(0, at - LOOKED_BACK)
-    return max((match.end() for match in ENDS.finditer(text, first, at)), default=first)
+    first = max(0, at - LOOKED_BACK, text.rfind(";", 0, at) + 1)
+    return max((match.end() for match in OPENS.finditer(text, first, at)), default=first)
 
 
-def _instruction(text: str, before: str) -> str:
-    """The instruction that may give a target back changed; empty where it is a routine of this text that takes it by value."""
+def _instruction(before: str, by_value: Collection[str]) -> str:
+    """The instruction that may give a target back changed; empty where it is a routine that takes it by value."""
     lines = [line for line in before.splitlines() if FIRST.search(line)]
     found = FIRST.search(lines[-1]) if lines else None
-    if found is None:
-        return ""
-    own = re.search(rf"\bPROC\s+{found[0]}\s*\(([^)]{{0,2000}})\)", text, re.I)
-    return "" if own is not None and GIVES_BACK.search(own[1]) is None else found[0]
+    return "" if found is None or found[0].lower() in by_value else found[0]
