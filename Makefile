@@ -159,6 +159,9 @@ challenge: $(KERNELS) ## search cases that somebody else hid and score them agai
 	@[ -n "$(DIR)" ] || { echo 'Name the folder of cases: make challenge DIR=cases (docs/how-to/hide-a-case.md)'; exit 2; }
 	$(BIN)/python -m benchmarks.challenge "$(DIR)"
 
+bench-c: $(KERNELS) ## time the corrector in C for each setpoint in process, memory locked, up to the slowest (COUNT=3000000 PRIORITY=50)
+	$(BIN)/python -m benchmarks.c_corrector --count $(or $(COUNT),3000000) $(if $(PRIORITY),--priority $(PRIORITY))
+
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run (TLS=1: signed, both with TLS)
 	$(BIN)/python -m benchmarks.stream $(if $(TLS),--tls)
 

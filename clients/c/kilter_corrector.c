@@ -9,6 +9,25 @@
  */
 #include "kilter_corrector.h"
 
+/* A product and a sum rounded once, as machines with FMA do, are other numbers than those of the kernels. Compilers that
+ * do not read this need -ffp-contract=off. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#endif
+
+/* Around a function whose sums GCC 12 rounds together with products even so, where it vectorizes the pair of them. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define SCALAR _Pragma("GCC push_options") _Pragma("GCC optimize(\"no-tree-slp-vectorize\")")
+#define SCALAR_END _Pragma("GCC pop_options")
+#else
+#define SCALAR
+#define SCALAR_END
+#endif
+
 #include <math.h>
 #include <stdbool.h>
 #include <stdlib.h>
@@ -134,6 +153,7 @@ static tuple2 sine_cosine(double x)
     return (tuple2){{-c, s}};
 }
 
+SCALAR
 /* Sine and cosine of a + d from those of a: the series is exact to 1e-17 up to 0.03 rad. */
 static tuple2 sine_cosine_near(double s, double c, double d)
 {
@@ -149,6 +169,7 @@ static tuple2 sine_cosine_near(double s, double c, double d)
     }
     return (tuple2){{s * cd + c * sd, c * cd - s * sd}};
 }
+SCALAR_END
 
 /* sin t / t, (1 - cos t) / t² and (t - sin t) / t³ of the square of an angle. */
 static tuple3 angle_series(double t2)

@@ -5,6 +5,9 @@
  * A program is what `kilter export VERSION --format corrector` writes: one version of one arm. Load it once, then call
  * kc_correct for every setpoint, from one thread. Nothing is allocated and nothing is locked.
  * Angles rad, lengths m, times s.
+ *
+ * Compile without -ffast-math, and with -ffp-contract=off where the machine has FMA: then the answers are those of the
+ * kernels bit for bit. GCC and clang are told so in the C file; another compiler has to be told by its own option.
  */
 #ifndef KC_CORRECTOR_H
 #define KC_CORRECTOR_H

@@ -58,12 +58,22 @@ class Generator:
             Line("$OUT[3]=TRUE"), Line("$VEL_AXIS[1]=50"), Line(""), Line("WAIT FOR $IN[4]"), Line("  "), Line("$APO.CDIS=5.5"),
         ]  # fmt: skip
         named = [
-            Line(text, "named") for text in ("LIN_REL {X 10,Z -5}", "PTP_REL {A1 5}", "PTP XHOME", "LIN NOWHERE C_DIS")
+            Line(text, "named")
+            for text in (
+                "LIN_REL {X 10,Z -5}",
+                "PTP_REL {A1 5}",
+                "PTP XHOME",
+                "LIN NOWHERE C_DIS",
+                "PTP {A3 45}",
+                "PTP {A1 Q,A2 0}",
+                "LIN NOWHERE : {X 1,Y 0,Z 0,A 0,B 0,C 0}",
+            )
         ]
         for _ in range(count):
             q, kind = self.q(), self.rng.random()
             if kind < 0.3:
-                axes = ",".join(f"A{k} {v:.9f}" for k, v in enumerate(q, 1))
+                written = self.rng.permutation(6) if self.rng.random() < 0.3 else range(6)
+                axes = ",".join(f"A{k + 1} {q[k]:.9f}" for k in written)
                 more = ",E1 12.5,E2 0.0" if self.rng.random() < 0.4 else ""
                 lines.append(Line(f"PTP {{{axes}{more}}} C_PTP ; {{A1 9}}", "joints", q))
             elif kind < 0.5:
@@ -95,8 +105,8 @@ class Generator:
         """A block of splines, and motions that choose frames for themselves."""
         pose = self.krl_pose(q)
         return [
-            Line("SPLINE WITH $VEL.CP=0.2", "named"), Line(f"  SPL {pose}", "named"), Line(f"  SLIN {pose}", "pose", q),
-            Line("ENDSPLINE", "named"), Line(f"SLIN {pose} WITH $BASE=BASE_DATA[9], $VEL.CP=0.1", "named"),
+            Line("SPLINE WITH $VEL.CP=0.2"), Line(f"  SPL {pose}", "pose", q), Line(f"  SLIN {pose}", "pose", q),
+            Line("  TIME_BLOCK START"), Line("ENDSPLINE"), Line(f"SLIN {pose} WITH $BASE=BASE_DATA[9], $VEL.CP=0.1", "named"),
             Line(f"SPTP {pose} WITH $VEL_AXIS[1]=SVEL_JOINT(50.0), $TOOL=TOOL_DATA[1], $BASE=BASE_DATA[2]", "pose", q),
         ]  # fmt: skip
 
@@ -111,15 +121,16 @@ class Generator:
             Line("  WaitTime 0.5;"), Line('  TPWrite "p1 [[1,2,3],[1,0,0,0]]";'), Line("  AccSet 50, 100;"), Line(""),
             Line("  reg1 := reg1 + 1;"),
         ]  # fmt: skip
+        outside = "[9E9,9E9,9E9,9E9,9E9,9E9]"
         named = [
             Line(text, "named")
             for text in (
                 "  MoveL Offs(pHome, 0, 0, 50), v100, z10, grip\\WObj:=bench;",
                 "  MoveL RelTool(pHome, 0, 0, -10), v50, fine, grip\\WObj:=bench;",
                 "  MoveJ pElsewhere, v200, z50, grip\\WObj:=bench;",
+                f"  DispL [[600,0,400],[0,0,1,0],[0,0,0,0],{outside}], v50, bead1, z10, grip\\WObj:=bench;",
             )
         ]
-        outside = "[9E9,9E9,9E9,9E9,9E9,9E9]"
         for _ in range(count):
             q, kind = self.q(), self.rng.random()
             if kind < 0.3:
@@ -130,7 +141,10 @@ class Generator:
                 target, arc = self.robtarget(q), self.rng.random() < 0.3
                 via = self.q() if arc else None
                 goals = target if via is None else f"{self.robtarget(via)}, {target}"
-                line = f"  {'MoveC' if arc else word} {goals}, v100{more}, z10, grip\\WObj:=bench;"
+                weld = ", seam1, weld1" if self.rng.random() < 0.3 else ""
+                word = word.replace("Move", "Arc").replace("ArcJ", "ArcLStart") if weld else word
+                word = word[:-1] + "C" if arc and word[-1] in "LJ" else "ArcCEnd" if arc else word
+                line = f"  {word} {goals}, v100{more}{weld}, z10, grip\\WObj:=bench;"
                 lines.append(Line(line, "pose", q, via))
             else:
                 lines.append(self.one_of(alone if kind < 0.85 else named))
@@ -153,13 +167,16 @@ class Generator:
                 "  movel(pose_trans(get_actual_tcp_pose(), p[0, 0, 0.05, 0, 0, 0]), a=1.2, v=0.1)",
                 "  movej(get_inverse_kin(p_taught), a=1.4)",
                 "  movel(pose_add(p_taught, p[0, 0, 0.1, 0, 0, 0]))",
+                "  movej([0.1, q_taught, 0, 0, 0, 0])",
+                "  paint(p[0.4, 0.1, 0.3, 0, 3.1, 0], 0.02)",
             )
         ]
         for _ in range(count):
             q, kind = self.q(), self.rng.random()
             if kind < 0.6:
                 axes = ", ".join(f"{v:.12f}" for v in np.radians(q))
-                lines.append(Line(f"  movej([{axes}], a=1.4, v=1.05)", "joints", q))
+                word = ("movej(", "movej(", "movej(q=", "movel(")[self.rng.integers(4)]
+                lines.append(Line(f"  {word}[{axes}], a=1.4, v=1.05)", "joints", q))
                 if kind < 0.3:
                     lines += self.behind(q)
             else:

@@ -39,8 +39,10 @@ NUMBER = r"-?\d+\.\d+(?:[eE]-?\d+)?"
 
 def joints_of(text: str, dialect: str) -> Floats:
     """Joints of a corrected line, deg."""
-    inside = text.partition(";")[0] if dialect == "krl" else text
-    found = np.array([float(v) for v in re.findall(NUMBER, inside)[:6]])
+    if dialect == "krl":
+        axes = dict(re.findall(rf"\bA(\d) ({NUMBER})", text.partition(";")[0]))
+        return np.array([float(axes[k]) for k in sorted(axes)])
+    found = np.array([float(v) for v in re.findall(NUMBER, text)[:6]])
     return np.degrees(found) if dialect == "urscript" else found
 
 

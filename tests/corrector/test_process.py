@@ -308,7 +308,8 @@ def test_one_forked_ahead_ends_without_a_word(capfd: pytest.CaptureFixture[str])
 def test_a_frozen_fork_server_does_not_hold_up_a_stream_that_was_killed(
     corrector: Corrector, monkeypatch: pytest.MonkeyPatch, ends: bool
 ) -> None:
-    monkeypatch.setattr(fork_server, "FORK_S", 20.0 if ends else 0.5)
+    monkeypatch.setattr(fork_server, "STOPPED_S", 20.0 if ends else 0.5)
+    monkeypatch.setattr(fork_server, "FORK_S", 20.0)  # of the next one: this machine may be busy
     frozen = corrector._fork_server.pid or 0
     corrector._fork_server._drop_spare()  # or, where it is ready by now, the fork server is not asked at all
     stream = corrector._children["stream"]
@@ -329,7 +330,7 @@ def test_a_frozen_fork_server_does_not_hold_up_a_stream_that_was_killed(
 def test_a_fork_server_that_is_frozen_is_replaced_before_it_is_needed(
     corrector: Corrector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fork_server, "FORK_S", 0.2)
+    monkeypatch.setattr(fork_server, "STOPPED_S", 0.2)
     frozen, before = corrector._fork_server.pid or 0, {name: child.pid for name, child in corrector._children.items()}
     os.kill(frozen, signal.SIGSTOP)
     until(lambda: corrector.poll() or corrector._fork_server.pid != frozen)  # type: ignore[func-returns-value]

@@ -9,6 +9,25 @@
  */
 #include "kilter_corrector.h"
 
+/* A product and a sum rounded once, as machines with FMA do, are other numbers than those of the kernels. Compilers that
+ * do not read this need -ffp-contract=off. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#endif
+
+/* Around a function whose sums GCC 12 rounds together with products even so, where it vectorizes the pair of them. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define SCALAR _Pragma("GCC push_options") _Pragma("GCC optimize(\"no-tree-slp-vectorize\")")
+#define SCALAR_END _Pragma("GCC pop_options")
+#else
+#define SCALAR
+#define SCALAR_END
+#endif
+
 #include <math.h>
 #include <stdbool.h>
 #include <stdlib.h>

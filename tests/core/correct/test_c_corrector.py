@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import math
+import platform
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -329,6 +331,50 @@ def test_no_altered_program_leads_out_of_its_memory(tmp_path: Path) -> None:
 def test_the_file_in_the_clients_is_what_the_kernels_say() -> None:
     for name, text in assembled().items():
         assert (FOLDER / name).read_text() == text, f"{name} is not today's: run make c-corrector"
+
+
+# --- machines whose products and sums are rounded once ------------------------------------------------------------------
+
+FUSED = re.compile(r"^\s+vfn?m(?:add|sub)", re.M)
+CPU = Path("/proc/cpuinfo")
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the instructions of another processor")
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("level", ["-O2", "-O3"])
+def test_no_product_is_rounded_together_with_a_sum(compiler: str, level: str, tmp_path: Path) -> None:
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    text = (FOLDER / "kilter_corrector.c").read_text()
+    told = re.compile(r"^#pragma .*\n", re.M)
+    assert len(told.findall(text)) == 3
+    (tmp_path / "untold.c").write_text(told.sub("", text))
+    found = []
+    for source in (FOLDER / "kilter_corrector.c", tmp_path / "untold.c"):
+        made = tmp_path / "made.s"
+        command = [compiler, "-std=gnu99", level, "-mfma", f"-I{FOLDER}", "-S", "-o", str(made), str(source)]
+        subprocess.run(command, check=True)
+        found.append(len(FUSED.findall(made.read_text())))
+    assert found[0] == 0
+    assert found[1] > 100  # it is the file that tells the compiler
+
+
+@pytest.mark.skipif(not CPU.is_file() or " fma " not in CPU.read_text(), reason="a processor without FMA, or unknown")
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_a_processor_with_fma_gives_the_same_bits(compiler: str, library: ctypes.CDLL, tmp_path: Path) -> None:
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    made = tmp_path / "fused.so"
+    options = ["-std=gnu99", "-O2", "-mfma", "-shared", "-fPIC"]
+    subprocess.run([compiler, *options, "-o", str(made), str(FOLDER / "kilter_corrector.c"), "-lm"], check=True)
+    fused = ctypes.CDLL(str(made))
+    fused.kc_memory_needed.restype = ctypes.c_size_t
+    blob = blob_of(program_of("ur10", *HANGING[0], hanging=True, payload_kg=5.0))
+    ours, plain = Corrector(fused, blob), Corrector(library, blob)
+    for q in path_of(program_of("ur10"), 400, 6):
+        one, other = ours.correct(q, 0.01), plain.correct(q, 0.01)
+        assert one[0] == other[0]
+        assert one[1].tobytes() == other[1].tobytes()
 
 
 # --- as a controller uses it -----------------------------------------------------------------------------------------

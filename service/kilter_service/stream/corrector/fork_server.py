@@ -34,7 +34,10 @@ log = logging.getLogger("kilter.corrector")
 
 POLL_S = 0.25
 START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
-FORK_S = 5.0  # a fork takes milliseconds; one that imported and does not fork for so long is frozen
+FORK_S = (
+    5.0  # a fork takes milliseconds, on a busy machine a second; one that imported and does not fork for so long hangs
+)
+STOPPED_S = 5.0  # one that is stopped from outside for so long is given up
 MOST_ORDERS = 3  # of one process; a fork server that ended so often ends the same the next time
 STOP_S = 5.0
 LOOK_S = 0.005
@@ -79,7 +82,7 @@ class ForkServer:
         """Start the process, if it does not run or is stopped from outside; it imports and compiles by itself."""
         if self.alive:
             self._look()
-            if time.monotonic() - self._seen_at < FORK_S:
+            if time.monotonic() - self._seen_at < STOPPED_S:
                 return
         if self._process is not None:
             log.error("the process that starts those of the corrector ended or is frozen: it is restarted")
@@ -99,12 +102,13 @@ class ForkServer:
         self._spare = Forked(self._fork())
 
     def stop_if_frozen(self, asked_at: float) -> None:
-        """End the process when it has not forked what was asked for at that time; while it imports that may take long."""
+        """End the process when it is stopped, or has not forked what was asked for; while it imports that may take long."""
         if not self.alive:
             return
         self._look()
-        since = self._seen_at if self._ready_at is None else max(asked_at, self._ready_at)
-        if time.monotonic() - since > FORK_S:
+        now = time.monotonic()
+        hangs = self._ready_at is not None and now - max(asked_at, self._ready_at) > FORK_S
+        if hangs or now - self._seen_at > STOPPED_S:
             log.error("the process that starts those of the corrector is frozen: it is killed")
             self.stop()
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, line_at, sign
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
-from kilter_files.formats.programs.poses.fanuc import OFFSET, pose_of
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans
+from kilter_files.formats.programs.poses.fanuc import OFFSET, OTHER_FRAME, pose_of
 
 POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
@@ -15,6 +15,8 @@ MOVE = re.compile(
     r"^\s*(?:\d+\s*:\s*(?=[JLCAS]\s)|:\s*(?=P))((?:[JLCAS]\s+)?(P|PR)\[\s*(\d+|[^\]]{1,80})[^\]\n]{0,80}\])([^\n]{0,200})",
     re.M,
 )
+NOTHING = re.compile(r"^\s*\d+\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
+NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
 GROUPS = "motion groups beside GP1 are left out: what they move belongs to the base or the tool"
 
 
@@ -48,13 +50,29 @@ def find(program: Program) -> None:
         pose = poses.get(match[3]) if match[2] == "P" else None
         if pose is not None:
             program.moves_to_poses.append((line_at(text, match.start(1)), match[1], pose))
-            pose.problem = pose.problem or ("a move to it has an offset" if OFFSET.search(match[4]) else "")
+            frame = "a move to it has another frame (RTCP, COORD)" if OTHER_FRAME.search(match[4]) else ""
+            pose.problem = pose.problem or ("a move to it has an offset" if OFFSET.search(match[4]) else frame)
         elif match[2] != "P" or match[3] not in known:
             program.leave(match.start(1), f"{match[1]}: no position of this file")
         elif OFFSET.search(match[4]):
             program.leave(match.start(1), f"{match[1]}: moves beside it")
         program.moves += [known.get(match[3])] if match[2] == "P" else []
+    _name_other_uses(program, known, poses)
     program.notes.append("FANUC reads J3 against the horizontal: the robot needs --follows J3=J2")
+
+
+def _name_other_uses(program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget]) -> None:
+    """Name the lines that use a position otherwise than as the goal of a move."""
+    text = NOTHING.sub(lambda match: " " * len(match[0]), program.text)
+    own = Spans(sorted(match.span() for pattern in (POSITION, MOVE) for match in pattern.finditer(program.text)))
+    for match in NAMES.finditer(text):
+        if match.start() in own or (match[1] not in known and match[1] not in poses):
+            continue
+        program.leave(
+            match.start(), f"P[{match[1]}]: {'changed' if match[2] else 'used otherwise than as the goal of a move'}"
+        )
+        if match[2] and match[1] in poses:
+            poses[match[1]].problem = poses[match[1]].problem or "the program changes it"
 
 
 DIALECT = Dialect(

@@ -17,19 +17,20 @@ AXES = re.compile(
     re.I,
 )
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
+ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
-GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME})[ \t]*(?=[, \t\r\n]|$)")
+GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME})(?![\w.\[])[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
 COMMA = re.compile(r"[ \t]*,")
 LINE_END = re.compile(r"\n")
 
 
 @dataclass
 class _Known:
-    """What a program moves to: by name, by place where it is written into a move, and the target that came last."""
+    """What a program moves to: by name, by place where it is written into a move (None: left), and what came last."""
 
     joints: dict[str, JointTarget]
     poses: dict[str, PoseTarget]
-    written: dict[int, JointTarget | PoseTarget] = field(default_factory=dict)
+    written: dict[int, JointTarget | PoseTarget | None] = field(default_factory=dict)
     last: tuple[int, JointTarget | PoseTarget] | None = None
 
 
@@ -49,16 +50,21 @@ def find(program: Program) -> None:
         known.joints |= {target.name.upper(): target for target in declared.targets}
         known.poses |= {pose.name.upper(): pose for pose in declared.cartesian}
     away = Spans(relative)
+    count = max((len(one.joints_deg) for one in declared.targets), default=0) if declared is not None else 0
+    count = max([count, *(len(ARM_AXIS.findall(match[2])) for match in lists)])
     for match in lists:
-        if match.start() not in away:
-            known.written[match.start()] = known.joints[(match[1] or "").upper()] = _take(program, match)
+        if match.start() in away:
+            continue
+        target = known.written[match.start()] = _take(program, match, count)
+        if target is not None:
+            known.joints[(match[1] or "").upper()] = target
     frames = KrlFrames(program, text)
     _take_poses(program, text, moves, relative, frames, known)
     for match in moves:
         _follow(program, match, known, frames)
     note_changes(text, known.poses)
     inside = {found.end() for match in lists for found in LINE_END.finditer(text, *match.span())}
-    program.left += not_kept(text, known.joints, inside)
+    program.left += not_kept(text, known.joints, known.poses, inside)
 
 
 def _take_poses(
@@ -115,7 +121,8 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
         where = " or of its .dat" if program.beside is not None else ""
-        program.leave(match.start(), f"{said}: not a target of this file{where}")
+        if goal is None or match.start(2) + goal.start(1) not in known.written:
+            program.leave(match.start(), f"{said}: not a target of this file{where}")
         program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
     elif isinstance(target, JointTarget):
         program.moves.append(target)
@@ -129,14 +136,20 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
     program.visits += [] if target is None else [target]
 
 
-def _take(program: Program, match: re.Match[str]) -> JointTarget:
+def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | None:
+    """Take a list of axes, in any order; one that lacks some, or computes them, is named and left: the others stay."""
     parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in re.finditer(r"[^,]+", match[2])]
-    arm = [part for part in parts if part is not None and part[1].upper() == "A"]
+    arm = sorted((part for part in parts if part is not None and part[1].upper() == "A"), key=lambda part: part[2])
     name, axes = match[1] or "axis target", [int(part[2]) for part in arm]
-    if match[3] != "}" or None in parts or axes != [*range(1, len(arm) + 1)]:
-        whole = match[3] == "}" and None not in parts
-        what = f"{name} lacks axes: it has {axes}" if whole else f"{name} is not A1, A2, ... with numbers"
+    declared = program.path.suffix.lower() == ".dat"
+    if match[3] != "}" or (None in parts and declared):
+        what = f"{name} is not A1, A2, ... with numbers"
         raise program.refuse(match.start(), what, "Correct it, or export it again.")
+    if None in parts or axes != [*range(1, count + 1)]:
+        what = f"{name} computes axes" if None in parts else f"{name} lacks axes: it has {axes}"
+        program.leave(match.start(), what)
+        program.unknown.append((line_at(program.text, match.start()), what, "Correct it, or export it again."))
+        return None
     at = match.start(2)
     numbers = [(part[3], (at + part.start(3), at + part.end(3))) for part in arm]
     return program.add(name, numbers, line=line_at(program.text, match.start()))

@@ -9,7 +9,7 @@ STATEMENTS = """
 DEF DEFFCT DEFDAT END ENDFCT ENDDAT GLOBAL PUBLIC DECL CONST EXT EXTFCT EXTP EXTFCTP IMPORT STRUC ENUM SIGNAL
 INT REAL BOOL CHAR POS E6POS AXIS E6AXIS FRAME IF ELSE ENDIF FOR ENDFOR WHILE ENDWHILE REPEAT UNTIL LOOP ENDLOOP
 SWITCH CASE DEFAULT ENDSWITCH EXIT GOTO RETURN CONTINUE HALT WAIT INTERRUPT BRAKE RESUME TRIGGER PULSE ANIN ANOUT
-COPEN CCLOSE CREAD CWRITE SREAD SWRITE
+COPEN CCLOSE CREAD CWRITE SREAD SWRITE SPLINE PTP_SPLINE ENDSPLINE TIME_BLOCK CONST_VEL STOP
 """
 KEPT = frozenset(STATEMENTS.split())
 WORD = re.compile(r"&|\w{1,64}")
@@ -19,25 +19,30 @@ PLACE = re.compile(
     r"(?:DECL\s{1,9}|GLOBAL\s{1,9}|(?:E6)?AXIS\s{1,9}){0,3}(\$?\w{1,64})(\s{0,9}[\w.\[\],+\- ]{0,100}?)\s{0,9}=(?!=)",
     re.I,
 )
-MOTIONS = r"S?(?:PTP|LIN|CIRC)(?:_REL)?"
+MOTIONS = r"(?:S?(?:PTP|LIN|CIRC)(?:_REL)?|SPL)"
 MOTION = re.compile(MOTIONS, re.I)
-INNER = re.compile(rf"(?<![\w#$.])(?:{MOTIONS}|SPL)\s{{1,9}}[\w{{]", re.I)
+INNER = re.compile(rf"(?<![\w#$.]){MOTIONS}\s{{1,9}}[\w{{]", re.I)
+CALLED = re.compile(r"(?<![\w.$])(\w{1,64})\s{0,9}\(([^()]{1,1000})\)")
+HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?(?!\w|\s{0,9}[.(])")
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
 
 
-def not_kept(text: str, targets: Collection[str], within: Collection[int]) -> Iterator[tuple[int, str]]:
+def not_kept(
+    text: str, targets: Collection[str], poses: Collection[str], within: Collection[int]
+) -> Iterator[tuple[int, str]]:
     """Yield line number and reason for each line that may move the arm elsewhere and is not a motion to a target.
 
-    ``text`` has its comments blanked; ``targets`` are names of joint targets in capitals, ``within`` the starts of lines
-    that are the inside of a list of axes.
+    ``text`` has its comments blanked; ``targets`` and ``poses`` are names of joint targets and of poses in capitals,
+    ``within`` the starts of lines that are the inside of a list of axes.
     """
     bases = {name.partition("[")[0] for name in targets}
+    handed = bases | {name.partition("[")[0] for name in poses}
     at = 0
     for number, line in enumerate(text.split("\n"), 1):
         said = line.strip()
         if said and at not in within:
-            why = _changes_target(said, bases) or _not_understood(said)
+            why = _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
             if why:
                 yield number, f"{said[:40]}: {why}"
         at += len(line) + 1
@@ -50,6 +55,14 @@ def _changes_target(said: str, bases: Collection[str]) -> str:
     whole = "." not in found[2]
     listed = LIST.match(said, found.end()) is not None
     return f"changes the axis target {found[1]}" if (whole and not listed) or AXIS_PART.search(found[2]) else ""
+
+
+def _handed_on(said: str, targets: Collection[str]) -> str:
+    """The subprogram that is given a target: it may move to it with other frames, or change it."""
+    for call in CALLED.finditer(said):
+        if call[1].upper() not in KEPT and any(one[1].upper() in targets for one in HANDED.finditer(call[2])):
+            return f"{call[1]} is given a target"
+    return ""
 
 
 def _not_understood(said: str) -> str:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans, Use
 from kilter_files.formats.programs.poses.rapid import (
-    CHANGED,
     CONFIGURATION_OFF,
     DISPLACED,
     TARGET,
@@ -16,17 +15,26 @@ from kilter_files.formats.programs.poses.rapid import (
     pose_of,
 )
 from kilter_files.formats.programs.poses.rapid import DECLARED as POSE
+from kilter_files.formats.programs.rapid_uses import changed, declared_again, is_assigned, other_uses
 
 UNUSED_AXIS = 8e9  # 9E9 stands for an external axis that is not there
 SIX = r"\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]"
 PAIR = re.compile(rf"\[\s*{SIX}\s*,\s*{SIX}\s*\]")
 DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*(?:\{[\d,\s]*\})?\s*:=([^;]{0,200000})(;|\Z)", re.I)
-MOVE = re.compile(r"\b(Move\w{1,20}|TriggL|TriggJ|TriggC|SearchL|SearchC)(?=[\s\\])\s*([^;]{0,2000})(;|\Z)", re.I)
-TO_POSES = re.compile(r"(?:Move|Trigg)([JLC])(?:DO|AO|GO|Sync)?", re.I)
+MOVE = re.compile(
+    r"\b(Move\w{1,20}|Arc[LC]\d?(?:Start|End)?|Trigg[LJC]|Search[LC])(?=[\s\\])\s*([^;]{0,2000})(;|\Z)", re.I
+)
+TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
+TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld
+SEVERAL_TIMES = "it is declared several times"
+EXTERNAL = re.compile(r"\.\s*extax\b", re.I)
+CONSTANT = re.compile(r"\bCONST\s+robtarget\s+(\w+)", re.I)
+HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*(?:\{[\d,\s]*\})?\s*:=[^;]{0,200000}", re.I)
+COMPUTED = re.compile(r"[A-Za-z_]\w{2,}")
 WRITTEN = re.compile(r"\w+(?:\s*\{\s*\d+\s*\})?|\[.*\]", re.S)
 WITH = re.compile(r"(\w+)\s*((?:\\[^\\]{1,80})*)")
 WORK_OBJECT = re.compile(r"\\\s*WObj\s*:=\s*(\w+)", re.I)
-GOAL = re.compile(r"(\w+)(?:\s*\{\s*(\d*)[^}]{0,80}\})?\s*[\\,]")
+GOAL = re.compile(r"(\w+)\s*(?:\{\s*(?:(\d+)\s*\}|[^}]{0,80}\}))?\s*(?:\\.*)?", re.S)
 
 Known = dict[str, list[JointTarget]]
 Poses = dict[str, list[PoseTarget]]
@@ -43,6 +51,11 @@ def find(program: Program) -> None:
     known: Known = {}
     for match in DECLARED.finditer(text):
         pairs = [*PAIR.finditer(text, match.start(2), match.end(2))]
+        if not pairs and match[3] == ";" and COMPUTED.search(match[2]):
+            what = f"{match[1]}, a jointtarget that the program computes"
+            program.leave(match.start(), what)
+            program.unknown.append((line_at(text, match.start()), what, "Write its joints."))
+            continue
         if not pairs or match[3] != ";" or PAIR.sub("", match[2]).strip(" \t\r\n[],"):
             what = f"{match[1]} is not made of six joints and six external axes, [[...],[...]]"
             raise program.refuse(match.start(), what, "Correct the target.")
@@ -50,10 +63,14 @@ def find(program: Program) -> None:
         known[match[1].lower()] = [_take(program, name, pair) for name, pair in zip(names, pairs, strict=True)]
     poses = _poses(program, text)
     frames = RapidFrames(text, program.stated)
-    for match in MOVE.finditer(text):
-        if not _to_poses(program, text, match, poses, frames):
-            _follow(program, text, match, known)
+    goals: set[int] = set()
+    left = [
+        match.span()
+        for match in MOVE.finditer(text)
+        if not _to_poses(program, text, match, poses, frames, goals) and not _follow(program, text, match, known, goals)
+    ]
     _note_problems(text, program, poses)
+    _note_other_uses(text, program, poses, known, goals, Spans(left))
 
 
 def _poses(program: Program, text: str) -> Poses:
@@ -65,20 +82,24 @@ def _poses(program: Program, text: str) -> Poses:
             program.leave_pose(match.start(), match[1], f"{match[1]}, a robtarget without numbers")
             continue
         names = [match[1]] if len(found) == 1 else [f"{match[1]}{{{k}}}" for k in range(1, len(found) + 1)]
+        for earlier in poses.get(match[1].lower(), ()):
+            earlier.problem = SEVERAL_TIMES
         poses[match[1].lower()] = [
             program.add_pose(pose_of(program, name, one)) for name, one in zip(names, found, strict=True)
         ]
     return poses
 
 
-def _to_poses(program: Program, text: str, match: re.Match[str], poses: Poses, frames: RapidFrames) -> bool:
-    """Take the robtargets of a move as moves to them; whether all of its goals are such."""
+def _to_poses(
+    program: Program, text: str, match: re.Match[str], poses: Poses, frames: RapidFrames, understood: set[int]
+) -> bool:
+    """Take the robtargets of a move as moves to them, and note their places; whether all of its goals are such."""
     way = TO_POSES.fullmatch(match[1])
     if way is None:
         return False
     said = [(match.start(2) + at, one) for at, one in arguments(match[2]) if not one.startswith("\\")]
     count = 2 if way[1].upper() == "C" else 1
-    with_tool = count + 2 + match[1].upper().startswith("TRIGG")
+    with_tool = count + TO_TOOL[match[1][0].upper()]
     goals = [_goal(program, text, match[1], at, one, poses) for at, one in said[:count]]
     if len(said) <= with_tool or None in goals:
         return False
@@ -91,6 +112,7 @@ def _to_poses(program: Program, text: str, match: re.Match[str], poses: Poses, f
         goal.uses.append(Use(base, tool, straight=way[1].upper() != "J"))
         line = line_at(text, match.start())
         program.moves_to_poses.append((line, f"{match[1]} {match[2].split(',')[0].strip()[:40]}", goal))
+    understood.update(at for at, _ in said[:count])
     return True
 
 
@@ -114,7 +136,7 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
     if DISPLACED.search(text):
         for pose in program.cartesian:
             pose.problem = pose.problem or "the program displaces it (PDisp, EOffs)"
-    for match in CHANGED.finditer(text):
+    for match in changed(text):
         for pose in poses.get(match[1].lower(), ()):
             pose.problem = pose.problem or "the program changes it"
     off = {match[1].upper() == "L" for match in CONFIGURATION_OFF.finditer(text)}
@@ -123,19 +145,53 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
             pose.problem = pose.problem or "its configuration is not kept (ConfJ, ConfL \\Off)"
 
 
-def _follow(program: Program, text: str, match: re.Match[str], known: Known) -> None:
+def _note_other_uses(
+    text: str, program: Program, poses: Poses, known: Known, understood: set[int], left: Spans
+) -> None:
+    """Name what uses targets otherwise than as the goals of moves; ``left`` are moves that are named already."""
+    for match in declared_again(text, poses.keys() | known.keys()):
+        program.leave(match.start(), f"{match[1]}: declared several times")
+        for pose in poses.get(match[1].lower(), ()):
+            pose.problem = SEVERAL_TIMES
+    for match in changed(text):
+        if match[1].lower() in known and not EXTERNAL.search(match[0]):
+            program.leave(match.start(), f"{match[1]}: the program changes this jointtarget")
+    constant = {match[1].lower() for match in CONSTANT.finditer(text)}
+    for use in other_uses(text, poses.keys() | known.keys(), understood):
+        name, by = use.name.lower(), use.handed_to
+        if use.at not in left:
+            program.leave(
+                use.at, f"{use.name}: used{f' by {by}' if by else ''} otherwise than as the goal of a known move"
+            )
+        if by and name not in constant and not TO_POSES.fullmatch(by):
+            for pose in poses.get(name, ()):
+                pose.problem = pose.problem or f"{by} may change it"
+    own = Spans([match.span() for match in HOLDS_TARGETS.finditer(text)])
+    for written in (*TARGET.finditer(text), *PAIR.finditer(text)):
+        at = written.start()
+        if not (at in understood or at in own or at in left or is_assigned(text, at)):
+            program.leave(at, f"{written[0][:40]}: the goal of no known move")
+
+
+def _follow(program: Program, text: str, match: re.Match[str], known: Known, understood: set[int]) -> bool:
+    """Take the joints of a move, and note their place, or name its line; whether they are known."""
     joints = match[1].lower() == "moveabsj"
-    written = PAIR.match(text, match.start(2)) if joints else None
-    goal = GOAL.match(match[2])
-    targets = known.get(goal[1].lower(), []) if goal is not None else []
+    at, said = next(((at, one) for at, one in arguments(match[2]) if not one.startswith("\\")), (0, ""))
+    at += match.start(2)
+    written = PAIR.match(text, at) if joints else None
+    goal = GOAL.fullmatch(said)
+    targets = known.get(goal[1].lower(), []) if joints and goal is not None else []
     if written is not None:
         program.moves.append(_take(program, match[1], written))
-    elif joints and goal is not None and targets:
-        index = int(goal[2] or 1) - 1
+    elif goal is not None and targets:
+        index = int(goal[2]) - 1 if goal[2] else 0 if "{" not in said else -1
         program.moves.append(targets[index] if 0 <= index < len(targets) else None)
     else:
         program.leave(match.start(), f"{match[1]} {match[2].split(',')[0].strip()[:40]}: no target of this file")
         program.moves += [None] if joints else []
+        return False
+    understood.add(at)
+    return True
 
 
 def _take(program: Program, name: str, pair: re.Match[str]) -> JointTarget:

@@ -8,14 +8,26 @@ from dataclasses import replace
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, Span
-from kilter_files.formats.programs.poses.urscript import Poses
+from kilter_files.formats.programs.poses.urscript import CHANGED, Poses, inside
 
 DECLARED = re.compile(r"^[ \t]*(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*=[ \t]*([^\r\n]*)", re.M)
-MOVE = re.compile(r"\b((?:move|servo|speed)[jlpc])\s?\(\s*(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?")
+MOVE = re.compile(
+    r"\b((?:optimove|move|servo|speed)[jlpc])\s?\(\s*(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?"
+)
+TO_JOINTS = frozenset(("movej", "movel", "movep"))  # along a line too the arm comes to these joints
 INVERSE = re.compile(r"get_inverse_kin\s?\(([^)]{0,500})\)")
 POSE = re.compile(r"p\s?\[|get_inverse_kin\s?\(")
 NEAR = re.compile(r"\bqnear\s?=\s?(?:(\w{1,64})|(\[[^\]]{0,500}\]))")
 CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
+PARAMETERS = re.compile(r"^[ \t]*(?:def|thread)[ \t]+\w{1,64}[ \t]*\(([^)\n]{1,500})\)", re.M)
+TARGET = re.compile(rf"p?\s?\[\s*{NUMBER}(?:\s*,\s*{NUMBER}){{5}}\s*\]")
+CALLED = re.compile(r"(?<![\w.])(\w{1,64})\s?\(")
+INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
+# functions that only reckon, set or tell, and words before a bracket
+KNOWN = re.compile(
+    r"(?:set|get|pose|is|force|socket|rtde|rpc|to|read|write|str|tool|path|wrench|point|integer|modbus)_\w{1,64}"
+    r"|interpolate_pose|textmsg|popup|norm|length|dot|cross|transpose|inv|if|elif|while|and|or|not|return|def|thread|run|join"
+)
 MOST_RAD = 4.2 * math.pi
 
 Places = dict[str, list[tuple[int, str]]]
@@ -32,17 +44,23 @@ def find(program: Program) -> None:
     declared: Places = {}
     for match in DECLARED.finditer(text):
         declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
-    taken: dict[int, JointTarget] = {}
+    for match in PARAMETERS.finditer(text):  # what a subprogram is given is not known in it
+        for name in re.findall(r"\w+", match[1]):
+            declared.pop(name, None)
+    taken: dict[int, JointTarget | None] = {}
     near = 0
     poses = Poses(program, text, declared)
     for match in MOVE.finditer(text):
         goal = (match[2] or "").strip()
         places = [(match.start(2), goal)] if goal.startswith("[") else declared.get(goal, [])
-        if match[1] == "movej" and places and all(written.startswith("[") for _, written in places):
-            for at, written in places:
-                taken.setdefault(at, _take(program, "movej" if goal.startswith("[") else goal, at, written))
-            poses.last = (match.start(), taken[_before(match.start(), places)])
-            program.moves.append(replace(poses.last[1], line=line_at(text, match.start())))
+        if match[1] in TO_JOINTS and places and all(written.startswith("[") for _, written in places):
+            name = match[1] if goal.startswith("[") else goal
+            taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
+            target = taken[_before(match.start(), places)]
+            poses.last = None if target is None else (match.start(), target)
+            program.moves.append(target and replace(target, line=line_at(text, match.start())))
+            if target is None and not goal.startswith("["):
+                program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
         hint = _hint(program, text, match, declared) if match[1] == "movej" else None
         if not poses.take(match, hint):
@@ -52,6 +70,10 @@ def find(program: Program) -> None:
         program.moves += [] if hint is None else [hint]
         if hint is None:
             _name_other(program, match, goal, places)
+    for match in CHANGED.finditer(text):
+        if any(at in taken for at, _ in declared.get(match[1], [])):
+            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
+    _name_calls(program, text, declared)
     if near:
         program.warnings.append(
             f"{near} moves to a pose count with the joints of their qnear: where the waypoint was taught"
@@ -95,10 +117,24 @@ def _hint(program: Program, text: str, match: re.Match[str], declared: Places) -
     return JointTarget(near[1] or "movej", line_at(text, match.start()), tuple(joints))
 
 
-def _take(program: Program, name: str, at: int, written: str) -> JointTarget:
+def _name_calls(program: Program, text: str, declared: Places) -> None:
+    """Name the calls that hand a target on: to a subprogram, or to a function that may move the arm."""
+    targets = {name for name, places in declared.items() if any(TARGET.match(written) for _, written in places)}
+    for match in CALLED.finditer(text):
+        if not KNOWN.fullmatch(match[1]) and not MOVE.match(text, match.start()):
+            said = inside(text, match.end())
+            bare = INNER.sub("", said)
+            if TARGET.search(bare) or targets.intersection(re.findall(r"(?<![\w.])\w+(?![\w(\[])", bare)):
+                program.leave(match.start(), f"{match[1]}({said[:40]}: {match[1]} is given a target")
+
+
+def _take(program: Program, name: str, at: int, written: str) -> JointTarget | None:
     numbers, radians = _numbers(program.text, at, written)
     if not numbers:
-        raise program.refuse(at, f"{name} goes to {written[:40]!r}, no list of numbers", "Write the joints in rad.")
+        what = f"{name} goes to {written[:40]!r}, no list of numbers"
+        program.leave(at, what)
+        program.unknown.append((line_at(program.text, at), what, "Write the joints in rad."))
+        return None
     if any(turn and abs(float(number)) > MOST_RAD for (number, _), turn in zip(numbers, radians, strict=True)):
         raise program.refuse(at, f"{name} moves by more than two turns: are these degrees", "Give radians.")
     return program.add(name, numbers, radians)

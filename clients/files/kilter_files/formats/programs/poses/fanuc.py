@@ -16,6 +16,7 @@ TURN = r"\s{0,9}(-?\d)\s{0,9}"
 CONFIG = re.compile(rf"\bCONFIG\s?:\s?'\s{{0,9}}([NF])\s{{1,9}}([UD])\s{{1,9}}([TB])\s{{0,9}},{TURN},{TURN},{TURN}'")
 SET = re.compile(r"\b(UFRAME|UTOOL)\s?\[[^\]\n]{1,40}\]\s?=", re.I)
 OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
+OTHER_FRAME = re.compile(r"\b(?:RTCP|COORD)\b", re.I)
 
 
 def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:

@@ -35,7 +35,7 @@ CHANGED = re.compile(r"^[ \t]*(BASE|TOOL)_DATA[ \t]*\[([^\]\r\n]{1,60})\][ \t]*(
 WITH = re.compile(
     r"[ \t,]\$(BASE|TOOL)[ \t]*=[ \t]*((?:\{[^{}\r\n]{0,500}\}|[^,(\r\n]|\([^()\r\n]{0,200}\)){1,300})", re.I
 )
-BLOCK = re.compile(r"^[ \t]*(?:(SPLINE)\b([^\r\n]{0,500})|ENDSPLINE\b)", re.I | re.M)
+BLOCK = re.compile(r"^[ \t]*(?:((?:PTP_)?SPLINE)\b([^\r\n]{0,500})|ENDSPLINE\b)", re.I | re.M)
 BY_DATA = re.compile(rf"S(?:BASE|TOOL2?)[ \t]*\([ \t]*({NAME})(?:\.(?:BASE|TOOL)_NO)?[ \t]*\)", re.I)
 STANDING = re.compile(r"\$IPO_MODE\s{0,9}=\s{0,9}#TCP", re.I)
 TOOL_STANDS = "its tool stands still (#TCP)"
@@ -138,16 +138,17 @@ class KrlFrames:
 
     def _with(self, place: int) -> dict[str, Frame | str]:
         """Frames that a spline motion sets for itself by WITH, or the block that it stands in."""
-        said = ""
         k = bisect_right(self._blocks, place, key=re.Match.start) - 1
-        if k >= 0 and self._blocks[k][1]:
-            said = self._blocks[k][2]
+        block = self._blocks[k][2] if k >= 0 and self._blocks[k][1] else ""
         end = self._text.find("\n", place)
-        said += " " + self._text[place : end if end >= 0 else None].strip()
-        _, found, with_ = said.upper().partition(" WITH ")
-        if not found:
-            return {}
-        return {match[1].upper(): self._value(match[1].upper(), match[2]) for match in WITH.finditer(" " + with_)}
+        own = self._text[place : end if end >= 0 else None]
+        frames: dict[str, Frame | str] = {}
+        for said in (block, own):
+            _, _, with_ = f" {said.strip()}".upper().partition(" WITH ")
+            frames |= {
+                match[1].upper(): self._value(match[1].upper(), match[2]) for match in WITH.finditer(f" {with_}")
+            }
+        return frames
 
     def _one(self, which: str, force: InForce, place: int) -> Frame | str:
         known, value = force.at(place)

@@ -9,6 +9,7 @@ from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_at
 from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import ConfData
+from kilter_files.formats.programs.rapid_uses import changed, declared_again
 
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 UNUSED_AXIS = 8e9
@@ -26,8 +27,7 @@ OBJECT = re.compile(
     rf"\bwobjdata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*(TRUE|FALSE)\s*,[^,\[\]]{{0,80}},\s*\[\s*{POSE}\s*\]\s*,\s*\[\s*{POSE}\s*\]",
     re.I,
 )
-CHANGED = re.compile(r"^[ \t]*(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=", re.M)
-DISPLACED = re.compile(r"^[ \t]*(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I | re.M)
+DISPLACED = re.compile(r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I)
 CONFIGURATION_OFF = re.compile(r"\bConf([JL])\s*\\\s*Off\b", re.I)
 
 
@@ -56,7 +56,7 @@ class RapidFrames:
     def __init__(self, text: str, stated: Stated) -> None:
         """Read those that a program declares; ``text`` has its comments blanked."""
         self._stated = stated
-        changed = {match[1].lower() for match in CHANGED.finditer(text)}
+        set_anew = {match[1].lower() for match in changed(text)}
         self._tools: dict[str, Frame | str] = {}
         for match in TOOL.finditer(text):
             held = match[2].upper() == "TRUE"
@@ -66,10 +66,14 @@ class RapidFrames:
             fixed = match[2].upper() == "FALSE" and match[3].upper() == "TRUE"
             frames = (_frame(match, 4), _frame(match, 11))
             self._objects[match[1].lower()] = frames if fixed else f"work object {match[1]} moves"
-        for name in changed & self._tools.keys():
+        for name in set_anew & self._tools.keys():
             self._tools[name] = f"the program changes tool {name}"
-        for name in changed & self._objects.keys():
+        for name in set_anew & self._objects.keys():
             self._objects[name] = f"the program changes work object {name}"
+        for match in declared_again(text, self._tools.keys() | self._objects.keys()):
+            name, why = match[1].lower(), f"{match[1]} is declared several times"
+            self._tools |= {name: why} if name in self._tools else {}
+            self._objects |= {name: why} if name in self._objects else {}
 
     def tool(self, name: str) -> Frame | str:
         """Return a tool."""

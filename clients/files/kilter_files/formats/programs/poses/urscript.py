@@ -24,6 +24,8 @@ OPENS = frozenset(("if", "while", "def", "thread", "sec"))
 PARTS = frozenset(("def", "thread", "sec"))
 CHANGED = re.compile(r"^[ \t]*(\w{1,64})[ \t]*\[[^\]\n]{1,40}\][ \t]*=(?!=)", re.M)
 
+NAMED = re.compile(r"\w{1,16}\s?=(?!=)\s?")
+
 Places = Mapping[str, list[tuple[int, str]]]
 
 
@@ -48,7 +50,7 @@ class Poses:
         """The tools that the program sets, and the calls of subprograms that set another."""
         found: list[tuple[int, Frame | str]] = []
         for match in SET_TCP.finditer(text):
-            _, said = next(arguments(_inside(text, match.end())))
+            _, said = next(arguments(inside(text, match.end())))
             found.append((match.start(), self._frame(said)))
         if len({tool for _, tool in found}) > 1:
             heads = {match.start(): match for match in OWN.finditer(text)}
@@ -70,8 +72,8 @@ class Poses:
         call = CALL.match(self._text, match.start())
         if call is None:
             return False
-        said = [(call.end() + at, one) for at, one in arguments(_inside(self._text, call.end()))]
-        goals = [self._pose(at, one) for at, one in said[: 2 if call[1] == "movec" else 1]]
+        said = [(call.end() + at, one) for at, one in arguments(inside(self._text, call.end()))]
+        goals = [self._pose(*_unnamed(at, one)) for at, one in said[: 2 if call[1] == "movec" else 1]]
         if None in goals or not goals:
             return False
         for pose in goals:
@@ -99,7 +101,7 @@ class Poses:
     def _pose(self, at: int, said: str) -> PoseTarget | None:
         inverse = INVERSE.match(said)
         if inverse is not None:
-            inner = next(arguments(_inside(said, inverse.end())), (0, ""))
+            inner = next(arguments(inside(said, inverse.end())), (0, ""))
             at, said = at + inverse.end() + inner[0], inner[1]
         places = self._declared.get(said, []) or ([(at, said)] if said.startswith("p") else [])
         whole = [SIX.match(self._text, place) for place, _ in places]
@@ -137,8 +139,14 @@ def _parts(text: str) -> tuple[list[int], list[int]]:
     return starts, owners
 
 
-def _inside(text: str, at: int) -> str:
-    """The text from behind an opening bracket to the one that closes it."""
+def _unnamed(at: int, said: str) -> tuple[int, str]:
+    """An argument and its place without its name: ``pose=``."""
+    named = NAMED.match(said)
+    return (at + named.end(), said[named.end() :]) if named else (at, said)
+
+
+def inside(text: str, at: int) -> str:
+    """Return the text from behind an opening bracket to the one that closes it."""
     depth = 1
     for end in range(at, min(len(text), at + 2000)):
         depth += (text[end] in "([") - (text[end] in ")]")

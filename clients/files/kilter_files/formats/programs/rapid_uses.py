@@ -1,0 +1,79 @@
+"""RAPID: where a module uses a target otherwise than as the goal of a move, so that nothing is corrected in part unseen."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"
+DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*\{{[\d,*\s]*\}})?\s*(:=)?", re.I)
+ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=")
+WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
+OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
+FIRST = re.compile(r"[A-Za-z]\w*")
+ROUTINE = re.compile(r"\bPROC\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
+GIVES_BACK = re.compile(r"\b(?:INOUT|VAR|PERS)\b", re.I)
+LOOKED_BACK = 4000
+
+
+@dataclass(frozen=True)
+class Use:
+    """A use of a target: its place, and the instruction to which it is handed, empty where that only reads it."""
+
+    at: int
+    name: str
+    handed_to: str
+
+
+def changed(text: str) -> Iterator[re.Match[str]]:
+    """Yield the assignments of a module, its name as group 1; declarations and named arguments are not among them."""
+    declared = {match.start(1) for match in DECLARES.finditer(text)}
+    return (match for match in ASSIGNS.finditer(text) if match.start(1) not in declared)
+
+
+def declared_again(text: str, names: Collection[str]) -> Iterator[re.Match[str]]:
+    """Yield what declares one of these names (small letters) once more: in another routine, or as a parameter."""
+    seen: set[str] = set()
+    for match in DECLARES.finditer(text):
+        name = match[1].lower()
+        if name in names and (name in seen or match[2] is None):
+            yield match
+        seen |= {name}
+
+
+def is_assigned(text: str, at: int) -> bool:
+    """Say whether a place is inside an assignment: moves to what it sets are named where they are."""
+    start = _begin(text, at)
+    return ASSIGNS.search(text, start, at) is not None
+
+
+def other_uses(text: str, names: Collection[str], understood: Collection[int]) -> Iterator[Use]:
+    """Yield each use of a target by a statement that is not understood.
+
+    ``names`` are in small letters; ``understood`` are places at which a move is known to go to the target. Assignments and
+    components are left out: what is made of them is named where a move goes to it.
+    """
+    declared = {match.start(1) for match in DECLARES.finditer(text)}
+    by_value = {match[1].lower() for match in ROUTINE.finditer(text) if GIVES_BACK.search(match[2]) is None}
+    for match in WORD.finditer(text):
+        at = match.start()
+        if match[1].lower() in names and at not in understood and at not in declared:
+            if ASSIGNS.match(text, at) or is_assigned(text, at):
+                continue
+            before = text[_begin(text, at) : at]
+            bare = before[-1:] in ", \t\r\n" and before.count("(") == before.count(")")
+            yield Use(at, match[1], _instruction(before, by_value) if bare else "")
+
+
+def _begin(text: str, at: int) -> int:
+    """Where the statement of a place begins, with the words that open a block in front of it."""
+    first = max(0, at - LOOKED_BACK, text.rfind(";", 0, at) + 1)
+    return max((match.end() for match in OPENS.finditer(text, first, at)), default=first)
+
+
+def _instruction(before: str, by_value: Collection[str]) -> str:
+    """The instruction that may give a target back changed; empty where it is a routine that takes it by value."""
+    lines = [line for line in before.splitlines() if FIRST.search(line)]
+    found = FIRST.search(lines[-1]) if lines else None
+    return "" if found is None or found[0].lower() in by_value else found[0]
