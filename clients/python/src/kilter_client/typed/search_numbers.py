@@ -201,6 +201,8 @@ class GapSize(Record):
     """How rows were held out."""
     held_out_set_aside: int | None
     """Held-out visits that no model of the search predicts, set aside."""
+    lengths: str | None
+    """What lengths of this search are: `at_tool`, or `by_views`, beside the tool's rotation and as sure as those of a typical view (`moves_mm` is at the tool)."""
     noise_deg: float | None
     """Standard deviation of the noise, degrees of a joint."""
     noise_mm: float | None
