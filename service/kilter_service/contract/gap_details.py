@@ -225,7 +225,7 @@ class GapSize(Stored):
 
     lengths: Literal["at_tool", "by_views"] | None = Field(
         None,
-        description="What lengths of this search are: `at_tool`, or `by_views`, beside the tool's rotation and as sure as those of a typical view (`moves_mm` is at the tool).",
+        description="Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view.",
     )
     before_mm: Mm | None = Field(None, description="Before, on the rows fitted, mm.")
     after_mm: Mm | None = Field(None, description="After, on the rows fitted, mm.")

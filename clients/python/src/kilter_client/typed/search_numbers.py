@@ -202,7 +202,7 @@ class GapSize(Record):
     held_out_set_aside: int | None
     """Held-out visits that no model of the search predicts, set aside."""
     lengths: str | None
-    """What lengths of this search are: `at_tool`, or `by_views`, beside the tool's rotation and as sure as those of a typical view (`moves_mm` is at the tool)."""
+    """Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view."""
     noise_deg: float | None
     """Standard deviation of the noise, degrees of a joint."""
     noise_mm: float | None
