@@ -224,8 +224,7 @@ class GapSize(Stored):
     """The gap before and after, as rms of the 3-D error, beside the noise. Joint data have the `_deg` fields."""
 
     lengths: Literal["at_tool", "by_views"] | None = Field(
-        None,
-        description="Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view.",
+        None, description="Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view."
     )
     before_mm: Mm | None = Field(None, description="Before, on the rows fitted, mm.")
     after_mm: Mm | None = Field(None, description="After, on the rows fitted, mm.")

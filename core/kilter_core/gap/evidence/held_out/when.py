@@ -36,7 +36,7 @@ OF_THE_ARM = "It is the arm's from there on: a correction takes the last."
 class When:
     """Rows of the file, from 1: the last ``before`` an event and the first ``after`` it; first and last that may be its first.
 
-    ``moved_mm`` is the rms displacement of the tool by it, ``u95_mm`` half of its 95 % interval; ``turn`` how far the
+    ``moved_mm`` is the rms displacement of the tool by it, ``u95_mm`` half of its 95 % interval; ``rotated`` how far the
     frame that moved rotated.
     """
 
@@ -47,18 +47,18 @@ class When:
     high: int
     moved_mm: float
     u95_mm: float
-    turn: Turn | None
+    rotated: Rotated | None
 
 
 @dataclass(frozen=True)
-class Turn:
+class Rotated:
     """How far a frame rotated, with half of its 95 % interval; None where the rows show no rotation of it."""
 
     rotated_deg: float | None = None
     u95_deg: float | None = None
 
     @staticmethod
-    def of(found: SearchResult, k: int) -> Turn | None:
+    def of(found: SearchResult, k: int) -> Rotated | None:
         """What the amounts of a chosen candidate say; None of one that moves no frame."""
         candidate, source = found.selector.scorer.candidates[k], found.problem.settings.source
         if candidate.joints is not None:
@@ -68,10 +68,10 @@ class Turn:
         amounts = amounts_of(found)
         size = float(np.linalg.norm(amounts.values[places]))
         if size == 0.0:
-            return Turn()
+            return Rotated()
         slope = amounts.values[places] / size
         half = QUANTILE * float(np.sqrt(slope @ amounts.covariance[np.ix_(places, places)] @ slope))
-        return Turn(float(degrees(size)), float(degrees(half)))
+        return Rotated(float(degrees(size)), float(degrees(half)))
 
     @property
     def words(self) -> str:
@@ -99,8 +99,8 @@ def events(found: SearchResult, every: Observations, moves_mm: dict[int, float])
         row, share = course.order + 1, float(profile.course.place(candidates[k].effects[0])) / len(own)
         less = 1.0 / np.sqrt(max(share, 1.0 / len(own)))  # only rows before it are moved by it
         far, half = moves_mm[k] * less, moves_u95_mm(found, k) * less
-        turn = Turn.of(found, k)
-        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far, half, turn))
+        rotated = Rotated.of(found, k)
+        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far, half, rotated))
     return tuple(out)
 
 
@@ -168,17 +168,17 @@ def event_warnings(
         verb = "may have moved" if when.place in likely_only else "moved"
         joint = f"The zero of joint {(candidate.joints or (0,))[0] + 1}"
         who = (SEEN if by_views else CALLED).get(candidate.id, joint)
-        remedy = OF_THE_ARM if when.turn is None else RENAME if by_views else REMEDIES[candidate.id]
+        remedy = OF_THE_ARM if when.rotated is None else RENAME if by_views else REMEDIES[candidate.id]
         sure = (
             ""
             if when.low == when.high == when.after
             else f" (95 %: the first row after it is {when.low} to {when.high})"
         )
-        turn = when.turn
+        rotated = when.rotated
         yield {
             "code": "moved_once", "row": when.after, "moved_mm": when.moved_mm, "u95_mm": when.u95_mm,
-            "rotated_deg": turn and turn.rotated_deg, "u95_deg": turn and turn.u95_deg,
+            "rotated_deg": rotated and rotated.rotated_deg, "u95_deg": rotated and rotated.u95_deg,
             "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.3g} mm "
-            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if turn is None else turn.words}, as the "
+            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if rotated is None else rotated.words}, as the "
             f"version stores it. {remedy}",
         }  # fmt: skip
