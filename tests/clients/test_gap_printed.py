@@ -15,7 +15,7 @@ from kilter_service.contract.jobs.gap import GapOptions, GapResult
 from kilter_service.page.gap.claim import claim_of
 from kilter_service.page.gap.tested import candidates, untestable
 
-GAP = {"before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
+GAP = {"lengths": "at_tool", "before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
 WALK = {"id": "random_walk", "joints": None, "verdict": "provisional", "gain_mm": -0.006, "p_value": 1e-9}
 UNTESTABLE = [
     {"id": "drift", "joints": None, "reason": "no t", "remedy": "revisit a pose", "missing": "columns: t_s"},
@@ -67,6 +67,21 @@ def test_the_library_prints_lengths_in_space_beside_lengths_in_space() -> None:
     said = Search()._line()
     assert "0.235 mm -> 0.0505 mm (noise alone: 0.0527 mm)" in said
     assert "0.0304" not in said
+
+
+def test_lengths_by_views_are_said_to_be_beside_how_far_the_tool_moves(capsys: pytest.CaptureFixture[str]) -> None:
+    by_views, moving = GAP | {"lengths": "by_views"}, WALK | {"gain_mm": 1.57, "moves_mm": 0.158}
+
+    class Search(ShownSearch):
+        verdict, sentence, gap, effects = "closed", None, SimpleNamespace(**by_views), ()
+
+    assert "0.235 mm by views -> 0.0505 mm by views" in Search()._line()
+    out = printed(capsys, gap=by_views, effects=[moving])
+    assert "gain mm by views   moves mm" in out
+    assert "1.57               0.158" in out
+    assert "rms mm by views" in out
+    assert "moves are at the tool" in out
+    assert "by views" not in printed(capsys, effects=[moving])
 
 
 def test_what_revisits_say_is_told_beside_the_effect_that_they_bear_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -277,3 +277,7 @@ def test_a_search_by_views_becomes_a_version(client: httpx.Client, worker: Any, 
     metrics = client.get(f"/v1/versions/{found['result']['version_id']}").json()["metrics"]
     assert (metrics["train"]["n"], metrics["validation"]["n"]) == (30, 10)
     assert metrics["validation"]["identified"]["mean_mm"] < 0.2 * metrics["validation"]["registration_only"]["mean_mm"]
+    assert found["result"]["gap"]["lengths"] == "by_views"
+    shown = client.get(f"/jobs/{job}", headers={"accept": "text/html"}).text
+    assert "mm by views</div>" in shown
+    assert "how far an effect moves the tool is in mm at the tool" in shown

@@ -232,6 +232,7 @@ class _Run:
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if j.verdict == "provisional" or j.claim.followed},
+                    self.by_views is not None,
                 ),
             ),
             figures=figures(found, rows, gap, held), effect_curves=effect_curves(found, effects),

@@ -1,7 +1,7 @@
 """Hand-eye calibration from flange poses alone: no joint angles, so nothing of the arm is fitted.
 
-AX = ZB in closed form is the start, then all pixels are fitted at once, the flange poses taken as exact: what an arm is off
-by stays in the result, and in what views scatter by.
+AX = ZB in closed form is the start, then all pixels are fitted at once. What the flange is off by is told by how views scatter
+beyond their corners, and views count as far as an arm that is off so much lets them.
 """
 
 from __future__ import annotations
@@ -11,20 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.measurement.camera.pixels import ToolErrors
-from kilter_core.measurement.camera.rig_fit import fit_rig, placed_by
+from kilter_core.measurement.camera.rig_fit import fit_rig, fit_rig_of_arm, placed_by
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.measurement.camera.views import Views, sight_and_slopes
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
 
+ROUNDS = 4  # of finding what the arm is off by and fitting again
+
 
 @dataclass(frozen=True)
 class HandEyeCalibration:
     """Cameras and boards where they fit: fixed ones in the robot's base, the others on the flange.
 
-    ``closed_form`` is the start; ``covariance`` is that of the unknowns, ``left_px (N,)`` the rms of each view, and
-    ``scatter`` says how far the flange is from where views have it, their noise taken off.
+    ``closed_form`` is the start; ``covariance`` is that of the unknowns by noisy corners and an arm that is off by another
+    amount in each view, ``left_px (N,)`` the rms of each view, and ``scatter`` says how far the flange is from where views
+    have it, their noise taken off.
     """
 
     rig: PlacedRig
@@ -55,9 +58,18 @@ def hand_eye(
     views = Views(first if camera is None else camera, first if board is None else board, position, rotation)
     start = placed_by(rig, views, pixels)
     fitted = fit_rig(start, views, pixels, sigma)
-    seen, slopes = sight_and_slopes(fitted.rig, views, pixels.shape[1])
-    r = pixels - seen
+    used = float(6 * (len(rig.cameras) + len(rig.boards)))
+    r, scatter = _left(fitted.rig, views, pixels, used)
+    for _ in range(ROUNDS):
+        fitted = fit_rig_of_arm(fitted, views, pixels, (scatter.place, scatter.turn), scatter.sigma_px)
+        r, scatter = _left(fitted.rig, views, pixels, used)
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sqrt(np.nansum(r**2, axis=(1, 2)) / np.sum(~np.isnan(r), axis=(1, 2)))
-    scatter = ToolErrors.of(r, slopes.by_tool).scatter(float(6 * (len(rig.cameras) + len(rig.boards))))
     return HandEyeCalibration(fitted.rig, start, fitted.covariance, np.asarray(left), scatter)
+
+
+def _left(rig: PlacedRig, views: Views, pixels: Floats, used: float) -> tuple[Floats, ViewScatter]:
+    """What is left of pixels (N, M, 2), and how far the flange is off by it."""
+    seen, slopes = sight_and_slopes(rig, views, pixels.shape[1])
+    r = pixels - seen
+    return r, ToolErrors.of(r, slopes.by_tool).scatter(used)

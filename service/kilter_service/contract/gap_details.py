@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import ConfigDict, Field
 
 from kilter_service.contract.fits import UNIT
@@ -221,6 +223,9 @@ class GapStep(Stored):
 class GapSize(Stored):
     """The gap before and after, as rms of the 3-D error, beside the noise. Joint data have the `_deg` fields."""
 
+    lengths: Literal["at_tool", "by_views"] | None = Field(
+        None, description="Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view."
+    )
     before_mm: Mm | None = Field(None, description="Before, on the rows fitted, mm.")
     after_mm: Mm | None = Field(None, description="After, on the rows fitted, mm.")
     noise_mm: Mm | None = Field(None, description="Standard deviation of one coordinate of the noise, mm.")

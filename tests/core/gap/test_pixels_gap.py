@@ -20,7 +20,7 @@ from kilter_core.observations import Observations
 from tests.core.pixel_scene import Floats, Scene, eye_in_hand, eye_to_hand
 
 STIFF = np.zeros(6)
-LOOKED_FOR = ("axial_compliance", "base_step", "tool_step", "backlash", "eccentricity")
+LOOKED_FOR = ("axial_compliance", "base_step", "tool_step", "zero_step", "backlash", "eccentricity")
 
 
 def direction(q: Floats) -> Floats:
@@ -131,3 +131,25 @@ def test_a_camera_bumped_half_way_is_found_and_not_averaged() -> None:
     report = search(scene, rows)
     assert report.effects[0].evidence.candidate.label == "base_step"
     assert report.effects[0].verdict in ("confirmed", "class_confirmed", "provisional")
+
+
+@pytest.mark.parametrize("scene", [eye_in_hand(yielding=STIFF), eye_to_hand(yielding=STIFF)], ids=["camera", "board"])
+def test_what_was_bumped_on_the_flange_is_one_name_with_its_shift_and_its_rotation(scene: Scene) -> None:
+    """As a shift alone it left a rotation, for which the search named backlash and zeros that jumped."""
+    rng = np.random.default_rng(6)
+    q, bump = scene.poses(60, rng), pin.SE3(pin.exp3(np.array([0.003, -0.002, 0.004])), np.array([0.003, 0.0, 0.0]))
+    (eye,), (sheet,) = scene.eyes, scene.sheets
+    part = eye if eye.mount == "flange" else sheet
+    moved = replace(part, pose=part.pose * bump)
+    bumped = replace(scene, eyes=(moved,)) if part is eye else replace(scene, sheets=(moved,))
+    halves = [scene.observed(q[:33], rng, 0.1), bumped.observed(q[33:], rng, 0.1)]
+    rows = Observations.concatenate([replace(one, pose_id=None) for one in halves])
+    report = search(scene, replace(rows, direction=direction(rows.q)))
+    assert [one.evidence.candidate.label for one in report.effects] == ["tool_step"]
+    (warning,) = [one for one in report.warnings if one["code"] == "moved_once"]
+    change = part.pose * bump * part.pose.inverse()
+    assert warning["row"] == 34
+    assert abs(warning["moved_mm"] - 1e3 * np.linalg.norm(change.translation)) < 2.0 * warning["u95_mm"] < 0.1
+    turn = np.degrees(np.linalg.norm([0.003, -0.002, 0.004]))
+    assert abs(warning["rotated_deg"] - turn) < 2.0 * warning["u95_deg"] < 0.05
+    assert warning["message"].startswith("The tool, or the camera or board on the flange ")

@@ -21,6 +21,7 @@ STEPS = 40
 SETTLED = 1e-8  # prior sigmas
 ROUNDING = 1e-13  # share of the loss below which what a step gains cannot be told
 WRONG_SIGMAS = 3.0  # of the median residual: beyond, a corner counts as Huber has it
+SMALLEST_OFF = (1e-7, 1e-7)  # m and rad that the tool of a view is off by
 SMALLEST_PX = 1e-3
 
 
@@ -139,6 +140,47 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
     return FittedRig(rig.at(values).settled(), covariance, float(width))
+
+
+def fit_rig_of_arm(
+    found: FittedRig, views: Views, pixels: Floats, off: tuple[float, float], sigma_px: float
+) -> FittedRig:
+    """Fit again where the tool of each view is ``off`` by m and rad of a coordinate, and a corner by ``sigma_px``.
+
+    All corners of a view share what its tool is off by, so together they count no more than the arm is known: pixels alone
+    would take a shift of the camera with a rotation that undoes it in the picture for as certain as corners are.
+    """
+    rig, known = found.rig, np.repeat(np.maximum(off, SMALLEST_OFF), 3) ** -2.0
+    prior = np.array([p.prior_sigma for p in rig.parameters])
+    mean = np.array([p.value for p in rig.parameters])
+    told, values = ~np.isnan(pixels), rig.values
+    for _ in range(STEPS):
+        seen, slopes = sight_and_slopes(rig.at(values), views, pixels.shape[1])
+        told = told & ~np.isnan(seen)
+        span, inner = slopes.spanned()
+        A = (span * told[..., None]).reshape(len(span), -1, span.shape[3])
+        r = np.where(told, pixels - seen, 0.0).reshape(len(span), -1, 1)
+        root = np.where(told, 1.0 / sigma_px, 0.0).reshape(r.shape)
+        root *= _root((r - _shared(A, r, root, known)) / sigma_px)
+        B, s = root * A, root * r
+        tool = B[..., :6]
+        rest = np.linalg.inv(np.diag(known) + tool.transpose(0, 2, 1) @ tool) @ tool.transpose(0, 2, 1)
+        inner = inner * prior
+        J, s = B - tool @ (rest @ B), s - tool @ (rest @ s)
+        H = np.einsum("nik,nij,njl->kl", inner, B.transpose(0, 2, 1) @ J, inner) + np.eye(len(prior))
+        g = np.einsum("nik,nij->k", inner, B.transpose(0, 2, 1) @ s) - (values - mean) / prior
+        move = np.linalg.solve(H, g)
+        values = values + move * prior
+        if float(np.max(np.abs(move), initial=0.0)) < SETTLED:
+            break
+    covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
+    return FittedRig(rig.at(values).settled(), covariance, sigma_px)
+
+
+def _shared(A: Floats, r: Floats, root: Floats, known: Floats) -> Floats:
+    """What of residuals (N, R, 1) px a motion of the tool explains, whose six numbers are ``known (6,)`` that well."""
+    tool, weighed = A[..., :6], (root**2 * A[..., :6]).transpose(0, 2, 1)
+    return np.asarray(tool @ np.linalg.solve(np.diag(known) + weighed @ tool, weighed @ r))
 
 
 def _equations(

@@ -108,11 +108,12 @@ class Claim:
         return [test.name for test in self.tests if not test.passed]
 
 
-def claim_of(effect: NamedEffect) -> Claim:
-    """Say how sure an effect is."""
+def claim_of(effect: NamedEffect, unit: str = "mm") -> Claim:
+    """Say how sure an effect is; ``unit`` is that of the search's lengths."""
     level = effect.verdict or "provisional"
     higher = list(effect.to_confirm or []) or [RAISED[level]] if level in RAISED else list(effect.to_confirm or [])
-    return Claim(claimed(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, list(_remarks(effect)))
+    remarks = list(_remarks(effect, unit))
+    return Claim(claimed(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, remarks)
 
 
 def _tests(effect: NamedEffect) -> Iterator[Test]:
@@ -123,7 +124,7 @@ def _tests(effect: NamedEffect) -> Iterator[Test]:
             yield Test(words, bool(gates[name]), say(evidence))
 
 
-def _remarks(effect: NamedEffect) -> Iterator[str]:
+def _remarks(effect: NamedEffect, unit: str) -> Iterator[str]:
     unseen = sorted(set(effect.joints or []) - set(effect.seen_joints or effect.joints or []))
     if unseen:
         yield f"Not seen at joint {', '.join(map(str, unseen))}: zero is within the interval there."
@@ -137,9 +138,9 @@ def _remarks(effect: NamedEffect) -> Iterator[str]:
     if effect.empirical:
         yield "It is a shape without a cause: never take it for physics."
     if effect.halves is not None:
-        yield _halves(effect.halves, effect.joints or [])
+        yield _halves(effect.halves, effect.joints or [], unit)
     if effect.replication is not None:
-        yield _replication(effect.replication)
+        yield _replication(effect.replication, unit)
 
 
 def _class(effect: NamedEffect) -> Iterator[str]:
@@ -157,13 +158,14 @@ def _class(effect: NamedEffect) -> Iterator[str]:
         yield f"A name inside the class needs {joined_by_and(lacking)}."
 
 
-def _halves(told: Halves, joints: Sequence[int]) -> str:
+def _halves(told: Halves, joints: Sequence[int], unit: str) -> str:
     """What the halves of the campaign say, with both errors, and at which of several joints they agree."""
     named = sum(told.named or [])
     both = (
         ""
         if told.with_mm is None
-        else f", and predicts the other with {number(told.with_mm, 3)} mm (without it {number(told.without_mm, 3)} mm)"
+        else f", and predicts the other with {number(told.with_mm, 3)} {unit} (without it "
+        f"{number(told.without_mm, 3)} {unit})"
     )
     where = ""
     if told.joints is not None and len(joints) > 1:
@@ -176,12 +178,12 @@ def _halves(told: Halves, joints: Sequence[int]) -> str:
     )
 
 
-def _replication(told: Replication) -> str:
+def _replication(told: Replication, unit: str) -> str:
     apart = "" if told.apart_sigma is None else f" ({number(told.apart_sigma, 2)} standard deviations apart)"
     said = OUTCOMES.get(told.outcome or "", "").removesuffix(".")
     both = (
         ""
         if told.with_mm is None
-        else f" {number(told.with_mm, 3)} mm with it, {number(told.without_mm, 3)} mm without it."
+        else f" {number(told.with_mm, 3)} {unit} with it, {number(told.without_mm, 3)} {unit} without it."
     )
     return f"In the confirmation: {said[:1].lower()}{said[1:]}{apart}. {told.reason or ''}".rstrip() + both

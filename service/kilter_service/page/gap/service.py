@@ -69,7 +69,7 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "steps_said": "" if read is None else steps.describe(read),
         "rivals": rivals.rivals(result),
         "alias_map": rivals.heat_map(result.alias_matrix),
-        "claims": [claim.claim_of(effect) for effect in result.effects or []],
+        "claims": [claim.claim_of(effect, unit) for effect in result.effects or []],
         "levels": claim.LEVELS,
         "newer": newer(database, job),
     }
@@ -81,7 +81,7 @@ def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:
         return dict.fromkeys(("before", "after", "noise"))
     values = gap.model_dump()
     names = {"before": "validation_before", "after": "validation_after", "noise": "validation_noise_rms"}
-    return {name: values[f"{field}_{unit}"] for name, field in names.items()}
+    return {name: values[f"{field}_{unit.split()[0]}"] for name, field in names.items()}
 
 
 def used_by(job: GapJob) -> list[str]:

@@ -35,7 +35,9 @@ class Steps:
 
 
 def unit_of(gap: GapSize | None) -> str:
-    """Return the unit of the errors: joint data have degrees."""
+    """Return the unit of the errors: joint data have degrees, and views lengths of their own."""
+    if gap is not None and gap.lengths == "by_views":
+        return "mm by views"
     return "deg" if gap is not None and gap.before_deg is not None else "mm"
 
 

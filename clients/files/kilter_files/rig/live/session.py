@@ -113,10 +113,10 @@ class Session:
         return moved is None or moved > ANOTHER_PX
 
     def _take(self, shot: Shot, views: list[View]) -> None:
-        self.asked = False
+        asked, self.asked = self.asked, False
         assert shot.grey is not None
         try:
-            self.message = self.taken.add(shot, views)
+            self.message = self.taken.add(shot, views, elsewhere=not asked)
         except FileError as error:
             self.message = str(error)
             return

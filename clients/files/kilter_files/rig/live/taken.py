@@ -25,25 +25,31 @@ class Taken:
     joints: Path | None = None
     last: list[View] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
+    noted: dict[str, str] | None = None
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def add(self, shot: Shot, views: list[View]) -> str:
-        """Keep a picture and its joints, and say so.
+    def add(self, shot: Shot, views: list[View], elsewhere: bool) -> str:
+        """Keep a picture and its joints, and say so; ``elsewhere`` says that the board has moved since the last view.
 
         Raises:
-            FileError: joints that cannot be read, or a folder that cannot be written to.
+            FileError: joints that cannot be read or are those of the last view, or a folder that cannot be written to.
 
         """
         row = None if self.joints is None else read_row(self.joints)
+        if elsewhere and row is not None and row == self.noted:
+            raise FileError(
+                f"{self.joints}: has the joints of {self.names[-1]}, and the board has moved since: the view was not taken. "
+                "Let your controller keep the file current."
+            )
         name = shot.name
         if self.folder is not None:
             name = self._written(shot)
             if row is not None:
                 self._append({PICTURE: name} | row)
         self.names.append(name)
-        self.last = views
+        self.last, self.noted = views, row
         return f"took {name}" + ("" if row is None else " with its joints")
 
     def _written(self, shot: Shot) -> str:

@@ -38,8 +38,12 @@ class Markers:
 
 @dataclass
 class Finder:
-    """Looks for markers and for a board's chessboard corners; what OpenCV needs is built once."""
+    """Looks for markers and for a board's chessboard corners; what OpenCV needs is built once.
 
+    ``instead`` is the dictionary that was last seen in place of the board's, which the next picture is likely to show too.
+    """
+
+    instead: str | None = None
     _detectors: dict[Wanted, Any] = field(default_factory=dict)
     _boards: dict[tuple[Board, bool], Any] = field(default_factory=dict)
 

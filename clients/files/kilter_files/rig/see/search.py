@@ -43,10 +43,11 @@ def _from(markers: Markers, target: Target) -> Markers:
 
 def _nothing(finder: Finder, grey: Grey, target: Target, picture: str) -> Refusal:
     name = target.board.dictionary
-    if len(finder.markers(np.ascontiguousarray(grey[:, ::-1]), name).numbers) >= LEAST_MARKERS:
+    other = None if finder.instead is None else other_dictionary(finder, grey, name, finder.instead)
+    if other is None and len(finder.markers(np.ascontiguousarray(grey[:, ::-1]), name).numbers) >= LEAST_MARKERS:
         what = f"markers of {target.name} are seen in the picture's mirror image"
         return Refusal(picture, "print_mirrored", what, board=target.name)
-    if other := other_dictionary(finder, grey, name):
+    if other := other or other_dictionary(finder, grey, name):
         what = f"markers of {other} are seen, and {target.name} has {name}"
         return Refusal(picture, "dictionary_differs", what, board=target.name)
     if (wide := edge_px(grey)) > WIDE_PX:
@@ -81,15 +82,16 @@ def _legacy(target: Target) -> str:
     return f"its upper left square is {corner} (legacy_pattern {str(not target.legacy).lower()})"
 
 
-def other_dictionary(finder: Finder, grey: Grey, own: str) -> str | None:
-    """Return the smallest dictionary whose markers are seen, or None."""
+def other_dictionary(finder: Finder, grey: Grey, own: str, among: str | None = None) -> str | None:
+    """Return the smallest dictionary whose markers are seen, or None; ``among`` those of one family, or of all."""
     family = family_of(own)
-    for start in SURE:
+    for start in SURE if among is None else (among,):
         for name in (n for n in DICTIONARIES if n.startswith(start) and n.endswith(("1000", "h5", "h9", "h10", "h11"))):
             if start == family:
                 continue
             seen = finder.markers(grey, name).numbers
             if len(set(seen)) >= LEAST_MARKERS:
+                finder.instead = start
                 fits = [n for n, (_, held) in DICTIONARIES.items() if n.startswith(start) and max(seen) < held]
                 return fits[0]
     return None

@@ -90,14 +90,20 @@ class ShownSearch(Shown, Asking):
     def _line(self) -> str:
         named = ", ".join(f"{one.id} ({one.verdict})" for one in self.effects) or "no effect named"
         size = self.gap
-        shrank = "" if size is None else f": {number(size.before_mm, 3)} mm -> {number(size.after_mm, 3)} mm"
-        noise = "" if size is None else f" (noise alone: {number(size.noise_rms_mm, 3)} mm)"
+        unit = f"mm{self._by_views}"
+        shrank = "" if size is None else f": {number(size.before_mm, 3)} {unit} -> {number(size.after_mm, 3)} {unit}"
+        noise = "" if size is None else f" (noise alone: {number(size.noise_rms_mm, 3)} {unit})"
         return f"gap {self.verdict}{shrank}{noise}; {named}"
+
+    @property
+    def _by_views(self) -> str:
+        """What lengths of the search are, where they are not at the tool."""
+        return " by views" if self.gap is not None and self.gap.lengths == "by_views" else ""
 
     def _tables(self) -> Iterator[str]:
         if self.sentence:
             yield f"<p>{escape(self.sentence)}</p>"
-        head = ("effect", "joints", "verdict", "gain mm", "p")
+        head = ("effect", "joints", "verdict", f"gain mm{self._by_views}", "moves mm", "p")
         yield html_table(head, [_effect(one) for one in self.effects], "effects")
 
 
@@ -105,7 +111,7 @@ def _effect(one: Any) -> tuple[str, ...]:
     joints = ", ".join(map(str, one.joints))
     gain = number(one.gain_mm, 3)
     weighed = " (a gain of weighed errors only)" if one.gain_mm is not None and one.gain_mm < 0.0 else ""
-    return one.id, joints, str(one.verdict), gain + weighed, number(one.p_value, 2)
+    return one.id, joints, str(one.verdict), gain + weighed, number(one.moves_mm, 3), number(one.p_value, 2)
 
 
 class ShownEvaluation(Shown):

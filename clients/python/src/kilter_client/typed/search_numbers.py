@@ -201,6 +201,8 @@ class GapSize(Record):
     """How rows were held out."""
     held_out_set_aside: int | None
     """Held-out visits that no model of the search predicts, set aside."""
+    lengths: str | None
+    """Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view."""
     noise_deg: float | None
     """Standard deviation of the noise, degrees of a joint."""
     noise_mm: float | None

@@ -301,7 +301,8 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
 
     ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
     ``validation_noise_rms_mm`` are what the noise alone would give for before and after: lengths in space.
-    ``validation_after_all_mm`` counts the held-out rows that were set aside too; it is there where some were.
+    ``validation_after_all_mm`` counts the held-out rows that were set aside too; it is there where some were. By views
+    (``lengths``) all of them are beside the rotation of the tool, as sure as those of a typical view.
     """
     problem = search.problem
     size = problem.settings.whitener.shape[-1]
@@ -327,6 +328,7 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
         numbers["validation_after_all"] = source.rms(held.every @ held.lower.T)
     unit, scale = reported("rad" if joint else "m")
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
+    out["lengths"] = None if joint else "at_tool" if source.observations.pose_weight is None else "by_views"
     if joint:
         out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
     steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in search.steps]

@@ -9,25 +9,35 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
+from kilter_core.gap.evidence.fits.final_fit import amounts_of
 from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
 from kilter_core.gap.evidence.held_out.practical_size import moves_u95_mm
 from kilter_core.gap.search.events import Course, key_of, likely, moved, profiles
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.observations import Observations
-from kilter_core.types import Floats
+from kilter_core.parameters import degrees
+from kilter_core.types import QUANTILE, Floats
 
 CALLED = {"base_step": "The station (base or instrument)", "tool_step": "The tool, its marker or its nest"}
-REMEDY = (
-    "Give the rows from there on a session of their own: with --refit base every session has a base of its own, and "
-    "session_shift a tool point of its own. A zero that jumped is the arm's from there on: a correction takes the last."
-)
+SEEN = {
+    "base_step": "The base, or the camera or board in the room",
+    "tool_step": "The tool, or the camera or board on the flange",
+}
+SESSION = "Give the rows from there on a session of their own: "
+REMEDIES = {
+    "base_step": f"{SESSION}with --refit base every session has a base of its own.",
+    "tool_step": f"{SESSION}with --refit tool every session has a tool of its own.",
+}
+RENAME = "Give that camera or board another name from there on: each place is then fitted by itself."
+OF_THE_ARM = "It is the arm's from there on: a correction takes the last."
 
 
 @dataclass(frozen=True)
 class When:
     """Rows of the file, from 1: the last ``before`` an event and the first ``after`` it; first and last that may be its first.
 
-    ``moved_mm`` is the rms displacement of the tool by it, ``u95_mm`` half of its 95 % interval.
+    ``moved_mm`` is the rms displacement of the tool by it, ``u95_mm`` half of its 95 % interval; ``rotated`` how far the
+    frame that moved rotated.
     """
 
     place: int
@@ -37,6 +47,38 @@ class When:
     high: int
     moved_mm: float
     u95_mm: float
+    rotated: Rotated | None
+
+
+@dataclass(frozen=True)
+class Rotated:
+    """How far a frame rotated, with half of its 95 % interval; None where the rows show no rotation of it."""
+
+    rotated_deg: float | None = None
+    u95_deg: float | None = None
+
+    @staticmethod
+    def of(found: SearchResult, k: int) -> Rotated | None:
+        """What the amounts of a chosen candidate say; None of one that moves no frame."""
+        candidate, source = found.selector.scorer.candidates[k], found.problem.settings.source
+        if candidate.joints is not None:
+            return None
+        library = source.model.parameters[len(source.model.parameters) - source.n_library :]
+        places = [found.columns.index(column) for column in candidate.columns if library[column].unit == "rad"]
+        amounts = amounts_of(found)
+        size = float(np.linalg.norm(amounts.values[places]))
+        if size == 0.0:
+            return Rotated()
+        slope = amounts.values[places] / size
+        half = QUANTILE * float(np.sqrt(slope @ amounts.covariance[np.ix_(places, places)] @ slope))
+        return Rotated(float(degrees(size)), float(degrees(half)))
+
+    @property
+    def words(self) -> str:
+        """What a sentence about the event says of it after how far the tool moved."""
+        if self.rotated_deg is None:
+            return " (one point of it was measured, which shows no rotation)"
+        return f" and {self.rotated_deg:.2g} deg (within {self.u95_deg:.1g} deg)"
 
 
 def events(found: SearchResult, every: Observations, moves_mm: dict[int, float]) -> tuple[When, ...]:
@@ -57,7 +99,8 @@ def events(found: SearchResult, every: Observations, moves_mm: dict[int, float])
         row, share = course.order + 1, float(profile.course.place(candidates[k].effects[0])) / len(own)
         less = 1.0 / np.sqrt(max(share, 1.0 / len(own)))  # only rows before it are moved by it
         far, half = moves_mm[k] * less, moves_u95_mm(found, k) * less
-        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far, half))
+        rotated = Rotated.of(found, k)
+        out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far, half, rotated))
     return tuple(out)
 
 
@@ -117,20 +160,25 @@ def _size(found: SearchResult, rows: Observations) -> float:
 
 
 def event_warnings(
-    found: SearchResult, whens: tuple[When, ...], likely_only: Collection[int]
+    found: SearchResult, whens: tuple[When, ...], likely_only: Collection[int], by_views: bool
 ) -> Iterator[dict[str, Any]]:
     """Say when what happened, and what to do about it; those that are ``likely_only`` may have."""
     for when in whens:
         candidate = found.selector.scorer.candidates[when.place]
         verb = "may have moved" if when.place in likely_only else "moved"
-        who = CALLED.get(candidate.id) or f"The zero of joint {(candidate.joints or (0,))[0] + 1}"
+        joint = f"The zero of joint {(candidate.joints or (0,))[0] + 1}"
+        who = (SEEN if by_views else CALLED).get(candidate.id, joint)
+        remedy = OF_THE_ARM if when.rotated is None else RENAME if by_views else REMEDIES[candidate.id]
         sure = (
             ""
             if when.low == when.high == when.after
             else f" (95 %: the first row after it is {when.low} to {when.high})"
         )
+        rotated = when.rotated
         yield {
-            "code": "moved_once", "row": when.after,
-            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.2g} mm "
-            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average, as the version stores it. {REMEDY}",
+            "code": "moved_once", "row": when.after, "moved_mm": when.moved_mm, "u95_mm": when.u95_mm,
+            "rotated_deg": rotated and rotated.rotated_deg, "u95_deg": rotated and rotated.u95_deg,
+            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.3g} mm "
+            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if rotated is None else rotated.words}, as the "
+            f"version stores it. {remedy}",
         }  # fmt: skip

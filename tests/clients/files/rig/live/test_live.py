@@ -106,6 +106,8 @@ def test_the_command_ends_by_itself_and_what_it_wrote_is_read_by_see(
         k, sent = 0, 0
         while True:
             there = len(list(out.glob("view*.png"))) if out.exists() else 0
+            if there > k:
+                now.write_text("q1_deg,q2_deg\n12,23.5\n")
             k, sent = (there, 0) if there > k else (k, sent + 1)
             yield jpeg(picture(k))
 
@@ -118,7 +120,7 @@ def test_the_command_ends_by_itself_and_what_it_wrote_is_read_by_see(
     assert json.loads(told.err.splitlines()[0]) == {"address": document["address"]}
     assert document["views"] == ["view0001.png", "view0002.png"]
     rows = list(csv.DictReader((out / "joints.csv").read_text().splitlines()))
-    assert [(row["picture"], row["q2_deg"]) for row in rows] == [("view0001.png", "21.5"), ("view0002.png", "21.5")]
+    assert [(row["picture"], row["q2_deg"]) for row in rows] == [("view0001.png", "21.5"), ("view0002.png", "23.5")]
     views = tmp_path / "views.csv"
     assert run(["see", str(out), "--board", BOARD, "--joints", str(out / "joints.csv"), "-o", str(views)]) == 0
     assert len(views.read_text().splitlines()) == 3
@@ -141,6 +143,23 @@ def test_joints_that_cannot_be_read_take_no_view(tmp_path: Path) -> None:
         now.write_text(text)
         with pytest.raises(FileError, match=said):
             read_row(now)
+
+
+def test_joints_that_stay_while_the_board_moves_take_no_view(tmp_path: Path) -> None:
+    """A file that nobody keeps current gave every picture the joints of the first."""
+    now = tmp_path / "now.csv"
+    now.write_text("q1_deg\n12\n")
+    live = session(tmp_path / "out", now)
+    for k in range(6):
+        live.look(Shot("a", 0.4 * k, picture(0, 25.0 * (k > 2))))
+    assert "has the joints of view0001.png, and the board has moved since" in live.state["message"]
+    assert live.state["taken"] == 1
+    now.write_text("q1_deg\n13\n")
+    live.look(Shot("a", 2.4, picture(0, 25.0)))
+    assert live.state["message"] == "took view0002.png with its joints"
+    live.take_next()
+    live.look(Shot("a", 2.5, picture(0, 25.0)))  # the same pose once more, as asked for
+    assert live.state["taken"] == 3
 
 
 def test_what_is_no_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,9 +12,11 @@ import pytest
 from PIL import ImageFile
 
 from kilter_files.ground.errors import FileError
+from kilter_files.rig.see.finder import Finder, Markers
 from kilter_files.rig.see.pictures import RefusedError, read_grey
 from kilter_files.rig.see.refusals import REMEDIES, Refusal
 from kilter_files.rig.see.run import Looker
+from kilter_files.rig.see.search import why_not
 from kilter_files.rig.see.target import Target, read_target
 from kilter_files.rig.see.views import View
 from tests.clients.files.rig.see.boards import CHARUCO, EVEN, TAGS, board, legacy_page, saved, small, taken
@@ -69,6 +71,23 @@ def test_another_number_of_columns(printed: tuple[str, ...], size: tuple[str, st
     assert isinstance(Looker([target_of(*printed)]).boards(taken(printed, shot), "p")[0], View)
     found = refusal(taken(printed, shot), *other)
     assert (found.code, said in found.what) == (code, True), found.sentence()
+
+
+def test_another_dictionary_is_looked_for_first_where_it_was_seen_before() -> None:
+    """Twenty pictures of a board with another dictionary took as many searches of all dictionaries."""
+    looked: list[str] = []
+
+    class Counted(Finder):
+        def markers(self, grey: Any, name: str, *args: Any, **how: Any) -> Markers:
+            looked.append(name)
+            return super().markers(grey, name, *args, **how)
+
+    finder, grey, target = Counted(), taken(CHARUCO, small()), read_target(board(EVEN)[0])
+    for most in (2, 1):
+        looked.clear()
+        told = why_not(finder, grey, Markers([], np.zeros((0, 4, 2))), target, "a.png")
+        assert (told.code, "6x6" in told.what) == ("dictionary_differs", True)
+        assert len(looked) <= most
 
 
 def test_corners_on_one_line_are_no_view() -> None:

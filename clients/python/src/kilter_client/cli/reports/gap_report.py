@@ -26,7 +26,8 @@ GAP_ROWS = (
 def show_gap(result: Mapping[str, Any]) -> None:
     """Print a gap report."""
     say(f"verdict: {result['verdict']}. {result.get('sentence') or ''}".rstrip())
-    unit = "deg" if "before_deg" in result["gap"] else "mm"
+    gap = result["gap"]
+    unit = "deg" if gap.get("before_deg") is not None else "mm by views" if gap.get("lengths") == "by_views" else "mm"
     _where(result.get("where") or [])
     _effects(result.get("effects") or [], unit)
     whole = (result.get("adequacy") or {}).get("sentence")
@@ -70,11 +71,16 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
         amounts = [_amount(p) for p in effect.get("parameters") or ()] or [("", "", "")]
         head = (
             str(effect["id"]), _joints(effect), str(effect["verdict"]), number(effect.get("gain_mm"), 3),
-            number(effect.get("p_value"), 2), aliases,
+            *([] if unit == "deg" else [number(effect.get("moves_mm"), 3)]), number(effect.get("p_value"), 2), aliases,
         )  # fmt: skip
         rows += [(*(head if k == 0 else ("",) * len(head)), *amount) for k, amount in enumerate(amounts)]
-    head_row = ("effect", "joints", "verdict", f"gain {unit}", "p", "or one of", "parameter", "amplitude", "interval")
-    show_rows(head_row, rows, title="What is missing, with amplitudes as the version stores them")
+    moves = () if unit == "deg" else ("moves mm",)
+    head_row = ("effect", "joints", "verdict", f"gain {unit}", *moves, "p", "or one of")
+    show_rows(
+        (*head_row, "parameter", "amplitude", "interval"),
+        rows,
+        title="What is missing, with amplitudes as the version stores them",
+    )
     for effect in effects:
         _class(effect)
         failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]
@@ -82,7 +88,7 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
             say(f"  {_name(effect)} is not more than {effect['verdict']}: not passed {', '.join(failed)}")
             for remedy in effect.get("to_confirm") or ():
                 say(f"    {remedy}")
-        _remarks(effect)
+        _remarks(effect, unit)
 
 
 def _class(effect: Mapping[str, Any]) -> None:
@@ -99,7 +105,7 @@ def _class(effect: Mapping[str, Any]) -> None:
         say(f"    a name inside the class needs {lacking}")
 
 
-def _remarks(effect: Mapping[str, Any]) -> None:
+def _remarks(effect: Mapping[str, Any], unit: str) -> None:
     """Joints that the data do not show, what a confirmation said, and whether it matters."""
     unseen = sorted(set(effect.get("joints") or ()) - set(effect.get("seen_joints") or effect.get("joints") or ()))
     if unseen:
@@ -121,7 +127,8 @@ def _remarks(effect: Mapping[str, Any]) -> None:
             ""
             if half.get("with_mm") is None
             else (
-                f", each predicts the other with {number(half['with_mm'], 3)} mm, {number(half['without_mm'], 3)} mm without it"
+                f", each predicts the other with {number(half['with_mm'], 3)} {unit}, "
+                f"{number(half['without_mm'], 3)} {unit} without it"
             )
         )
         say(
@@ -140,7 +147,8 @@ def _remarks(effect: Mapping[str, Any]) -> None:
         )
         if told.get("with_mm") is not None:
             say(
-                f"  the confirmation has {number(told['with_mm'], 3)} mm with it, {number(told['without_mm'], 3)} mm without it"
+                f"  the confirmation has {number(told['with_mm'], 3)} {unit} with it, "
+                f"{number(told['without_mm'], 3)} {unit} without it"
             )
 
 
@@ -158,10 +166,15 @@ def _amount(p: Mapping[str, Any]) -> tuple[str, str, str]:
 
 def _gap(result: Mapping[str, Any], unit: str) -> None:
     gap = result["gap"]
-    rows = [(rows, name, number(gap.get(f"{key}_{unit}"), 4)) for key, rows, name in GAP_ROWS]
+    end = unit.partition(" ")[0]
+    rows = [(rows, name, number(gap.get(f"{key}_{end}"), 4)) for key, rows, name in GAP_ROWS]
     show_rows(("rows", "", f"rms {unit}"), rows, title="The gap", numbers=False)
-    if gap.get(f"noise_{unit}") is not None:
-        said = f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{unit}'])} {unit}"
+    if end != unit:
+        say(
+            "mm by views are beside the rotation of the tool, as sure as those of a typical view; moves are at the tool"
+        )
+    if gap.get(f"noise_{end}") is not None:
+        said = f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{end}'])} {unit}"
         say(said if unit == "deg" else f"{said}; the noise floor above is what it leaves of an error in space")
     bars = (result.get("figures") or {}).get("gap_bar", {}).get("data") or []
     if bars:
@@ -174,7 +187,7 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
     if closure is not None:
         say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
     if gap.get("held_out_set_aside") is not None:
-        every = gap.get(f"validation_after_all_{unit}")
+        every = gap.get(f"validation_after_all_{end}")
         with_them = (
             f", which no model of this search predicts; with them after is {number(every)} {unit}" if every else ""
         )
