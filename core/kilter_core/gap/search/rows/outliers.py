@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on
 from kilter_core.gap.search.linear.projection import Stacked
@@ -23,6 +23,7 @@ from kilter_core.types import Bools, Floats
 CHANCE = 0.001  # of setting any good visit aside
 POSE = 6  # numbers of a pose; visits with more show markers
 UNSEEN = 1e-6
+TOO_SMALL = 0.001  # chance of a bulk so far below the noise of the repeats, from which the repeats hold wrong readings
 SUPPLE = 0.4  # library parameters per measured scalar above which the library can explain anything
 WILD = 2.0  # times the squared limit, when geometry and what was named predict alone
 LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
@@ -79,12 +80,23 @@ def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike:
     if len(used) > LARGE and float(start.max(initial=0.0)) < limit:
         return far
     robust = redescended(sizes, start, dimension)
-    # A noise that comes from the fit holds the wrong readings themselves: the bulk says better what it is.
-    least = 1.0 if problem.settings.trusted else 0.0
+    # A noise that comes from the fit, or is refuted, holds the wrong readings themselves: the bulk says better what it is.
+    least = 1.0 if problem.settings.trusted and not _refuted(problem.settings, robust.scale) else 0.0
     far[used] = robust.size > limit * max(least, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
     return far if are_wrong(problem, far, whole) else np.zeros_like(far)
+
+
+def _refuted(settings: ProblemSettings, scale: float) -> bool:
+    """Whether the bulk of the visits, of this scale in units of the noise, is too small for it: wrong readings among the
+    repeats made it. A median knows its scale half as well as a mean square does, and the fit took some: each visit counts
+    as one number.
+    """
+    noise = settings.noise
+    if noise.repeats is None or not noise.freedom > 0.0:
+        return False
+    return bool(f.cdf(scale**2, float(settings.used.sum()), noise.freedom) <= TOO_SMALL)
 
 
 def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
