@@ -41,10 +41,11 @@ def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick 
     y, whole = problem.within_priors()
     geometry = problem.G.shape[1]
     limit, alike = _limit(settings)
-    found = _far(problem, whole, y, limit, alike, tick)
-    if whole.width > SUPPLE * settings.used.sum() * size:
+    supple = whole.width > SUPPLE * settings.used.sum() * size
+    found = _far(problem, whole, y, (limit, alike), supple, tick)
+    if supple:
         known = [*range(geometry), *(geometry + k for k in chosen)]
-        found |= _far(problem, whole.only(known), y, np.sqrt(WILD) * limit, alike, tick)
+        found |= _far(problem, whole.only(known), y, (np.sqrt(WILD) * limit, alike), False, tick)
     return found
 
 
@@ -64,9 +65,11 @@ def _limit(settings: ProblemSettings) -> tuple[float, int]:
     return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
 
 
-def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int, tick: Tick) -> Bools:
-    """Visits beyond the limit, if they are wrong readings and no structure."""
-    used = problem.settings.used
+def _far(
+    problem: LinearizedProblem, X: Stacked, y: Floats, limit_alike: tuple[float, int], supple: bool, tick: Tick
+) -> Bools:
+    """Visits beyond the limit, if they are wrong readings and no structure. What ``supple`` columns leave refutes no noise."""
+    used, (limit, alike) = problem.settings.used, limit_alike
     dimension, X = max(1, round(X.size / alike)), X.condensed()
 
     def sizes(weight: Floats) -> Floats:
@@ -81,7 +84,8 @@ def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike:
         return far
     robust = redescended(sizes, start, dimension)
     # A noise that comes from the fit, or is refuted, holds the wrong readings themselves: the bulk says better what it is.
-    least = 1.0 if problem.settings.trusted and not _refuted(problem.settings, robust.scale) else 0.0
+    refuted = not supple and _refuted(problem.settings, robust.scale)
+    least = 1.0 if problem.settings.trusted and not refuted else 0.0
     far[used] = robust.size > limit * max(least, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
