@@ -93,8 +93,8 @@ def _alike(before: Noise, after: Noise) -> bool:
     freedom = after.freedom / before.freedom if before.freedom > 0.0 else 1.0
     if before.kinds and not np.allclose(np.diag(before.row), np.diag(after.row), rtol=2.0 * CHANGED, atol=0.0):
         return False
-    shaped = [np.diagonal(noise.visit, axis1=1, axis2=2) for noise in (before, after)]
-    if before.readings is not None and not np.allclose(*shaped, rtol=2.0 * CHANGED, atol=0.0):
+    was, now = (np.diagonal(noise.visit, axis1=1, axis2=2) for noise in (before, after))
+    if before.readings is not None and not np.allclose(was, now, rtol=2.0 * CHANGED, atol=0.0):
         return False
     return abs(ratio - 1.0) < CHANGED and abs(freedom - 1.0) < FREER and before.most == after.most
 
