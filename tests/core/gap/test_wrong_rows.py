@@ -148,3 +148,13 @@ def test_the_same_rows_give_the_same_hunt():
     rows, _ = spoilt(campaign(ROBOT, HIDDEN, seed=2, revisits=0, poses=60), 0.1, 3)
     one, other = (find_gap(ROBOT, rows, replace(QUICK, effects=PHYSICAL)).to_document() for _ in range(2))
     assert json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_readings_among_half_of_the_few_repeats_do_not_pass_for_noise(seed):
+    """Three of six repeats are off by 25 times the noise: what all other visits leave is too small for such a noise."""
+    rows = campaign(ROBOT, seed=seed, revisits=6, poses=100).select(np.arange(106))
+    bad = np.isin(np.arange(len(rows)), [100, 102, 104])  # of the six that come again
+    made = prepared(replace(rows, position=rows.position + np.outer(bad, [5e-4, 0.0, 0.0])))
+    assert np.array_equal(aside(made, len(rows)), bad)
+    assert made.problem.settings.noise.coordinate == pytest.approx(2e-5, rel=0.5)

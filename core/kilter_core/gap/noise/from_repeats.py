@@ -12,6 +12,7 @@ import numpy as np
 
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
+from kilter_core.gap.noise.unseen_approach import with_approach
 from kilter_core.gap.noise.visits import Visits, apart
 from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.observations.groups import centred, unbiased
@@ -54,7 +55,9 @@ class Noise:
     ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
     of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats showed
     of drift; ``most`` says that it may hold drift, so that noise is this at most. ``repeats`` are the rows it
-    was read from, where repeated approaches showed it. The last scalars may be of ``kinds`` beside the tool, so many of each.
+    was read from, where repeated approaches showed it. Where none did, ``readings`` (V, m, m) is what the rows of a visit
+    show, and the fit says what share the approach has. The last scalars may be of ``kinds`` beside the tool, so many of
+    each.
     """
 
     visit: Floats
@@ -69,6 +72,7 @@ class Noise:
     most: bool = False
     repeats: RepeatRows | None = None
     kinds: tuple[int, ...] = ()
+    readings: Floats | None = None
 
     @property
     def coordinate(self) -> float:
@@ -83,14 +87,15 @@ class Noise:
         """
         if self.kinds:
             return self.of_tool().even().beside(self)
-        return replace(self, visit=even(self.visit), row=even(self.row))
+        return replace(self, visit=even(self.visit), row=even(self.row), readings=None)
 
     def of_tool(self) -> Noise:
         """The noise of the tool alone."""
         size = len(self.row) - sum(self.kinds)
         lengths = None if self.lengths == size else self.lengths
         visit, row = self.visit[:, :size, :size], self.row[:size, :size]
-        return replace(self, visit=visit, row=row, lengths=lengths, kinds=())
+        read = None if self.readings is None else self.readings[:, :size, :size]
+        return replace(self, visit=visit, row=row, lengths=lengths, kinds=(), readings=read)
 
     def beside(self, other: Noise) -> Noise:
         """This noise of the tool, and what another has of the kinds beside it."""
@@ -187,8 +192,9 @@ def repeat_noise(
     rows_cov = spread(within, k_within, None if at is None else at[visits.visit], at)
     if repeats is None or k_between < FEWEST_DEVIATIONS:
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
-        made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
-        return replace(made, absolute=False, source=WITHIN)
+        visit = np.asarray(rows_cov * share[:, None, None])
+        made = _noise(visit, rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
+        return replace(made, absolute=False, source=WITHIN, readings=visit)
     total = _between(repeats, lengths)
     if k_within < FEWEST_DEVIATIONS:
         seen = spread(total, k_between, at, at)
@@ -250,6 +256,17 @@ def refitted(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> 
         count = np.full(len(visit_residual), 1)
         return found.joined(*sensors(visit_residual[used, len(tool.row) :], None, noise.kinds, count), noise.kinds)
     return _scatter(visit_residual, used, lost, noise.lengths)
+
+
+def approached(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
+    """The noise of readings within visits, shaped as what a fit leaves says of an approach that nothing repeats."""
+    if noise.kinds:
+        tool = noise.of_tool()
+        return approached(tool, visit_residual[:, : len(tool.row)], used, lost).beside(noise)
+    if noise.readings is None:
+        return noise
+    blocks = blocks_of(len(noise.row), noise.lengths)
+    return replace(noise, visit=with_approach(noise.readings, visit_residual, used, lost, blocks))
 
 
 def sensors(residual: Floats, condition: Ints | None, kinds: tuple[int, ...], count: Ints) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap.budget import PREPARING, Budget, OutOfTimeError
-from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
+from kilter_core.gap.noise.from_repeats import FIT, Noise, approached, noise_again, refitted
 from kilter_core.gap.search.linear.contrasts import fitted_away
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, linearize_at, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
@@ -93,6 +93,9 @@ def _alike(before: Noise, after: Noise) -> bool:
     freedom = after.freedom / before.freedom if before.freedom > 0.0 else 1.0
     if before.kinds and not np.allclose(np.diag(before.row), np.diag(after.row), rtol=2.0 * CHANGED, atol=0.0):
         return False
+    was, now = (np.diagonal(noise.visit, axis1=1, axis2=2) for noise in (before, after))
+    if before.readings is not None and not np.allclose(was, now, rtol=2.0 * CHANGED, atol=0.0):
+        return False
     return abs(ratio - 1.0) < CHANGED and abs(freedom - 1.0) < FREER and before.most == after.most
 
 
@@ -102,12 +105,14 @@ def _with_noise(
     """The noise of the fit where it comes from there, that of repeats without what the fit explains; others stay."""
     if settings.noise.repeats is not None:
         return replace(settings, noise=_of_repeats(settings, problem, columns, used))
-    if settings.noise.source != FIT or settings.trusted:
+    if settings.trusted or (settings.noise.source != FIT and settings.noise.readings is None):
         return settings
     residual = settings.source.residual(problem.values)
     free = problem.U.shape[1] + len(columns)
-    noise = refitted(settings.noise, residual, used, min(0.9, free / max(used.sum() * residual.shape[1], 1)))
-    return replace(settings, noise=settings.source.even(noise))
+    lost = min(0.9, free / max(used.sum() * residual.shape[1], 1))
+    if settings.noise.source != FIT:
+        return replace(settings, noise=approached(settings.noise, residual, used, lost))
+    return replace(settings, noise=settings.source.even(refitted(settings.noise, residual, used, lost)))
 
 
 def _of_repeats(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools) -> Noise:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on
 from kilter_core.gap.search.linear.projection import Stacked
@@ -23,6 +23,7 @@ from kilter_core.types import Bools, Floats
 CHANCE = 0.001  # of setting any good visit aside
 POSE = 6  # numbers of a pose; visits with more show markers
 UNSEEN = 1e-6
+TOO_SMALL = 0.001  # chance of a bulk so far below the noise of the repeats, from which the repeats hold wrong readings
 SUPPLE = 0.4  # library parameters per measured scalar above which the library can explain anything
 WILD = 2.0  # times the squared limit, when geometry and what was named predict alone
 LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
@@ -40,10 +41,11 @@ def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick 
     y, whole = problem.within_priors()
     geometry = problem.G.shape[1]
     limit, alike = _limit(settings)
-    found = _far(problem, whole, y, limit, alike, tick)
-    if whole.width > SUPPLE * settings.used.sum() * size:
+    supple = whole.width > SUPPLE * settings.used.sum() * size
+    found = _far(problem, whole, y, (limit, alike), supple, tick)
+    if supple:
         known = [*range(geometry), *(geometry + k for k in chosen)]
-        found |= _far(problem, whole.only(known), y, np.sqrt(WILD) * limit, alike, tick)
+        found |= _far(problem, whole.only(known), y, (np.sqrt(WILD) * limit, alike), False, tick)
     return found
 
 
@@ -63,9 +65,11 @@ def _limit(settings: ProblemSettings) -> tuple[float, int]:
     return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
 
 
-def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int, tick: Tick) -> Bools:
-    """Visits beyond the limit, if they are wrong readings and no structure."""
-    used = problem.settings.used
+def _far(
+    problem: LinearizedProblem, X: Stacked, y: Floats, limit_alike: tuple[float, int], supple: bool, tick: Tick
+) -> Bools:
+    """Visits beyond the limit, if they are wrong readings and no structure. What ``supple`` columns leave refutes no noise."""
+    used, (limit, alike) = problem.settings.used, limit_alike
     dimension, X = max(1, round(X.size / alike)), X.condensed()
 
     def sizes(weight: Floats) -> Floats:
@@ -79,12 +83,24 @@ def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike:
     if len(used) > LARGE and float(start.max(initial=0.0)) < limit:
         return far
     robust = redescended(sizes, start, dimension)
-    # A noise that comes from the fit holds the wrong readings themselves: the bulk says better what it is.
-    least = 1.0 if problem.settings.trusted else 0.0
+    # A noise that comes from the fit, or is refuted, holds the wrong readings themselves: the bulk says better what it is.
+    refuted = not supple and _refuted(problem.settings, robust.scale)
+    least = 1.0 if problem.settings.trusted and not refuted else 0.0
     far[used] = robust.size > limit * max(least, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
     return far if are_wrong(problem, far, whole) else np.zeros_like(far)
+
+
+def _refuted(settings: ProblemSettings, scale: float) -> bool:
+    """Whether the bulk of the visits, of this scale in units of the noise, is too small for it: wrong readings among the
+    repeats made it. A median knows its scale half as well as a mean square does, and the fit took some: each visit counts
+    as one number.
+    """
+    noise = settings.noise
+    if noise.repeats is None or not noise.freedom > 0.0:
+        return False
+    return bool(f.cdf(scale**2, float(settings.used.sum()), noise.freedom) <= TOO_SMALL)
 
 
 def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
