@@ -91,7 +91,12 @@ def test_the_twin_is_as_good_as_the_version_and_another_model_as_bad_as_the_nomi
     )  # fmt: skip
     assert fit.version_id is not None
     command("export", fit.version_id, "--format", "mjcf", "-o", tmp_path / "twin.xml")
-    assert "Held-out measured poses (20)" in (tmp_path / "twin.xml").read_text()
+    stages = k.versions.get(fit.version_id)["metrics"]["validation"]
+    said = re.search(r"Held-out measured poses \(20\), .*", (tmp_path / "twin.xml").read_text())
+    assert said is not None
+    assert "Masses and centres count as exact, as asked" in (tmp_path / "twin.xml").read_text()
+    assert f"rigid, calibrated {stages['geometry_only']['mean_mm']:.4f} mm, with the effects" in said[0]
+    assert stages["geometry_only"]["mean_mm"] > 2.0 * stages["identified"]["mean_mm"]
     asked = ("held", "--robot", "settling", "--version", fit.version_id)
     found = command.json("twin", "compare", tmp_path / "twin.xml", *asked)
     errors = found["errors"]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
+from kilter_service.contract.jobs.identify import IdentifyOptions
 from tests.clients.lerobot.so101_arm import JOINTS, PRESET
 from tests.clients.lerobot.so101_twin import Twin
 from tests.clients.test_cli import Command
@@ -25,9 +27,11 @@ def test_gains_friction_and_backlash_become_effects_and_the_rest_is_named(tmp_pa
     assert stated["elbow_flex", "backlash_load"] == pytest.approx(0.55)
     assert stated["wrist_flex", "friction_windup"] == pytest.approx(57.29578 * 0.08 / 40.0)
     assert found["effects"] == [
-        {"id": "axial_compliance", "joints": [1, 2, 3, 4, 5]}, {"id": "backlash_load", "joints": [3]},
-        {"id": "friction_windup", "joints": [4]},
-    ]  # fmt: skip
+        {"id": "axial_compliance", "joints": [1, 2, 3, 4, 5]},
+        {"id": "backlash_load", "joints": [3], "prior_sigma_rad": pytest.approx(math.radians(0.55), rel=1e-3)},
+        {"id": "friction_windup", "joints": [4], "prior_sigma_rad": pytest.approx(0.08 / 40.0)},
+    ]
+    IdentifyOptions.model_validate({"effects": found["effects"]})
     left = "\n".join(found["left"])
     assert "damping (wrist_flex 0.6): an arm at rest does not depend on it" in left
     assert "armature (shoulder_pan 0.028" in left
@@ -38,7 +42,10 @@ def test_gains_friction_and_backlash_become_effects_and_the_rest_is_named(tmp_pa
         j["limits_deg"] for j in json.loads(PRESET.read_text())["joints"]
     ]
     said = command(*asked)
-    assert '--effects \'{"id": "backlash_load", "joints": [3]}\'' in said.replace("\n", " ")
+    assert '--effects \'{"id": "backlash_load", "joints": [3], "prior_sigma_rad": 0.009599}' in said.replace("\n", " ")
+    wide = model.read_text().replace('frictionloss="0.08"', 'frictionloss="4"')
+    model.write_text(wide)
+    assert command.json(*asked)["effects"][2]["prior_sigma_rad"] == 0.035
 
 
 def test_what_cannot_be_read_is_refused_with_the_remedy(tmp_path: Path, command: Command) -> None:

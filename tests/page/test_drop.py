@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import html
 import io
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
@@ -17,6 +20,7 @@ from playwright.sync_api import Browser, Page, expect
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import Scratch
 from kilter_service.page.drop import drafts
+from tests.clients.files.formats.test_lerobot import SERVOS, calibration, dataset
 from tests.service.conftest import Katana
 
 from .conftest import opened
@@ -181,6 +185,29 @@ def test_drafts_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         kept.get("arm", "me", made[-1].id)
     assert not made[-1].folder.exists()
     scratch.close()
+
+
+def test_what_has_no_rows_alone_says_where_it_belongs(server: httpx.Client, robot: str, tmp_path: Path) -> None:
+    """Parts of LeRobot's data sets, calibrations and models of MuJoCo, which people drop beside their measurements."""
+    servos, made = calibration(tmp_path), dataset(tmp_path / "set", "v3.0", [np.zeros((8, 6))], SERVOS)
+    wraps = json.loads(servos.read_text())
+    wraps["elbow_flex"]["range_max"] = 5000
+    rows = next(made.glob("data/**/*.parquet")).read_bytes()
+    for name, content, said in (
+        ("my_arm.json", servos.read_bytes(), "a calibration of servos has no rows"),
+        ("wraps.json", json.dumps(wraps).encode(), "it wraps within the range"),
+        ("info.json", (made / "meta/info.json").read_bytes(), "Match the whole folder with a recording"),
+        ("file-000.parquet", rows, "Match the whole folder with a recording"),
+        ("cut.parquet", rows[: len(rows) // 2], "is not a Parquet file"),
+        (
+            "so101.xml",
+            b'<?xml version="1.0"?><mujoco><include file="so101.xml"/></mujoco>',
+            "a model of MuJoCo has no rows",
+        ),
+    ):
+        shown = html.unescape(server.get(dropped(server, robot, name, content)).text)
+        assert said in " ".join(shown.split()), name
+        assert str(tmp_path) not in shown
 
 
 def test_names_of_files_are_shown_as_text_and_lead_nowhere(server: httpx.Client, robot: str) -> None:

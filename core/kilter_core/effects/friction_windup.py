@@ -7,11 +7,17 @@ from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Effect, Local
+from kilter_core.effects.base import Effect, Local, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import REVERSAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
+
+WIDEST = math.radians(0.5)
+PRIOR_SIGMA = (
+    "Standard deviation of the prior of the wind-up, rad (of a prismatic joint per 0.1 m): that of a hobby servo is its "
+    "friction over its stiffness, some 0.005."
+)
 
 
 @dataclass(frozen=True)
@@ -31,10 +37,12 @@ class FrictionWindup(Effect):
     aliases = ("backlash", "backlash_load")
     remedy = "the same as backlash in positions: compare motor currents, or release the joint by dither after the stop"
 
+    prior_sigma_rad: float = option(math.radians(0.05), PRIOR_SIGMA, low=1e-6, high=0.035)
+
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Wind-up k per joint, rad."""
-        wide = math.radians(0.5)
-        return self.per_joint(robot, "windup", "rad", math.radians(0.05), -wide, wide, "wind-up k")
+        wide = max(WIDEST, 3.0 * self.prior_sigma_rad)
+        return self.per_joint(robot, "windup", "rad", self.prior_sigma_rad, -wide, wide, "wind-up k")
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by k."""

@@ -92,11 +92,10 @@ def masses_said(
         return None
     carried = next((e for e in effects if isinstance(e, LoadError)), None)
     if carried is not None:
-        share, centre = _widths(carried, robot)
         text = (
-            f"Masses and centres count as uncertain beside {following}: by {share} of each mass and {centre} of each "
-            "coordinate of a centre (standard deviations; load_model lists them). mass_sigma_percent and com_sigma_mm, or "
-            'the robot, say how well they are known; masses "as_stated" takes them as exact.'
+            f"Masses and centres count as uncertain beside {following}: {_widths(carried, robot)} (standard deviations; "
+            "load_model lists them). mass_sigma_percent and com_sigma_mm, or the robot (payload_sigma of payloads), say how "
+            'well they are known; masses "as_stated" takes them as exact.'
         )
     elif not METHODS[options.method].minimum:
         text = (
@@ -108,12 +107,11 @@ def masses_said(
     elif options.masses == "as_stated":
         text = f"Masses and centres count as exact, as asked: the sigmas of {following} leave out what errors of the masses do."
     elif considered is not None:
-        share, centre = _widths(considered, robot)
         text = (
             f"Masses and centres count as stated beside {', '.join(_with_signs(effects))}, which follow the sign of a load. "
-            f"The sigmas hold what errors of {share} of each mass and {centre} of each coordinate of a centre do to them: "
-            "mass_sigma_percent and com_sigma_mm, or the robot, say how well they are known; masses "
-            '"as_stated" takes them as exact, "uncertain" fits them, in many fits.'
+            f"The sigmas hold what errors do to them {_widths(considered, robot)}: mass_sigma_percent and com_sigma_mm, or "
+            'the robot (payload_sigma of payloads), say how well they are known; masses "as_stated" takes them as exact, '
+            '"uncertain" fits them, in many fits.'
         )
     else:
         text = (
@@ -122,15 +120,23 @@ def masses_said(
     return {"carried": carried is not None, "considered": considered is not None, "sentence": text}
 
 
-def _widths(effect: LoadError, robot: Robot) -> tuple[str, str]:
-    """Standard deviations of masses, in percent of each, and of centres: the least and the largest where they differ."""
+def _widths(effect: LoadError, robot: Robot) -> str:
+    """Standard deviations of the masses of links, in percent of each, and of centres, and those of the payload."""
     found = effect.parameters(robot)
     links = [robot.links[k].mass for k in weighed(robot)]
-    masses = [*links, *([effect.payload_kg] if effect.payload_kg > 0.0 else [])]
-    shares = [100.0 * p.prior_sigma / m for p, m in zip(found[::EACH], masses, strict=True)]
+    of_links, of_payload = found[: EACH * len(links)], found[EACH * len(links) :]
+    shares = [100.0 * p.prior_sigma / m for p, m in zip(of_links[::EACH], links, strict=True)]
     # A first moment is mass times centre; of the payload the place itself is known.
-    places = [mm(p.prior_sigma / m) for p, m in zip(found[1::EACH], [*links, 1.0], strict=False)]
-    return _span(shares, "%"), _span(places, "mm")
+    places = [mm(p.prior_sigma / m) for p, m in zip(of_links[1::EACH], links, strict=True)]
+    said = []
+    if links:
+        said.append(
+            f"by {_span(shares, '%')} of each link's mass and {_span(places, 'mm')} of each coordinate of its centre"
+        )
+    if of_payload:
+        share, place = 100.0 * of_payload[0].prior_sigma / effect.payload_kg, mm(of_payload[1].prior_sigma)
+        said.append(f"by {share:.3g} % of the payload's mass and {place:.3g} mm of its place")
+    return " and ".join(said)
 
 
 def _span(values: list[float], unit: str) -> str:

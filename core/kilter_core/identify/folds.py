@@ -22,8 +22,6 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Each, Floats, Ints, Progress
 
-STAGES = ("nominal", "registration_only", "identified")
-
 
 @dataclass(frozen=True)
 class Fold:
@@ -66,7 +64,9 @@ def cross_validated(
         shown, unseen = train.select(inside), train.select(outside)
         tasks.append(Fold(nominal, begin, shown, unseen, outside, shape, between_rows(options, shown), prior))
     found = each(held_of, tasks, lambda fraction, stage: progress(0.05 + 0.45 * fraction, f"fold {stage}"))
-    errors = {name: Errors.concatenate([one.errors[name] for one in found]) for name in STAGES}
+    # A fold whose rows no geometry alone fits leaves that stage out of all.
+    names = [name for name in found[0].errors if all(name in one.errors for one in found)]
+    errors = {name: Errors.concatenate([one.errors[name] for one in found]) for name in names}
     poses, rows = (PoseErrors.concatenate([one.poses for one in found]), RowErrors.concatenate([h.rows for h in found]))
     return errors, poses, rows, pooled([one.kinds for one in found])
 
@@ -83,9 +83,11 @@ def held_of(fold: Fold, progress: Progress) -> Held:
         "registration_only": found,
         "identified": Calibration(fit.problem.model, fit.values, fold.shape),
     }
+    geometry = geometry_alone(model, shown, fold.options)
+    compared = stages if geometry is None else {**stages, "geometry_only": geometry}
     return Held(
-        errors={name: Errors.of(stage, unseen) for name, stage in stages.items()},
-        poses=PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, fold.options)}, unseen),
+        errors={name: Errors.of(stage, unseen) for name, stage in compared.items()},
+        poses=PoseErrors.of(compared, unseen),
         rows=RowErrors.of(stages, unseen, fold.outside),
         kinds=errors_of(stages, unseen),
     )

@@ -289,12 +289,12 @@ def held_out(
     came from them.
 
     What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
-    nominal robot. The ``geometry`` alone, where there is one, is compared pose by pose only.
+    nominal robot. The ``geometry`` alone, where there is one, is a stage too (``geometry_only``), of errors and of poses.
     """
     new = _new_codes(frames, rows)
-    compared = dict(stages) if geometry is None else {**stages, "geometry": geometry}
+    compared = dict(stages) if geometry is None else {**stages, "geometry_only": geometry}
     own: list[OwnFrame] = []
-    parts: dict[str, list[Errors]] = {name: [] for name in stages}
+    parts: dict[str, list[Errors]] = {name: [] for name in compared}
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
     kinds: list[KindErrors] = []
@@ -308,7 +308,7 @@ def held_out(
             name: stage if code is None or name == "nominal" else with_own(stage, shown, options.loss, which)
             for name, stage in compared.items()
         }
-        for name in stages:
+        for name in compared:
             parts[name].append(Errors.of(here[name], shown))
         apart = elsewhere(here["identified"], shown) if frames is None else ()
         poses.append(replace(PoseErrors.of(here, shown), remarks=tuple(apart)))

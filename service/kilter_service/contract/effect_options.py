@@ -133,6 +133,10 @@ class FrictionWindupEffect(_AtJoints):
     """Wind-up of the drive by friction, on the side of the last motion."""
 
     id: Literal["friction_windup"] = Field(description="Id of the effect.")
+    prior_sigma_rad: Annotated[float, unit("rad", ge=1e-06, le=0.035)] = Field(
+        0.0008726646259971648,
+        description="Standard deviation of the prior of the wind-up, rad (of a prismatic joint per 0.1 m): that of a hobby servo is its friction over its stiffness, some 0.005.",
+    )
 
 
 class TrackingLagEffect(_AtJoints):

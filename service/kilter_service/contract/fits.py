@@ -45,7 +45,11 @@ class StageErrors(Stored):
     )
     nominal: Errors | None = Field(None, description="The nominal robot, in its own base and tool.")
     registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
-    geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")
+    geometry_only: Errors | None = Field(
+        None,
+        description="The geometry without effects: of an identification fitted alone to the same rows, of an evaluation that "
+        "of the version; null: no effects, or not computed.",
+    )
     identified: Errors | None = Field(None, description="The model that was identified.")
     budget: Budget | None = Field(
         None, description="What is not known of these rows, with the expanded uncertainty; null: not computed."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
 from kilter_core.arm.presets import preset_document
 from kilter_core.effects.axial_compliance import AxialCompliance
+from kilter_core.effects.friction_windup import FrictionWindup
 from kilter_core.errors import RobotError
 
 ARM: dict[str, Any] = {
@@ -29,6 +31,18 @@ def test_a_stated_stiffness_is_the_size_of_the_compliance_that_a_fit_expects() -
     assert alone == soft
     hard = {**ARM, "joints": [{"name": "a"}, {"name": "b", "drive_stiffness_nm_rad": 1e6}]}
     assert AxialCompliance().parameters(robot_from_document(hard))[1].prior_sigma == 1e-4
+
+
+def test_a_stated_wind_up_is_the_size_that_a_fit_expects() -> None:
+    (usual, _), (servo, _) = (
+        effect.parameters(robot_from_document(ARM))
+        for effect in (FrictionWindup(), FrictionWindup(prior_sigma_rad=0.02))
+    )
+    assert usual.prior_sigma == pytest.approx(math.radians(0.05))
+    assert servo.prior_sigma == pytest.approx(0.02)
+    assert not usual.plausible(0.02)
+    assert servo.plausible(0.02)
+    assert servo.plausible(-0.02)
 
 
 def test_it_stays_with_the_robot_and_a_robot_without_one_is_stored_as_before() -> None:

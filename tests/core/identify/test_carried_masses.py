@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
+from kilter_core.effects.axial_compliance import AxialCompliance
+from kilter_core.effects.load_error import LoadError
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, identify
+from kilter_core.identify.carried_masses import masses_said
 from kilter_core.identify.check import check_identification
 from kilter_core.observations import Observations
 from tests.core.identify.test_loads import PLAY, TILT
@@ -107,11 +111,25 @@ def test_signs_of_loads_are_found_although_the_masses_are_wrong(effect: str) -> 
 def test_the_result_says_that_masses_are_uncertain_and_by_how_much() -> None:
     document = told(0).to_document()
     assert document["masses"]["carried"]
-    for part in ("axial_compliance", "10 % of each mass", "10 mm", "as_stated"):
+    for part in ("axial_compliance", "by 10 % of each link's mass and 10 mm of each", "as_stated"):
         assert part in document["masses"]["sentence"]
     assert {row["link"] for row in document["load_model"]} == {1, 2, 3, 4, 5, 6}
     named = {p["name"] for d in document["null_directions"] for p in d["parameters"]}
     assert not any(name.startswith("link_") for name in named)
+
+
+def test_how_well_the_payload_is_known_is_said_apart() -> None:
+    """Weighed, as the kit has it, or not: the stiffness of an arm that carries two payloads follows it."""
+    effects = (AxialCompliance(joints=(1, 2, 3)), LoadError(payload_kg=0.2))
+    for sigma, told_of_it in (
+        ({"mass_percent": 1.0, "com_mm": 5.0}, "by 1 % of the payload's mass and 5 mm of its place"),
+        (None, "by 10 % of the payload's mass and 10 mm of its place"),
+    ):
+        robot = robot_from_document({**preset_document("so101"), "payload_sigma": sigma})
+        said = masses_said(robot, effects, IdentifyOptions())
+        assert said is not None
+        assert "by 10 % of each link's mass and 10 mm of each coordinate of its centre" in said["sentence"]
+        assert told_of_it in said["sentence"]
 
 
 def test_their_accuracy_can_be_stated_and_they_can_count_as_exact() -> None:

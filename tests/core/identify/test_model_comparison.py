@@ -81,6 +81,18 @@ def test_effects_that_are_not_there_are_worse_than_geometry(folds: bool) -> None
     assert "worse_than_geometry" in codes(identified(30, 5e-4, HARMONICS, wrong=True, folds=folds))
 
 
+@pytest.mark.parametrize("folds", [False, True])
+def test_the_geometry_alone_is_what_a_fit_without_effects_leaves(folds: bool) -> None:
+    """The rigid arm beside the one with effects: its error on held-out poses is that of an identification of its own."""
+    found, plain = (
+        identified(30, 5e-4, options, wrong=True, folds=folds).metrics["validation"]
+        for options in (HARMONICS, replace(HARMONICS, effects=()))
+    )
+    assert found["geometry_only"]["mean_mm"] == pytest.approx(plain["identified"]["mean_mm"], rel=1e-6)
+    assert found["geometry_only"]["mean_mm"] != pytest.approx(found["identified"]["mean_mm"], rel=1e-3)
+    assert "geometry_only" not in plain
+
+
 def test_enough_poses_and_no_such_warning() -> None:
     assert not WORSE & codes(identified(150, 2e-5, IdentifyOptions(), wrong=True))
     one = replace(HARMONICS, effects=("eccentricity",))

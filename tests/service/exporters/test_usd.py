@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -171,6 +172,29 @@ def test_the_joints_are_those_of_the_version(document: dict[str, Any] | None) ->
     assert apart < 1e-9
     rounded = farthest_mm(Read(opened(exported), rounded=True).tool, told.position, q)
     assert EXACT_MM < rounded < 1e-3
+
+
+@pytest.mark.parametrize("name", ["ur10", "so101"])
+def test_the_stage_has_the_numbers_of_the_model_of_mujoco(name: str) -> None:
+    """Joint frames, drives, and masses by the moments of their weight: one version, two files, two programs that read them."""
+    document = preset_document(name)
+    robot = robot_from_document(document)
+    soft = {"compliance_2": 1e-5 if name == "ur10" else 1 / 33, "compliance_3": 2e-5 if name == "ur10" else 1 / 28}
+    arm = Twin(robot, soft, (make_effect("axial_compliance", joints=(1, 2)),)).truth
+    model = mujoco.MjModel.from_xml_string(str(export("mjcf", exportable(document, arm)).text))
+    data, read = mujoco.MjData(model), Read(opened(export("usd", exportable(document, arm))))
+    driven = [model.joint(int(j)) for j in model.actuator_trnid[:, 0]]
+    gains = read.gains()
+    assert gains[1:3] == pytest.approx([1.0 / soft["compliance_2"], 1.0 / soft["compliance_3"]], rel=1e-5)
+    assert gains == pytest.approx(-model.actuator_biasprm[:, 1], rel=1e-5)
+    for q in poses(arm, 20):
+        for joint, value in zip(driven, q, strict=True):
+            data.qpos[joint.qposadr[0]] = value
+        mujoco.mj_forward(model, data)
+        assert 1e3 * np.abs(read.tool(q)[:3, 3] - data.site("tool").xpos).max() < EXACT_MM
+        weight = [(read.energy(q + h) - read.energy(q - h)) / 2e-4 for h in 1e-4 * np.eye(len(q))]
+        bias = [data.qfrc_bias[joint.dofadr[0]] for joint in driven]
+        assert weight == pytest.approx(bias, rel=1e-4, abs=1e-4 * float(np.abs(bias).max()))
 
 
 def test_bodies_stand_where_their_joints_are_at_zero() -> None:

@@ -72,7 +72,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry".
+    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry_only".
 
     ``remarks`` are warnings of them beside the comparison.
     """
@@ -98,7 +98,7 @@ class PoseErrors:
         yield from self.remarks
         after = self.stages["identified"]
         simpler = (("registration_only", "base and tool alone", WORSE_THAN_REGISTRATION),
-                   ("geometry", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
+                   ("geometry_only", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
         for stage, words, code in simpler:
             before = self.stages.get(stage)
             told = None if before is None else grown(before, after)

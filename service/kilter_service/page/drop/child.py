@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pyarrow import parquet
+
 from kilter_files import prepare
 from kilter_files.formats.registry import readers
 from kilter_files.formats.unknown.guess import Columns
@@ -25,6 +27,8 @@ MOST_COLUMNS = 400  # of the file, that are described one by one
 MOST_TEXT = 300
 MOST_LINES = 200_000  # of which the place in the file is told row by row
 FIRST = 3
+UNKNOWN = "table"  # what a file is that no reader takes
+BEGIN, STATE = 65536, "observation.state"  # bytes that are looked at; what LeRobot calls what its servos read
 MOST_REMARKS = 50
 Document = dict[str, Any]
 
@@ -66,9 +70,15 @@ def understood(path: Path, read_as: str) -> Document:
     seen = _looked(path)
     if seen.get("ready") and read_as == "auto":
         return seen | _called(seen) | _prepared(path, seen["device"])
-    if read_as == "auto" and seen["kind"] in ALONE:
-        return seen | {"refusal": f"{path.name}: {ALONE[seen['kind']]}"}
-    return seen | _described(path) | _drafted(path, chosen)
+    alone = ALONE.get(_kind(path, seen)) if read_as == "auto" else None
+    if alone is not None:
+        return seen | {"refusal": f"{path.name}: {alone}"}
+    try:
+        return seen | _described(path) | _drafted(path, chosen)
+    except FileError:
+        if seen["kind"] == UNKNOWN and seen["remarks"]:  # a reader that knows the file has said what is wrong with it
+            raise FileError(seen["remarks"][0]) from None
+        raise
 
 
 MARKERS_ALONE = (
@@ -82,7 +92,29 @@ ALONE: Mapping[str, str] = {
     "inclinometer": "an inclinometer measures joints, not the tool. Join it with the joint log first (`kilter tilt-join`).",
     "ballbar": "the log of this ball bar has no joint readings. Join it with the joint log first (`kilter ballbar-join`).",
     "bag": "a bag of joint states alone has no measurement. Join it with the recording (`kilter match`).",
+    "lerobot-calibration": "a calibration of servos has no rows. State it with the views or the joint log on the command line "
+    "(`kilter kit ROBOT VIEWS --calibration FILE`, `kilter upload` and `kilter match` likewise): rows of another one are "
+    "refused then.",
+    "lerobot": "a part of a LeRobot data set says where the servos were, and not where the tool was. Match the whole folder "
+    "with a recording on the command line (`kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE`), and drop "
+    "what comes out.",
+    "mjcf": "a model of MuJoCo has no rows. `kilter twin compare MODEL CAMPAIGN` scores it on a campaign, `kilter twin read "
+    "MODEL` reads its drives.",
 }
+
+
+def _kind(path: Path, seen: Document) -> str:
+    """What a file is, be it one that says nothing alone: a part of a data set of LeRobot, a model of MuJoCo."""
+    kind = str(seen["kind"])
+    if kind == "parquet":
+        return "lerobot" if STATE in parquet.read_schema(path).names else kind
+    if kind != UNKNOWN:
+        return kind
+    with path.open("rb") as file:
+        begin = file.read(BEGIN)
+    if b"<mujoco" in begin:
+        return "mjcf"
+    return "lerobot" if begin.lstrip().startswith(b"{") and b'"codebase_version"' in begin else kind
 
 
 def _looked(path: Path) -> Document:
@@ -90,7 +122,7 @@ def _looked(path: Path) -> Document:
     try:
         found = inspect(path)
     except FileError as error:
-        return {"kind": "table", "ready": False, "remarks": [error.detail]}
+        return {"kind": UNKNOWN, "ready": False, "remarks": [error.detail]}
     kind = "marker-csv" if found["kind"].endswith("csv") and found.get("markers") else found["kind"]
     remarks = [*found["notes"], *found["warnings"], *_problems(found)] if found["ready"] else []
     return {

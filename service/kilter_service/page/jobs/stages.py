@@ -23,7 +23,7 @@ MEANING = {
     "Before": "the nominal robot, where it is said to stand",
     PLACED: "no version takes this away, and it is not an error of the arm",
     "Registration only": "the nominal robot, base and tool fitted to the rows: what comes from the set-up alone is gone",
-    "Geometry only": "the fitted geometry, without effects",
+    "Geometry only": "the geometry without effects",
     "After": "the model that was identified",
 }
 

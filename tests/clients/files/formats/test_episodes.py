@@ -99,6 +99,30 @@ def test_a_servo_that_stays_further_behind_its_goal_has_kept_its_zero(tmp_path: 
     assert move.by_deg == pytest.approx(3.0, abs=0.2)
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_heavier_load_is_no_move_of_a_zero(tmp_path: Path, version: str) -> None:
+    """Goals go on as before and three joints hang lower by degrees: readings jump alike, and so does what goals are ahead."""
+    sag = np.array([0.0, 9.0, 6.0, 4.0, 0.0, 0.0])
+    lags = [sag * (k >= 12) for k in range(24)]
+    moves = found(recorded(tmp_path / "set", [-lag for lag in lags], lags, version))
+    assert [(move.joint, move.before, move.after, move.what) for move in moves] == [
+        (joint, 11, 12, "lag") for joint in ("elbow_flex", "shoulder_lift", "wrist_flex")
+    ]
+    assert [move.by_deg for move in moves] == pytest.approx([6.0, 9.0, 4.0], abs=0.2)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize(("first", "second"), [(20, 20), (18, 21), (12, 27)])
+def test_two_joints_are_named_each_with_its_episodes(tmp_path: Path, version: str, first: int, second: int) -> None:
+    """Calibrated anew together, one soon after the other, or long after it."""
+    both = zip(steps(40, first, 1, 9.0), steps(40, second, 3, -7.0), strict=True)
+    moves = found(recorded(tmp_path / "set", [one + other for one, other in both], version=version))
+    assert [(move.joint, move.before, move.after, move.what) for move in moves] == [
+        ("shoulder_lift", first - 1, first, "zero"), ("wrist_flex", second - 1, second, "zero"),
+    ]  # fmt: skip
+    assert [move.by_deg for move in moves] == pytest.approx([9.0, -7.0], abs=1.0)
+
+
 def test_what_the_numbers_mean_is_stated_or_refused(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "set", steps(20, 10, 1, 9.0))
     with pytest.raises(FileError, match="does not say what its numbers mean"):

@@ -21,7 +21,8 @@ def said(**parameter: Any) -> list[str]:
     ("parameter", "line"),
     [
         ({"value": 0.5, "sigma": 0.02}, "joint 2 (lift) has 1.0 deg of backlash"),
-        ({"value": 0.5, "sigma": 0.2}, "joint 2 (lift) may have a little backlash: 0.22 to 1.78 deg (95 %)"),
+        ({"value": 0.5, "sigma": 0.2},
+         "joint 2 (lift): whether it has backlash is not sure (95 %: 0.22 to 1.78 deg), more views would tell"),
         ({"value": 0.033, "sigma": 0.014},
          "joint 2 (lift): no backlash seen beyond a step of its reading (95 %: 0.01 to 0.12 deg)"),
         ({"value": 0.02, "sigma": 0.1}, "joint 2 (lift): no backlash seen (95 %: 0 to 0.43 deg)"),
@@ -38,6 +39,20 @@ def said(**parameter: Any) -> list[str]:
 )  # fmt: skip
 def test_a_width_is_never_below_zero(parameter: dict[str, Any], line: str) -> None:
     assert said(**parameter) == [line]
+
+
+@pytest.mark.parametrize(
+    ("parameter", "stiffness"),
+    [
+        ({"value": 1.75, "sigma": 0.1}, "33 N m/rad, 95 %: 29 to 37"),
+        ({"value": 1.75, "sigma": 0.1, "lower": 1.4, "upper": 2.2}, "33 N m/rad, 95 %: 26 to 41"),
+        ({"value": 1.75, "sigma": None}, "33 N m/rad"),
+    ],
+)
+def test_a_sag_says_how_well_its_stiffness_is_known(parameter: dict[str, Any], stiffness: str) -> None:
+    found = {"name": "compliance_2", "unit": "deg/(N m)", **parameter}
+    (line,) = lines_of({"parameters": [found]}, JOINTS, [], 0.3, {})
+    assert line == f"joint 2 (lift) sags by 1.0 deg more with 200 g held 30 cm away from it ({stiffness})"
 
 
 def test_what_could_not_be_measured_is_not_told() -> None:

@@ -1,6 +1,7 @@
-"""Which poses show the board to the camera: where both stand follows from the views, by the nominal arm.
+"""Where camera and board stand, by views and a model of the arm: which poses show the board, and what a model leaves of them.
 
-Good for choosing poses, and for no more: the arm's errors stay in it, and what they are worth in the picture is the margin.
+By the nominal arm that is good for choosing poses, and for no more: the arm's errors stay in it, and what they are worth in
+the picture is the margin.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from kilter_files.rig.see.optics.lens import projected
 FEWEST_VIEWS, FEWEST_CORNERS = 6, 6
 PASSES, FAR = 4, 4.0  # times the median, beyond which a view does not count
 ROUNDS, STEP = 8, 1e-6
+FAR_PX = 20.0  # of a corner, beyond which it pulls less
 MOST_MARGIN = 0.15  # of the picture's shorter side: beyond, the views do not say where camera and board stand
 EDGE_PX = 5.0
 FLAT = 1e-6  # of a board's size
@@ -40,6 +42,12 @@ class Sight:
     margin_px: float = 0.0
     facing: float = 0.0
     depths_mm: tuple[float, float] = (0.0, np.inf)
+
+    def left(self, flange: Floats, pixels: Floats) -> Floats:
+        """What is left of corners (N, m, 2), px, with the flange at (N, 4, 4); NaN of those not seen."""
+        before = self._before_the_camera(flange)
+        points = self.corners @ np.swapaxes(before[:, :3, :3], 1, 2) + before[:, None, :3, 3]
+        return np.asarray(projected(points, _intrinsics(self.camera), _model(self.camera)) - pixels)
 
     def score(self, flange: Floats) -> Floats:
         """How clearly the board is seen with the flange at poses (..., 4, 4): 1 at best, below 0 where it is not whole."""
@@ -67,7 +75,25 @@ class Sight:
         return before if self.camera["mount"] == "fixed" else np.asarray(np.linalg.inv(before), dtype=float)
 
 
+@dataclass(frozen=True)
+class Seen:
+    """What a camera saw of a board: which ``views`` (K,) of those given, their ``pixels`` (K, m, 2), and where both stand."""
+
+    sight: Sight
+    views: Sequence[int]
+    pixels: Floats
+
+    def exactly(self, flange: Floats) -> Seen:
+        """Camera and board where all corners together fit best, with the flange at (N, 4, 4) in all views given."""
+        return Seen(_refined(self.sight, flange[self.views], self.pixels, np.inf), self.views, self.pixels)
+
+
 def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Sight]:
+    """Cameras and boards of ``rig`` that :func:`seen` finds."""
+    return [one.sight for one in seen(views, flange, rig)]
+
+
+def seen(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Seen]:
     """Cameras and boards of ``rig`` where views show them, one of them on the flange; none of which the views tell too little.
 
     ``views`` have ``u1_px``, ``v1_px`` ..., and ``camera`` and ``board`` where there are several; ``flange`` (N, 4, 4), mm.
@@ -79,7 +105,7 @@ def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str,
                 continue
             named = {"camera": (camera.get("name"), c), "board": (board.get("name"), b)}
             own = [k for k, row in enumerate(views) if _is_of(row, named)]
-            one = _sight(camera, board, [views[k] for k in own], flange[own])
+            one = _seen(camera, board, views, own, flange)
             if one is not None:
                 found.append(one)
     return found
@@ -90,26 +116,33 @@ def _is_of(row: Mapping[str, Any], named: Mapping[str, tuple[Any, int]]) -> bool
     return all(row.get(column) in (None, "", name, number, str(number)) for column, (name, number) in named.items())
 
 
-def _sight(
-    camera: Mapping[str, Any], board: Mapping[str, Any], views: Sequence[Mapping[str, Any]], flange: Floats
-) -> Sight | None:
+def _seen(
+    camera: Mapping[str, Any], board: Mapping[str, Any], views: Sequence[Mapping[str, Any]], own: Sequence[int],
+    flange: Floats,
+) -> Seen | None:  # fmt: skip
     corners = np.array(board["corners_mm"], dtype=float)
     if corners.ndim != 2 or np.ptp(corners[:, 2]) > FLAT * np.ptp(corners):
         return None
     names = [[f"{axis}{k + 1}_px" for axis in "uv"] for k in range(len(corners))]
-    pixels = np.array([[[_number(row.get(name)) for name in pair] for pair in names] for row in views])
+    pixels = np.array(
+        [[[_number(row.get(name)) for name in pair] for pair in names] for row in (views[k] for k in own)]
+    )
     usable = [k for k, view in enumerate(pixels) if np.isfinite(view).all(axis=1).sum() >= FEWEST_CORNERS]
     if len(usable) < FEWEST_VIEWS:
         return None
-    pixels, flange = pixels[usable], flange[usable]
+    which = [own[k] for k in usable]
+    pixels, flange = pixels[usable], flange[which]
     boards = np.array([_board_pose(camera, corners, view) for view in pixels])
     sides = _hand_eye(flange, boards if camera["mount"] == "fixed" else np.linalg.inv(boards))
-    return None if sides is None else _judged(_refined(Sight(camera, corners, *sides), flange, pixels), flange, pixels)
+    if sides is None:
+        return None
+    sight = _judged(_refined(Sight(camera, corners, *sides), flange, pixels, FAR_PX), flange, pixels)
+    return None if sight is None else Seen(sight, which, pixels)
 
 
 def _judged(sight: Sight, flange: Floats, pixels: Floats) -> Sight | None:
     """With what was seen of the board, and how well the nominal arm says where; None where it does not."""
-    off = np.linalg.norm(_left(sight, flange, pixels), axis=2)
+    off = np.linalg.norm(sight.left(flange, pixels), axis=2)
     worst = np.where(np.isnan(off), 0.0, off).max(axis=1)
     margin = float(np.quantile(worst, 0.9))
     if not margin < MOST_MARGIN * min(sight.camera["width_px"], sight.camera["height_px"]):
@@ -178,13 +211,13 @@ def _hand_eye(T: Floats, M: Floats) -> tuple[Floats, Floats] | None:
     return _pose(A, t[:3]), _pose(B, t[3:])
 
 
-def _refined(sight: Sight, flange: Floats, pixels: Floats) -> Sight:
-    """Both poses moved until corners fit best, by Gauss-Newton with steps that gain only."""
-    seen = np.isfinite(pixels)
+def _refined(sight: Sight, flange: Floats, pixels: Floats, far_px: float) -> Sight:
+    """Both poses moved until corners fit best, by Gauss-Newton with steps that gain only; a corner farther off pulls less."""
+    shown = np.isfinite(pixels)
 
     def left(one: Sight) -> Floats:
-        found = _left(one, flange, pixels)[seen]
-        return found / np.sqrt(1.0 + np.abs(found) / 20.0)  # a corner far off pulls less
+        found = one.left(flange, pixels)[shown]
+        return found / np.sqrt(1.0 + np.abs(found) / far_px)
 
     best = left(sight)
     for _ in range(ROUNDS):
@@ -203,13 +236,6 @@ def _moved(sight: Sight, step: Floats) -> Sight:
     A, B = (side @ _pose(rotations(own[None, :3])[0], own[3:]) for side, own in
             ((sight.tool_side, step[:6]), (sight.world_side, step[6:])))  # fmt: skip
     return Sight(sight.camera, sight.corners, A, B)
-
-
-def _left(sight: Sight, flange: Floats, pixels: Floats) -> Floats:
-    """What is left of corners (N, m, 2), px; NaN of those not seen."""
-    before = sight._before_the_camera(flange)
-    points = sight.corners @ np.swapaxes(before[:, :3, :3], 1, 2) + before[:, None, :3, 3]
-    return np.asarray(projected(points, _intrinsics(sight.camera), _model(sight.camera)) - pixels)
 
 
 def _intrinsics(camera: Mapping[str, Any]) -> Floats:

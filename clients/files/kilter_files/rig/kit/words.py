@@ -124,7 +124,8 @@ def _no_backlash(parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[M
         elif low > 0.0 and low + high < 2.0 * LEAST_BACKLASH_DEG:
             yield f"{name}: no backlash seen beyond a step of its reading (95 %: {low:.2f} to {high:.2f} deg)"
         elif low > 0.0:
-            yield f"{name} may have a little backlash: {low:.2f} to {high:.2f} deg (95 %)"
+            # One in forty such intervals leaves 0 out by chance, and an arm has several joints: that names none.
+            yield f"{name}: whether it has backlash is not sure (95 %: {low:.2f} to {high:.2f} deg), more views would tell"
         else:
             most = max(high, _at_most(0.5 * (low + high), (high - low) / (2.0 * WITHIN_95)))
             within = f"95 %: 0 to {most:.2f} deg" if most >= 0.005 else "95 %: below 0.01 deg"
@@ -141,12 +142,18 @@ def _at_most(value: float, sigma: float) -> float:
 
 def _width(half: Mapping[str, Any]) -> tuple[float | None, float | None]:
     """95 % interval of the width of which this parameter is half, deg."""
-    if half.get("lower") is not None and half.get("upper") is not None:
-        return 2.0 * float(half["lower"]), 2.0 * float(half["upper"])
-    if half.get("sigma") is None:
+    low, high = _interval(half)
+    return (None, None) if low is None or high is None else (2.0 * low, 2.0 * high)
+
+
+def _interval(parameter: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """95 % interval of a parameter."""
+    if parameter.get("lower") is not None and parameter.get("upper") is not None:
+        return float(parameter["lower"]), float(parameter["upper"])
+    if parameter.get("sigma") is None:
         return None, None
-    spread = WITHIN_95 * float(half["sigma"])
-    return 2.0 * (float(half["value"]) - spread), 2.0 * (float(half["value"]) + spread)
+    spread = WITHIN_95 * float(parameter["sigma"])
+    return float(parameter["value"]) - spread, float(parameter["value"]) + spread
 
 
 def _sag(
@@ -156,9 +163,19 @@ def _sag(
         compliance = _sure(parameters.get(f"compliance_{j}"))  # deg/(N m)
         sag = compliance * HELD_KG * G * reach_m
         if sag >= LEAST_SAG_DEG:
-            stiffness = math.degrees(1.0) / compliance
-            held = f"{HELD_KG * 1000:.0f} g held {reach_m * 100:.0f} cm away from it ({stiffness:.0f} N m/rad)"
-            yield sag, f"joint {j} ({joint['name']}) sags by {sag:.1f} deg more with {held}"
+            held = f"{HELD_KG * 1000:.0f} g held {reach_m * 100:.0f} cm away from it"
+            stiffness = _stiffness(parameters[f"compliance_{j}"])
+            yield sag, f"joint {j} ({joint['name']}) sags by {sag:.1f} deg more with {held} ({stiffness})"
+
+
+def _stiffness(compliance: Mapping[str, Any]) -> str:
+    """Stiffness of a drive by its compliance, deg/(N m), with its 95 % interval where it has one: that of the compliance."""
+    value, (low, high) = float(compliance["value"]), _interval(compliance)
+    stiffest = None if low is None or low <= 0.0 else math.degrees(1.0) / low
+    within = (
+        f", 95 %: {math.degrees(1.0) / high:.0f} to {stiffest:.0f}" if stiffest is not None and high is not None else ""
+    )
+    return f"{math.degrees(1.0) / value:.0f} N m/rad{within}"
 
 
 def _zeros(

@@ -15,6 +15,8 @@ from kilter_client.twin.settled import HINGE, JOINT, named
 
 LEAST = 1e-12
 PARALLEL = 1.0 - 1e-6
+WITH_PRIOR = ("backlash_load", "friction_windup")  # effects whose option prior_sigma_rad says how large they may be
+SMALLEST_RAD, LARGEST_RAD = 1e-6, 0.035  # of that option
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,21 @@ class Read:
     stiffness: tuple[float | None, ...]
     stated: tuple[Stated, ...]
     left: tuple[str, ...]
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """Options of a fit that begins with these values: the effects, expected to be as large as the model has them.
+
+        One size counts for all joints of an effect, the largest; that of `axial_compliance` is the robot's to state.
+        """
+        found: dict[str, dict[str, Any]] = {}
+        for one in self.stated:
+            effect = found.setdefault(one.effect, {"id": one.effect, "joints": []})
+            effect["joints"].append(self.joints.index(one.joint) + 1)
+            if one.effect in WITH_PRIOR:
+                size = float(f"{min(max(math.radians(one.start), SMALLEST_RAD), LARGEST_RAD):.4g}")
+                effect["prior_sigma_rad"] = max(size, effect.get("prior_sigma_rad", 0.0))
+        return list(found.values())
 
 
 def read_drives(model: Any, joints: Sequence[str], path: Path) -> Read:

@@ -8,13 +8,15 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from csv import DictReader
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError, MissingPackageError, UsageError
 from kilter_client.twin.step import apply
+from kilter_client.twin.views import ViewErrors, errors_of_views
 from kilter_files.ground.later import mujoco, np
+from kilter_files.rig.kit.sight import FEWEST_CORNERS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,12 +34,18 @@ FEWEST_POINTS, ROUNDS = 6, 40
 
 @dataclass(frozen=True)
 class MeasuredRows:
-    """Readings (N, n), sides (N, n) of the last motion (0: not known), tool points (N, 3) and payloads (N,) kg."""
+    """Readings (N, n), sides (N, n) of the last motion (0: not known) and payloads (N,) kg.
+
+    What was seen there: tool points ``points`` (N, 3), or ``views`` with the corners of a board and ``rig``, its cameras and
+    boards, where the rows have no points.
+    """
 
     readings: Floats
     sides: Floats
-    points: Floats
     payload_kg: Floats
+    points: Floats | None
+    views: Sequence[Mapping[str, Any]] = ()
+    rig: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -51,32 +59,41 @@ class Settings:
 
 
 def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: int) -> MeasuredRows:
-    """Read the rows of a campaign, at most so many of them, evenly chosen; rows without a point are left out.
+    """Read the rows of a campaign, at most so many, evenly chosen; rows without a point, or without corners, are left out.
 
     Raises:
-        UsageError: the campaign has no tool point, or fewer rows than base and tool need.
+        UsageError: the campaign has neither tool points nor views, or fewer rows than base and tool need.
 
     """
     table = list(DictReader(io.StringIO(content.decode())))
     names = set(table[0]) if table else set()
     readings = [_column(table, names, f"q{j + 1}", ("deg", "rad", "mm", "m")) for j in range(joints)]
     points = [_column(table, names, axis, ("mm", "m")) for axis in "xyz"]
-    if any(column is None for column in (*readings, *points)):
+    rig = {name: conditions.get(name) or [] for name in ("cameras", "boards")}
+    of_views = None in points and "u1_px" in names
+    if None in readings or (None in points and not (of_views and all(rig.values()))):
         raise UsageError(
-            "The campaign has no q1_deg ... and x_mm, y_mm, z_mm in every row: a model is compared with tool points."
+            "The campaign has neither q1_deg ... with x_mm, y_mm, z_mm nor q1_deg ... with u1_px, v1_px ... and the conditions "
+            "cameras and boards: a model is compared with tool points or with views of a board."
         )
     sides = [_plain(table, f"dir{j + 1}") for j in range(joints)]
     payload = (
         _plain(table, "payload_kg") if "payload_kg" in names else [conditions.get("payload_kg") or 0.0] * len(table)
     )
-    seen = np.array(points, dtype=np.float64).T
-    whole = np.flatnonzero(np.isfinite(seen).all(axis=1))
+    seen = np.array([_plain(table, "u1_px")] if of_views else points, dtype=np.float64).T
+    corners = [name for name in names if name.endswith("_px") and name[0] == "u"]
+    whole = np.flatnonzero(
+        [sum(bool(row[name]) for name in corners) >= FEWEST_CORNERS for row in table] if of_views
+        else np.isfinite(seen).all(axis=1)
+    )  # fmt: skip
     if len(whole) < FEWEST_POINTS:
-        raise UsageError(f"The campaign has {len(whole)} measured points: base and tool need {FEWEST_POINTS} or more.")
+        what = f"views of {FEWEST_CORNERS} corners or more" if of_views else "measured points"
+        raise UsageError(f"The campaign has {len(whole)} {what}: base and tool need {FEWEST_POINTS} or more.")
     chosen = whole[np.unique(np.linspace(0, len(whole) - 1, min(most, len(whole))).round().astype(int))]
     return MeasuredRows(
         np.array(readings, dtype=np.float64).T[chosen], np.nan_to_num(np.array(sides, dtype=np.float64).T[chosen]),
-        seen[chosen], np.nan_to_num(np.array(payload, dtype=np.float64))[chosen],
+        np.nan_to_num(np.array(payload, dtype=np.float64))[chosen], None if of_views else seen[chosen],
+        [table[k] for k in chosen] if of_views else (), rig,
     )  # fmt: skip
 
 
@@ -126,11 +143,12 @@ def _remedy(said: str) -> str:
     return "Put the files that it names beside it, or mend the place that is named."
 
 
-def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> Floats:
-    """Distance (N,) m of each measured point from the settled tool, base and tool point fitted.
+def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> ViewErrors | Floats:
+    """Distance (N,) m of each measured point from the settled tool, base and tool point fitted; of views their errors.
 
     Raises:
         FileError: the model has not these joints or this site, or does not settle at its time step.
+        UsageError: views that do not say where camera and board stand.
 
     """
     _hold_the_log()
@@ -140,6 +158,8 @@ def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) ->
         place, turn = arm.settle(rows.readings[k], rows.sides[k], float(rows.payload_kg[k]))
         places.append(place)
         turns.append(turn)
+    if rows.points is None:
+        return errors_of_views(np.array(places), np.array(turns), rows.views, rows.rig)
     return registered(np.array(places), np.array(turns), rows.points)
 
 

@@ -20,7 +20,7 @@ class CampaignErrors(Record):
     fitted: int | None
     """Of an evaluation: rows that the version was fitted to, in whatever file; None: not looked for."""
     geometry_only: Errors | None
-    """The fitted geometry without effects."""
+    """The geometry without effects: of an identification fitted alone to the same rows, of an evaluation that of the version; None: no effects, or not computed."""
     identified: Errors | None
     """The model that was identified."""
     left_out: int | None

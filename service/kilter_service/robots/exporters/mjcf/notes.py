@@ -29,7 +29,9 @@ def notes(version: Version, calibration: Calibration, placed: Placed, known: Seq
     """Everything to know before the twin is trusted; ``known`` is what all twins of the format have in common."""
     effects = _of_effects(calibration, placed)
     loads = (*_of_loads(calibration), *_of_soft_base(calibration))
-    return (*effects, *loads, held_out(version.metrics.validation), *known)
+    masses = version.details.masses
+    taken = () if masses is None or masses.sentence is None else (masses.sentence,)
+    return (*effects, *loads, *taken, held_out(version.metrics.validation), *known)
 
 
 def in_mujoco(exported: ExportedEffects) -> Placed:

@@ -49,9 +49,10 @@ def moves_of(found: Episodes, least_deg: float) -> list[Move]:
     for k, joint in enumerate(found.joints):
         series = {name: values[:, k] for name, values in found.signals.items()}
         postures = {name: series[name] for name in POSTURES if name in series}
-        moves += [_posture(found, joint, postures, at, least_deg) for at in _jumps(postures, least_deg)]
-        lags = {name: values for name, values in series.items() if name == LAG}
-        moves += [_lag(found, joint, lags[LAG], at) for at in _jumps(lags, least_deg)]
+        lagging = {name: values for name, values in series.items() if name == LAG}
+        lags = [_lag(found, joint, lagging[LAG], at) for at in _jumps(lagging, least_deg)]
+        stood = [_posture(found, joint, postures, at, least_deg) for at in _jumps(postures, least_deg)]
+        moves += [*(one for one in stood if not any(_sags(one, lag) for lag in lags)), *lags]
     return sorted(moves, key=lambda move: (move.after, move.joint))
 
 
@@ -69,6 +70,12 @@ def _posture(found: Episodes, joint: str, series: dict[str, Floats], at: int, le
 
 def _lag(found: Episodes, joint: str, values: Floats, at: int) -> Move:
     return Move(joint, found.numbers[at - 1], found.numbers[at], _jump(values, at), _scatter(values), LAG, (LAG,))
+
+
+def _sags(stood: Move, lag: Move) -> bool:
+    """Whether a joint stands elsewhere by what it stays behind its goal: goals went on as before, so no zero moved."""
+    near = max(ALIKE * abs(stood.by_deg), 2.0 * max(stood.scatter_deg, lag.scatter_deg))
+    return abs(stood.after - lag.after) < SIDE and abs(stood.by_deg + lag.by_deg) <= near
 
 
 def _is_one(by: float, scatter: float, least_deg: float) -> bool:

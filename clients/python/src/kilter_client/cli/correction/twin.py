@@ -23,6 +23,7 @@ from kilter_client.twin.drives import read_drives
 from kilter_client.twin.onto import lay_onto
 from kilter_client.twin.settled import Settings, errors_of, loaded, rows_of
 from kilter_client.twin.usd import USD_SUFFIXES, lay_over
+from kilter_client.twin.views import ViewErrors
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
@@ -132,14 +133,10 @@ def read(
     found = read_drives(loaded(model), split_names(joints), model)
     if robot_file is not None and output is not None:
         write(output, _with_drives(robot_file, found.stiffness).encode())
-    acting: dict[str, list[int]] = {}
-    for one in found.stated:
-        acting.setdefault(one.effect, []).append(found.joints.index(one.joint) + 1)
-    effects = [{"id": effect, "joints": numbers} for effect, numbers in acting.items()]
     document = {
         "model": str(model),
         "stated": [vars(one) for one in found.stated],
-        "effects": effects,
+        "effects": found.effects,
         "left": list(found.left),
     }
     emit(document, as_json, _show_read)
@@ -192,10 +189,12 @@ def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, a
     return done
 
 
-def _document(model: Path, campaign: str, job: Mapping[str, Any], apart: NDArray[np.float64]) -> dict[str, Any]:
+def _document(
+    model: Path, campaign: str, job: Mapping[str, Any], apart: ViewErrors | NDArray[np.float64]
+) -> dict[str, Any]:
     result = job["result"]
     errors = result["metrics"][campaign]
-    mm = apart * 1e3
+    mm = 1e3 * (apart.tool if isinstance(apart, ViewErrors) else apart)
     own = {
         "mean_mm": float(mm.mean()), "rms_mm": float(np.sqrt(np.mean(mm**2))), "p95_mm": float(np.percentile(mm, 95)),
         "max_mm": float(mm.max()),
@@ -206,6 +205,7 @@ def _document(model: Path, campaign: str, job: Mapping[str, Any], apart: NDArray
     return {
         "campaign_id": campaign, "version_id": result["version_id"], "model": str(model), "rows": len(mm),
         "errors": others | {str(model): own}, "warnings": result.get("warnings") or [],
+        "pixels": {"rms_px": apart.rms_px, "noise_px": apart.noise_px} if isinstance(apart, ViewErrors) else None,
     }  # fmt: skip
 
 
@@ -214,6 +214,12 @@ def _show(document: Mapping[str, Any]) -> None:
     say(
         f"{document['model']} settled at {document['rows']} rows of {document['campaign_id']}; base and tool fitted for each."
     )
+    if document["pixels"] is not None:
+        px = document["pixels"]
+        say(
+            f"Views: millimetres are the tool's, without the noise of corners. {document['model']} leaves "
+            f"{px['rms_px']:.2f} px (rms of a coordinate of a corner), of which {px['noise_px']:.2f} px are noise within views."
+        )
     for warning in document["warnings"]:
         say(f"warning: {warning['message']}")
 
