@@ -56,15 +56,15 @@ class Watched:
         assert read()["state"] == "succeeded", read()["error"]
         return dict(read()["result"])
 
-    def calibrated(self, database: Database | None = None) -> str:
-        """Fit and activate a version; in this process where a database is given."""
+    def calibrated(self, database: Database | None = None, validation: float | None = None) -> str:
+        """Fit and activate a version; in this process where a database is given, which may hold out a fraction."""
         effects: list[Any] = [{"id": "axial_compliance", "joints": [2, 3]}]
         fit = [self.sent(self.arm, 60, 1, DAY - timedelta(days=1))]
         asked: dict[str, Any] = {"effects": effects, "noise_mm": 0.05, "masses": "as_stated"}
         done = (
             self.done("identify", fit, **asked)
             if database is None
-            else self.done_here(database, "identify", fit, **asked)
+            else self.done_here(database, "identify", fit, validation, **asked)
         )
         return self.activated(done["version_id"])
 
@@ -80,9 +80,12 @@ class Watched:
         """Check in this process as a worker does: many days take seconds."""
         return self.done_here(database, "drift", [self.sent(arm, 6, seed, DAY + timedelta(days=day))])
 
-    def done_here(self, database: Database, kind: str, campaigns: list[str], **options: Any) -> dict[str, Any]:
+    def done_here(
+        self, database: Database, kind: str, campaigns: list[str], validation: float | None = None, **options: Any
+    ) -> dict[str, Any]:
         """Compute a job in this process as a worker does."""
         asked = {"kind": kind, "robot": self.name, "campaigns": campaigns, "options": options}
+        asked |= {} if validation is None else {"validation": validation}
         job = TypeAdapter[Any](NewJob).validate_python(asked)
         with database.transaction() as session:
             made = jobs.add(session, robots.get(session, self.name).id, job)

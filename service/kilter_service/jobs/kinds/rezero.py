@@ -16,7 +16,7 @@ from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
 from kilter_service.versions.drift import wire
-from kilter_service.versions.guard import REZEROED
+from kilter_service.versions.store import REZEROED
 
 if TYPE_CHECKING:
     from kilter_core.watch import Rezeroed

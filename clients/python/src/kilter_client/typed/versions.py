@@ -273,6 +273,8 @@ class Comparison(Record):
     """The version that was active, on the rows it can be compared on."""
     active_version: str | None
     """The version that was active."""
+    campaign_names: tuple[str, ...]
+    """What these campaigns are called, in the same order."""
     campaigns: tuple[str, ...]
     """Ids of the campaigns they are from."""
     mean_mm: float
