@@ -37,7 +37,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
-    "drifts": ("DriftResult", "RezeroResult", "DriftHistory", "DriftList"),
+    "drifts": ("DriftResult", "RezeroResult", "DriftHistory", "DriftList", "Repair"),
     "checks": (
         "IdentifyCheck",
         "GapCheck",

@@ -1,4 +1,4 @@
-"""Campaigns that show an arm as it was before a version was re-zeroed: they say nothing of the arm as it is."""
+"""Campaigns that show an arm as it was before a repair or a re-zeroing: they say nothing of the arm as it is."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 from kilter_service.campaigns import store as campaigns
 from kilter_service.ground.db import Session
 from kilter_service.ground.texts import plural
+from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions import store
 from kilter_service.versions.predictions.unfitted_rows import Unseen
 
@@ -22,8 +23,11 @@ class AsItWas:
 
     @staticmethod
     def by(session: Session, robot_id: int, *reports: Mapping[str, Any]) -> AsItWas:
-        """What the versions of these reports were re-zeroed by, the last counts."""
-        found = AsItWas()
+        """What was measured before the last repair, or before what the versions of these reports were re-zeroed by."""
+        repair, found = repairs.last(session, robot_id), AsItWas()
+        if repair is not None:
+            before = frozenset(campaigns.ids_until(session, robot_id, repair.at))
+            found = AsItWas(before, f"the repair of {repair.at:%Y-%m-%d} ({repair.what})")
         for report in reports:
             campaign = (report.get(store.REZEROED) or {}).get("campaign")
             before = frozenset() if campaign is None else frozenset(campaigns.ids_before(session, robot_id, campaign))

@@ -109,7 +109,9 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
     newest = found.newest if found.version_id == version_id else None
     if newest is None or newest.source == "fitted":
         return wish._replace(refit=wish.refit or ())
-    ids = tuple(one.id for one in newest.campaigns)
+    with database.reading() as session:
+        was = AsItWas.by(session, robots.get(session, robot).id)
+    ids = tuple(one.id for one in newest.campaigns if one.id not in was.campaigns)
     return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
 
 

@@ -158,6 +158,7 @@ MODULE_OF = {
     "Refused": "searches",
     "RefusedCriterion": "evaluations",
     "Remark": "fits",
+    "Repair": "drifts",
     "RepeatDrift": "search_numbers",
     "Replication": "searches",
     "ResidualRows": "others",
