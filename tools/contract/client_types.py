@@ -21,8 +21,8 @@ MODULES: Mapping[str, Sequence[str]] = {
     "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
     "fleet_priors": ("PriorUsed",),
     "identifications": ("IdentifyResult", "JointParametersResult"),
+    "comparisons": ("Comparison", "VersionDiff", "VersionPreview", "Tombstone"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
-    "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),
     "search_numbers": (
         "Adequacy",
         "AliasMatrix",

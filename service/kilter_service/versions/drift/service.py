@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -27,6 +28,7 @@ from kilter_service.versions.drift.records import Activated, StoredCheck
 
 KEPT = KeptCharts()
 MOST_OF_MANY = 100  # checks of each robot in the list of all
+MOST_SUMMED, SUMMED_S = 20, 600.0  # robots whose sums one scrape computes, and how long they hold without a check
 MOST_OF_LAST = 5  # looked through for the last one that counts
 WORST = ("moved", "cannot_tell", "creeping", "never", "ok")
 NEVER = "Not checked since {since}: measure five poses and send them (kilter check)."
@@ -73,6 +75,37 @@ def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     repaired = repairs.of_robots(session, names)
     own = {key: _of_active(found, log.get(key, []), repaired.get(key, [])) for key, found in made.items()}
     return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}
+
+
+class Creeping:
+    """Which robots creep, for the metrics: their sums are computed when a check came, and again after a while.
+
+    A few robots each time, so that no scrape of a large fleet waits for all.
+    """
+
+    def __init__(self, most: int = MOST_SUMMED, kept_s: float = SUMMED_S) -> None:
+        self._most, self._kept_s = most, kept_s
+        self._known: dict[
+            str, tuple[str, float, bool]
+        ] = {}  # by robot: its last check, until when it holds, what it is
+
+    def of(self, session: Session, last: Mapping[str, CheckOfRobot]) -> dict[str, bool]:
+        """Whether each robot of these last checks creeps, as far as it is known already."""
+        now = time.monotonic()
+        due = [name for name, one in last.items() if self._is_due(name, one, now)][: self._most]
+        keys = {name: key for key, name in robots.names_by_key(session, None).items() if name in due}
+        made = store.checks(session, keys.values(), MOST_OF_MANY)
+        log, repaired = store.activations(session, keys.values()), repairs.of_robots(session, keys.values())
+        for name, key in keys.items():
+            charts = _own(made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
+            creeps = last[name].verdict == "ok" and any(one.alarms for one in charts)
+            self._known[name] = (last[name].job_id, now + self._kept_s, creeps)
+        self._known = {name: one for name, one in self._known.items() if name in last}
+        return {name: creeps for name, (job, _, creeps) in self._known.items() if job == last[name].job_id}
+
+    def _is_due(self, name: str, one: CheckOfRobot, now: float) -> bool:
+        job, until, _ = self._known.get(name, ("", 0.0, False))
+        return job != one.job_id or now > until
 
 
 def _agreeing_again(made: Sequence[StoredCheck]) -> list[DriftMark]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
 from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
+from kilter_client.typed.comparisons import Comparison, VersionPreview
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 from kilter_client.typed.fleet_priors import PriorUsed
 from kilter_client.typed.identifications import (
@@ -247,94 +248,6 @@ class VersionSummary(OfVersion, Record):
     """Since when it is out of use; None: it is in use."""
     robot: str
     """Name of its robot."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Rival(Record):
-    """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
-
-    larger_by_mm: float
-    """By how much the version's mean error is larger, mm; below 0: it is smaller."""
-    margin_mm: float
-    """By how much it may be larger by chance, mm."""
-    mean_mm: float
-    """Mean error of the rival, mm."""
-    poses: int
-    """Poses compared."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Comparison(Record):
-    """Mean errors on rows that no version compared was fitted to, base and tool refitted to each campaign.
-
-    ``active`` is None when no version was active, or when it cannot predict these rows or was fitted to all of them."""
-
-    active: Rival | None
-    """The version that was active, on the rows it can be compared on."""
-    active_version: str | None
-    """The version that was active."""
-    campaign_names: tuple[str, ...]
-    """What these campaigns are called, in the same order."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns they are from."""
-    mean_mm: float
-    """Mean error of the version, mm."""
-    poses: int
-    """Poses they are at."""
-    registration_only: Rival
-    """The nominal robot, base and tool fitted."""
-    rows: int
-    """Rows compared."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointPreview(Record):
-    """The largest correction of a joint."""
-
-    joint: str
-    """Name of the joint."""
-    largest_at: tuple[float, ...]
-    """The joints there: degrees, mm for prismatic ones."""
-    largest_deg: float | None
-    """Largest correction, degrees; None: prismatic, or nothing was corrected."""
-    largest_mm: float | None
-    """Largest correction, mm; None: revolute, or nothing was corrected."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class VersionPreview(Record):
-    """How a version would correct, without activating it: what `correct` does with these poses, within its limits."""
-
-    corrected: int
-    """How many of them get corrected joints, damped and limited ones among them."""
-    damped: int
-    """How many of these keep more of their error than is stated: a singularity is near, or out of reach."""
-    joints: Records[JointPreview]
-    """The largest correction of each joint."""
-    largest_at: tuple[float, ...]
-    """The joints there: degrees, mm for prismatic ones."""
-    largest_mm: float | None
-    """Largest movement of the tool by the correction, mm; None: as above."""
-    left_at: tuple[float, ...]
-    """The joints there: degrees, mm for prismatic ones."""
-    left_mm: float | None
-    """The most that a correction leaves of the tool's error by the version, mm; None: as above."""
-    limited: int
-    """How many of these keep more of their error than is stated because the correction is at a limit."""
-    mean_mm: float | None
-    """Mean movement of the tool by the correction, mm; None: nothing was corrected."""
-    poses: int
-    """How many poses were looked at."""
-    refused: Mapping[str, int]
-    """The others, by why they would be refused, such as `CORRECTION_TOO_LARGE` for its limits."""
-    temperature_c: float | None
-    """Temperature it was looked at with, degrees Celsius; None: not known."""
-    unsupported_effects: tuple[str, ...]
-    """Ids of its effects that would not be corrected at run time."""
-    version_id: str
-    """Id of the version."""
-    within: str
-    """Poses looked at: `campaigns`, where the robot was driven before; `limits`, anywhere in its limits."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
