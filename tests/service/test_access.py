@@ -88,7 +88,13 @@ class House(NamedTuple):
         names = {"robot": of, "campaign": f"cmp_{end}", "version": f"ver_{end}", "a": f"ver_{end}", "b": "nominal"}
         headers = {} if token is None else {"Authorization": f"Bearer {self.tokens.get(token, token)}"}
         path = path.format(
-            **names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base", bridge="0" * 16
+            **names,
+            job=f"job_{end}",
+            fleet_job=f"flt_{end}",
+            token="tok_0",
+            link="base",
+            bridge="0" * 16,
+            repair="rep_0",
         )
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 

@@ -69,9 +69,9 @@ def activations(robot: ResourceReference) -> Steps[Records[typed.versions.Activa
     return Records(typed.versions.Activation, [typed.versions.Activation.read(one) for one in found])
 
 
-def preview(version: ResourceReference, *, robot: str | None = None) -> Steps[typed.versions.VersionPreview]:
+def preview(version: ResourceReference, *, robot: str | None = None) -> Steps[typed.comparisons.VersionPreview]:
     """Return how a version would correct: the largest correction in mm and where, and which poses it would refuse."""
-    return typed.versions.VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
+    return typed.comparisons.VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
 
 
 def diff(
