@@ -8,8 +8,9 @@ draw did. Arms, spread and noise are those of ``benchmarks.fleet``.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from tests.core.identify.fleet.simulated import ANGLE, LENGTH, PARALLEL, TOOL, Arm, poses, shifted
 
 Floats = NDArray[np.float64]
-NOISE, FITTED, UNSEEN, ROBOTS, DRAWS = 5e-5, 60, 300, 11, 200
+NOISE, FITTED, UNSEEN, DRAWS = 5e-5, 60, 300, 200
 WIDE = 30.0  # an ordinary prior, in spreads of the type
 ODD_SHARE, ODD_WIDTH = 0.02, 20.0  # each of fifty parameters, so many times as wide
 WORSE = 1.05
@@ -109,6 +110,17 @@ class Station:
         return np.where(likely, best, -1)
 
 
+@dataclass(frozen=True)
+class Case:
+    """One of ``among`` the parameters is so many spreads ``off``, of the arm itself or of one of the ``others``."""
+
+    words: str
+    off: float
+    whose: Literal["own", "other's"]
+    among: Sequence[int]
+    others: int
+
+
 def ratio(station: Station, x: Floats, prior: Prior, rng: np.random.Generator) -> float:
     """How many times the rms error without the prior an arm has with it, over draws of the noise."""
     y = (station.seen @ x)[:, None] + rng.standard_normal((len(station.seen), DRAWS))
@@ -122,38 +134,54 @@ def ratio(station: Station, x: Floats, prior: Prior, rng: np.random.Generator) -
     return float(np.sqrt(found.sum() / without.sum()))
 
 
-def ratios(arms: int, count: int, odd: bool, rng: np.random.Generator) -> Iterator[float]:
-    """The ratios of so many arms, each beside eleven others of its type; ``odd``: one zero is 10 spreads off."""
+def ratios(arms: int, count: int, case: Case, rng: np.random.Generator) -> Iterator[float]:
+    """The ratios of so many arms with ``count`` poses, each beside others of its type."""
     many = derivatives(poses(FITTED, rng)) / NOISE
     whole: Floats = np.linalg.inv(many.T @ many + np.eye(many.shape[1]) / WIDE**2).astype(np.float64)
     known = whole[: len(SPREAD), : len(SPREAD)]
+    unseen = derivatives(poses(UNSEEN, rng)) / NOISE
     for _ in range(arms):
         kind = rng.standard_normal(len(SPREAD))
-        versions = kind + rng.standard_normal((ROBOTS, len(SPREAD)))
-        versions += rng.multivariate_normal(np.zeros(len(SPREAD)), known, ROBOTS)
+        versions = kind + rng.standard_normal((case.others, len(SPREAD)))
+        versions += rng.multivariate_normal(np.zeros(len(SPREAD)), known, case.others)
         x = np.concatenate([kind + rng.standard_normal(len(SPREAD)), np.zeros(FRAMES)])
-        if odd:
-            x[ERRORS.index((int(rng.integers(1, 5)), 0))] += 10.0 * rng.choice([-1.0, 1.0])
-        station = Station(*(derivatives(poses(n, rng)) / NOISE for n in (count, UNSEEN)))
-        yield ratio(station, x, Prior.of(versions, known), rng)
+        odd = x if case.whose == "own" else versions[0]
+        odd[int(rng.choice(case.among))] += case.off * rng.choice([-1.0, 1.0])
+        yield ratio(Station(derivatives(poses(count, rng)) / NOISE, unseen), x, Prior.of(versions, known), rng)
+
+
+def cases(others: int, off: float) -> list[Case]:
+    """What is studied: an arm of the type, an odd one, and one of whose fleet another is odd."""
+    zeros = [ERRORS.index((joint, 0)) for joint in range(1, 5)]
+    anything = range(len(ERRORS))
+    return [
+        Case("of the type", 0.0, "own", zeros, others),
+        Case(f"one zero {off:g} spreads off", off, "own", zeros, others),
+        Case(f"any one {off:g} spreads off", off, "own", anything, others),
+        Case(f"another's {off:g} spreads off", off, "other's", anything, others),
+    ]
 
 
 def main() -> None:
     """Print the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=300)
+    parser.add_argument("--others", type=int, default=11)
+    parser.add_argument("--off", type=float, default=10.0)
+    parser.add_argument("--poses", type=int, nargs="+", default=[12, 14, 20])
     given = parser.parse_args()
     rng = np.random.default_rng(30)
     print(
-        f"{given.arms} arms, each with {ROBOTS} others of its type; error with the prior over that without, {DRAWS} draws"
+        f"{given.arms} arms, each with {given.others} others of its type; error with the prior over that without, "
+        f"{DRAWS} draws"
     )
     print("poses   arm                          mean   median   largest   above 1.05")
-    for count in (12, 14, 20):
-        for name, odd in (("of the type", False), ("one zero 10 spreads off", True)):
-            found = np.array(list(ratios(given.arms, count, odd, rng)))
+    for count in given.poses:
+        for case in cases(given.others, given.off):
+            found = np.array(list(ratios(given.arms, count, case, rng)))
             share = 100.0 * float(np.mean(found > WORSE))
             told = f"{np.mean(found):6.3f}   {np.median(found):6.3f}   {found.max():7.3f}   {share:8.1f} %"
-            print(f"{count:5d}   {name:25} {told}", flush=True)
+            print(f"{count:5d}   {case.words:25} {told}", flush=True)
 
 
 if __name__ == "__main__":

@@ -159,12 +159,15 @@ def test_what_is_stated_of_rows_counts_though_they_were_sent_before(
         found = command.json("check", calibrated, rows, "--temperature-c", 23, "--instrument", "lapsed")["result"]
         (warning,) = [one for one in found["warnings"] if one["code"] == "instrument_expired"]
         assert "held until 2026-01-10" in warning["message"]
-    assert "held until 2026-01-10" in command("check", calibrated, "--campaign", "rows.csv (3)")
+    assert "held until 2026-01-10" in command("check", calibrated, "--campaign", "rows.csv (2)")
     stored = command.json("campaigns", "list", calibrated)["campaigns"]
     seen = [
         (one["name"], one["conditions"]["temperature_c"], one["instrument"]) for one in stored if one["name"] != "fit"
     ]
-    assert seen == [("rows.csv", None, None), ("rows.csv (2)", 45.0, None), ("rows.csv (3)", 23.0, "lapsed")]
+    assert seen == [("rows.csv", None, None), ("rows.csv (2)", 23.0, "lapsed")]
+    assert 45.0 in [
+        one.conditions.temperature_c for one in k.campaigns(calibrated, retired=True)
+    ]  # refused, so retired
 
 
 def test_a_wrong_command_line_is_told_so(calibrated: str, command: Command, tmp_path: Path, arm: DriftingArm) -> None:
@@ -235,6 +238,9 @@ def test_what_moved_is_re_zeroed_activated_and_agrees(
     command("check", calibrated, written(tmp_path / "crashed.csv", moved, 6, 20), code=3)
     said = command("rezero", calibrated, "--campaign", "crashed.csv")
     assert f"Version {first['id']} re-zeroed: zero of joint 3 by 0.2" in said
+    assert "The 6 rows of crashed.csv were used for that" in said
+    assert "re-zeroed by (6)" in said
+    assert "train" not in said
     found = command.json("rezero", calibrated, "--campaign", "crashed.csv", "--cause", "zero_3")["result"]
     version = command.json("version", found["version_id"])
     assert version["parent_id"] == first["id"]

@@ -47,10 +47,12 @@ class World:
             str(self.client.post("/v1/fleet-jobs", json=asked).raise_for_status().json()["id"])
             for asked in ({"robots": ["arm", "empty"]}, {"options": {"level": 1}})
         ]
+        mended = self.client.post("/v1/robots/arm/repairs", json={"what": "gear"}).raise_for_status()
+        repair = str(mended.json()["id"])
         self.known = {
             "robot": ["arm", "arm", "empty"], "campaign": campaigns, "version": versions, "job": jobs,
             "a": [*versions, "nominal"], "b": [*versions, "nominal"], "token": [token], "fleet_job": fleets,
-            "link": ["base", "1", "2"], "bridge": ["rsi", "egm", "fci"],
+            "link": ["base", "1", "2"], "bridge": ["rsi", "egm", "fci"], "repair": [repair],
             "reference": [*campaigns, *versions, *jobs, "latest"],
         }  # fmt: skip
 

@@ -51,6 +51,7 @@ NEEDED = {
         POST /v1/jobs POST /v1/jobs/check POST /v1/jobs/{job}/cancel PATCH /v1/versions/{version}
         POST /v1/versions/{version}/retire POST /v1/versions/{version}/restore POST /v1/versions/{version}/activate
         POST /v1/robots/{robot}/rollback POST /v1/robots/{robot}/stream/sessions
+        POST /v1/robots/{robot}/repairs DELETE /v1/robots/{robot}/repairs/{repair}
         PUT /v1/robots/{robot}/bridges/{bridge}
         POST /v1/fleet-jobs POST /v1/fleet-jobs/{fleet_job}/cancel""",
     "admin": """POST /v1/robots PATCH /v1/robots/{robot} DELETE /v1/robots/{robot} POST /v1/robots/{robot}/retire
@@ -87,7 +88,13 @@ class House(NamedTuple):
         names = {"robot": of, "campaign": f"cmp_{end}", "version": f"ver_{end}", "a": f"ver_{end}", "b": "nominal"}
         headers = {} if token is None else {"Authorization": f"Bearer {self.tokens.get(token, token)}"}
         path = path.format(
-            **names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base", bridge="0" * 16
+            **names,
+            job=f"job_{end}",
+            fleet_job=f"flt_{end}",
+            token="tok_0",
+            link="base",
+            bridge="0" * 16,
+            repair="rep_0",
         )
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 

@@ -169,7 +169,7 @@ def test_a_version_worse_than_the_active_one_is_refused_unless_forced(lab: Lab) 
     assert (answer.status_code, refused["code"]) == (409, "activation_refused")
     assert codes(refused["context"]["objections"]) == {"worse_than_active"}
     assert refused["context"]["compared"]["campaigns"] == [judged]
-    assert judged in refused["detail"]
+    assert "predicts campaign c (" in refused["detail"]
     assert "--force" in refused["detail"]
     assert good in refused["detail"]
     assert (lab.active(), len(lab.log())) == (good, 1)
@@ -381,7 +381,7 @@ def test_too_few_poses_new_to_both_leave_the_comparison_with_registration(lab: L
 
 def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
     good = lab.identify([lab.campaign(lab.readings(60, 1), 1)])
-    judged = lab.campaign(lab.readings(40, 2), 2)
+    lab.campaign(lab.readings(40, 2), 2)
 
     def blow_up(values: dict[str, float]) -> None:
         values["a_2"] = 1e200
@@ -390,7 +390,7 @@ def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
     refused = lab.activate(wild).json()
     assert refused["code"] == "activation_refused"
     assert codes(refused["context"]["objections"]) == {"worse_than_registration", "another_arm", "cannot_correct"}
-    assert judged in refused["detail"]
+    assert "predicts campaign c (" in refused["detail"]
 
 
 def test_what_a_version_needs_and_a_campaign_lacks_is_said(lab: Lab) -> None:

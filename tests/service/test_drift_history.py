@@ -57,6 +57,8 @@ def test_what_creeps_is_seen_by_all_checks_together(
     assert after[-1]["verdict"] == "ok"
     found = watched.history()
     assert found["state"] == "creeping", found["sentence"]
+    assert gauges(client)['kilter_drift_creeping{robot="creeping"}'] == 1.0
+    assert gauges(client)['kilter_drift_verdict{robot="creeping",verdict="ok"}'] == 1.0
     chart = {one["name"]: one for one in found["charts"]}["zero_2"]
     assert chart["alarms"]
     assert chart["since"] is not None
@@ -72,6 +74,7 @@ def test_what_creeps_is_seen_by_all_checks_together(
     told = [(one["robot"], one["state"]) for one in client.get("/v1/drift").raise_for_status().json()["robots"]]
     assert told == [("creeping", "moved"), ("fresh", "never")]
     seen = gauges(client)
+    assert seen['kilter_drift_creeping{robot="creeping"}'] == 0.0  # it has moved: the check says so
     assert seen['kilter_drift_verdict{robot="creeping",verdict="moved"}'] == 1.0
     assert seen['kilter_drift_verdict{robot="creeping",verdict="ok"}'] == 0.0
     assert seen['kilter_drift_p_value{robot="creeping"}'] < 1e-6

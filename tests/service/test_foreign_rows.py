@@ -7,6 +7,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+import pytest
 
 from kilter_service.ground.db import Database
 from tests.core.watch.drifting import some_arm
@@ -98,3 +99,34 @@ def test_nothing_is_accepted_beside_rows_of_another_arm_that_nobody_checked(
     assert judged()["decision"] == "rejected"
     client.post(f"/v1/campaigns/{crashed}/retire").raise_for_status()
     assert judged()["decision"] == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("poses", "temperature_c", "code"), [(2, 22.0, "too_few_poses"), (6, 60.0, "another_temperature")]
+)
+def test_rows_that_a_check_refuses_take_part_in_nothing_until_they_are_brought_back(
+    client: httpx.Client, database: Database, poses: int, temperature_c: float, code: str
+) -> None:
+    arm = some_arm(np.random.default_rng(3))
+    watched = Watched(client, None, arm, "watched")
+    watched.calibrated(database, temperature_c=22.0)
+    bad = watched.sent(arm, poses, 3, DAY + timedelta(days=1), temperature_c=temperature_c)
+    body = {"kind": "drift", "robot": "watched", "campaigns": [bad]}
+    (problem,) = client.post("/v1/jobs/check", json=body).raise_for_status().json()["problems"]
+    assert problem["code"] == code
+    assert f"kilter campaigns retire {bad}" in problem["message"]
+    assert in_use(watched, bad)
+
+    error = watched.failed_here(database, "drift", [bad])
+    assert error["code"] == code
+    assert f"kilter campaigns restore {bad}" in error["message"]
+    assert not in_use(watched, bad)
+    assert watched.history()["history"] == []
+    assert client.get("/v1/robots/watched/today").raise_for_status().json()["not_evaluated"] == []
+    nothing = client.get("/v1/robots/watched/acceptance", params=TOLERANCE)
+    assert (nothing.status_code, nothing.json()["code"]) == (409, "nothing_held_out")
+    assert bad in [
+        one["id"] for one in client.get("/v1/robots/watched/campaigns?retired=true").json()["campaigns"]
+    ]  # seen, and brought back
+    client.post(f"/v1/campaigns/{bad}/restore").raise_for_status()
+    assert in_use(watched, bad)

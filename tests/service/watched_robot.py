@@ -13,7 +13,9 @@ from pydantic import TypeAdapter
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
+from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.watch.drifting import DriftingArm, some_poses
 
@@ -30,14 +32,22 @@ class Watched:
         client.post("/v1/robots", json={**arm.document(), "name": name}).raise_for_status()
 
     def sent(
-        self, arm: DriftingArm, poses: int, seed: int, at: datetime, role: str = "validation", where: int | None = None
+        self,
+        arm: DriftingArm,
+        poses: int,
+        seed: int,
+        at: datetime,
+        role: str = "validation",
+        where: int | None = None,
+        temperature_c: float | None = None,
     ) -> str:
         """Send rows of random poses, those of the seed ``where`` if it is given."""
         rng = np.random.default_rng(seed)
         q = some_poses(poses, rng if where is None else np.random.default_rng(where))
         seen = arm.measured(q, rng, NOISE).position
         assert seen is not None
-        body = {"name": f"{at:%Y-%m-%d}", "numbered": True, "role": role, "measured_at": at.isoformat()}
+        body: dict[str, Any] = {"name": f"{at:%Y-%m-%d}", "numbered": True, "role": role, "measured_at": at.isoformat()}
+        body |= {} if temperature_c is None else {"conditions": {"temperature_c": temperature_c}}
         made = self.client.post(f"/v1/robots/{self.name}/campaigns", json=body).raise_for_status().json()["id"]
         columns = {f"q{k + 1}_deg": np.degrees(q[:, k]).tolist() for k in range(6)}
         columns |= {f"{axis}_mm": (seen[:, k] * 1e3).tolist() for k, axis in enumerate("xyz")}
@@ -56,15 +66,17 @@ class Watched:
         assert read()["state"] == "succeeded", read()["error"]
         return dict(read()["result"])
 
-    def calibrated(self, database: Database | None = None) -> str:
-        """Fit and activate a version; in this process where a database is given."""
+    def calibrated(
+        self, database: Database | None = None, validation: float | None = None, temperature_c: float | None = None
+    ) -> str:
+        """Fit and activate a version; in this process where a database is given, which may hold out a fraction."""
         effects: list[Any] = [{"id": "axial_compliance", "joints": [2, 3]}]
-        fit = [self.sent(self.arm, 60, 1, DAY - timedelta(days=1))]
+        fit = [self.sent(self.arm, 60, 1, DAY - timedelta(days=1), temperature_c=temperature_c)]
         asked: dict[str, Any] = {"effects": effects, "noise_mm": 0.05, "masses": "as_stated"}
         done = (
             self.done("identify", fit, **asked)
             if database is None
-            else self.done_here(database, "identify", fit, **asked)
+            else self.done_here(database, "identify", fit, validation, **asked)
         )
         return self.activated(done["version_id"])
 
@@ -80,9 +92,12 @@ class Watched:
         """Check in this process as a worker does: many days take seconds."""
         return self.done_here(database, "drift", [self.sent(arm, 6, seed, DAY + timedelta(days=day))])
 
-    def done_here(self, database: Database, kind: str, campaigns: list[str], **options: Any) -> dict[str, Any]:
+    def done_here(
+        self, database: Database, kind: str, campaigns: list[str], validation: float | None = None, **options: Any
+    ) -> dict[str, Any]:
         """Compute a job in this process as a worker does."""
         asked = {"kind": kind, "robot": self.name, "campaigns": campaigns, "options": options}
+        asked |= {} if validation is None else {"validation": validation}
         job = TypeAdapter[Any](NewJob).validate_python(asked)
         with database.transaction() as session:
             made = jobs.add(session, robots.get(session, self.name).id, job)
@@ -91,6 +106,19 @@ class Watched:
             result = jobs.get(session, made).result
         assert result is not None
         return result
+
+    def failed_here(self, database: Database, kind: str, campaigns: list[str]) -> dict[str, Any]:
+        """Run a job in this process as a worker runs it; returns why it failed."""
+        job = TypeAdapter[Any](NewJob).validate_python({"kind": kind, "robot": self.name, "campaigns": campaigns})
+        with database.transaction() as session:
+            made = jobs.add(session, robots.get(session, self.name).id, job)
+            claim = lease.claim(session, "here", [kind])
+        assert claim is not None
+        assert claim.job_id == made
+        Runner(database).run(claim)
+        done = self.client.get(f"/v1/jobs/{made}").raise_for_status().json()
+        assert done["state"] == "failed"
+        return dict(done["error"])
 
     def history(self) -> dict[str, Any]:
         return dict(self.client.get(f"/v1/robots/{self.name}/drift").raise_for_status().json())

@@ -21,9 +21,9 @@ MODULES: Mapping[str, Sequence[str]] = {
     "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
     "fleet_priors": ("PriorUsed",),
     "identifications": ("IdentifyResult", "JointParametersResult"),
+    "comparisons": ("Comparison", "VersionDiff", "Tombstone"),
     "previews": ("VersionPreview",),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
-    "comparisons": ("VersionDiff", "Tombstone"),
     "search_numbers": (
         "Adequacy",
         "AliasMatrix",
@@ -38,7 +38,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
-    "drifts": ("DriftResult", "RezeroResult", "DriftHistory", "DriftList"),
+    "drifts": ("DriftResult", "RezeroResult", "DriftHistory", "DriftList", "Repair"),
     "checks": (
         "IdentifyCheck",
         "GapCheck",

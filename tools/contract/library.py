@@ -29,6 +29,8 @@ GROUPS = {
         "bridges",
         "drift_history",
         "drift_list",
+        "add_repair",
+        "remove_repair",
         "accept",
         "meshes",
         "set_mesh",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.evaluate import far_off
 from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors
 from kilter_core.identify.comparison.other_setups import elsewhere
 from kilter_core.identify.estimate import new_frames, refitted
@@ -62,16 +63,18 @@ def evaluate(
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
         "within_u95": within, "rows": table.to_document(),
-        "warnings": _warnings(stages, measurement, refit, within),
+        "warnings": _warnings(stages, measurement, refit, table),
     }  # fmt: skip
 
 
 def _warnings(
-    stages: Mapping[str, Calibration], measurement: Measurement, refit: Sequence[str], within: float | None
+    stages: Mapping[str, Calibration], measurement: Measurement, refit: Sequence[str], table: Rows
 ) -> list[dict[str, Any]]:
     """What speaks against the calibration here; nothing does in frames that are not those of the rows."""
     apart = list(elsewhere(stages["identified"], measurement, refit=refit))
-    return apart or [*_worse(stages, measurement), *_narrow(within)]
+    return apart or [
+        *_worse(stages, measurement), *_narrow(table.within), *far_off.warning(table.error, table.u95)
+    ]  # fmt: skip
 
 
 def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[dict[str, Any]]:

@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy import and_, delete, or_, select
+from sqlalchemy import and_, delete, func, or_, select
 
 from kilter_core.errors import ObservationError
 from kilter_files.ground.later import pa
@@ -211,6 +211,13 @@ def ids_before(session: Session, robot_id: int, campaign_id: str) -> list[str]:
         for key, stated, sent in session.execute(query)
         if (sent < one.created_at if stated is None or one.measured_at is None else stated < one.measured_at)
     ]
+
+
+def ids_until(session: Session, robot_id: int, moment: datetime) -> list[str]:
+    """Return the campaigns of a robot in use that were measured before a moment; where nobody stated when, sent before it."""
+    row = CampaignRow
+    at = func.coalesce(row.measured_at, row.created_at)
+    return list(session.execute(select(row.id).where(row.robot_id == robot_id, at < moment)).scalars())
 
 
 def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:

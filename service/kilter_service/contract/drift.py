@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 
 from kilter_service.contract.jobs.drift import DriftVerdict
 from kilter_service.contract.units import Celsius, Strict
 
-Mark = Literal["activated", "re-zeroed", "rolled back", "repaired"]
+Mark = Literal["activated", "re-zeroed", "rolled back", "repaired", "repair"]
 State = Literal["never", "ok", "creeping", "cannot_tell", "moved"]
 
 
@@ -50,9 +50,30 @@ class DriftMark(Strict):
     at: datetime = Field(description="When.")
     what: Mark = Field(
         description="What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the "
-        "first check that agrees again with a version that the check before missed."
+        "first check that agrees again with a version that the check before missed; `repair`: what somebody recorded."
     )
-    version_id: str = Field(description="The version.")
+    version_id: str = Field(description="The version; of a repair empty.")
+    note: str = Field("", description="Of a repair what was done.")
+    repair_id: str | None = Field(None, description="Id of a repair; null: it is none.")
+
+
+class NewRepair(Strict):
+    """What was done to an arm."""
+
+    what: Annotated[str, Field(min_length=1, max_length=200)] = Field(
+        description="What was done, as *gear of joint 3 replaced*."
+    )
+    at: AwareDatetime | None = Field(None, description="When; null: now.")
+
+
+class Repair(Strict):
+    """A repair of an arm: from then on it is another one for its checks."""
+
+    id: str = Field(description="Its id.")
+    at: datetime = Field(description="When it was done.")
+    what: str = Field(description="What was done.")
+    by: str = Field(description="Who recorded it.")
+    created_at: datetime = Field(description="When it was recorded.")
 
 
 class DriftSummary(Strict):
@@ -60,12 +81,12 @@ class DriftSummary(Strict):
 
     robot: str = Field(description="Name of the robot.")
     state: State = Field(
-        description="`never`: not checked since its version was activated; `ok`; `creeping`: no check says so, all together "
-        "do; `cannot_tell` and `moved`: the last check."
+        description="`never`: not checked since its version was activated or the arm repaired; `ok`; `creeping`: no check says "
+        "so, all together do; `cannot_tell` and `moved`: the last check."
     )
     version_id: str | None = Field(description="The active version; null: none.")
     sentence: str = Field(description="The same in words.")
-    checks: int = Field(description="Checks of the active version.")
+    checks: int = Field(description="Checks of the active version, since the last repair.")
     last: CheckOfRobot | None = Field(description="The last of them; null: none.")
     age_days: int | None = Field(description="Whole days since then; null: none.")
 
@@ -73,6 +94,9 @@ class DriftSummary(Strict):
 class DriftHistory(DriftSummary):
     """The checks of a robot, oldest first, and the control charts of its active version."""
 
+    repaired_at: datetime | None = Field(
+        None, description="When the arm was last repaired: checks and charts of the active version count from then on."
+    )
     history: list[CheckOfRobot] = Field(description="All checks against any version, oldest first; at most 1000.")
     marks: list[DriftMark] = Field(description="What was done to its version, oldest first.")
     charts: list[ControlChart] = Field(description="A chart for each number, over the checks of the active version.")

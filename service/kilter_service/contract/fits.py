@@ -153,6 +153,10 @@ class Remark(Stored):
     campaigns: list[str] | None = Field(None, description="Ids of the campaigns it is about.")
     markers: list[int] | None = Field(None, description="Numbers of the markers it is about, from 1.")
     rows: list[int] | None = Field(None, description="Rows it is about, from 1.")
+    off_mm: list[Mm] | None = Field(None, description="How far each of these rows is off, mm.")
+    sigmas: list[float] | None = Field(
+        None, description="The same of its worst coordinate, in standard deviations of what was expected there."
+    )
     row: int | None = Field(None, description="The row it is about, from 0.")
     visits: int | None = Field(None, description="How many visits it is about.")
     masses: list[OddMass] | None = Field(None, description="Masses and centres far from what was stated.")

@@ -94,6 +94,7 @@ class Comparison(Strict):
     rows: int = Field(description="Rows compared.")
     poses: int = Field(description="Poses they are at.")
     campaigns: list[str] = Field(description="Ids of the campaigns they are from.")
+    campaign_names: list[str] = Field([], description="What these campaigns are called, in the same order.")
     mean_mm: Mm = Field(description="Mean error of the version, mm.")
     registration_only: Rival = Field(description="The nominal robot, base and tool fitted.")
     active_version: str | None = Field(description="The version that was active.")

@@ -81,6 +81,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "method_not_allowed": (405, "This address does not take that method"),
     "robot_exists": (409, "The robot's name is taken"),
     "instrument_exists": (409, "Another instrument has this name"),
+    "repair_to_come": (400, "The repair is dated in the future"),
+    "repair_not_found": (404, "No such repair"),
     "name_taken": (409, "Another one has this name"),
     "name_invalid": (400, "The name looks like an id"),
     "reference_ambiguous": (409, "A prefix or name matches several"),

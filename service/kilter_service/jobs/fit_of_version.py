@@ -9,6 +9,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.ground.db import Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.kind import Dates, FitOfVersion
+from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions import store as versions
 from kilter_service.versions.drift import store as drift
 from kilter_service.versions.predictions.unfitted_rows import Archive
@@ -25,7 +26,9 @@ def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion
     shared = [c for c in named if c in files or fitted[c]]
     seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
     made = drift.of_version(session, robot, version, named)
-    agreed = max((one.at for one in made if one.result.get("verdict") == "ok"), default=None)
+    repaired = repairs.last(session, robot)  # since then the arm is another one: no check agreed with it yet
+    good = [one.at for one in made if one.result.get("verdict") == "ok"]
+    agreed = max((at for at in good if repaired is None or at >= repaired.at), default=None)
     dates = Dates(
         max(drift.measured(session, named)[0].values(), default=None),
         max((one.at for one in made), default=None),

@@ -24,6 +24,7 @@ from kilter_service.page.routes import ROUTERS as PAGE
 from kilter_service.robots.frames.routes import router as frames
 from kilter_service.robots.instruments.routes import router as instruments
 from kilter_service.robots.meshes.routes import router as meshes
+from kilter_service.robots.repairs.routes import router as repairs
 from kilter_service.robots.routes import router as robots
 from kilter_service.run.path_lookups import look_up
 from kilter_service.stream.bridges.routes import router as bridges
@@ -53,7 +54,7 @@ SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from meas
 
 ROUTERS: tuple[APIRouter, ...] = (
     robots, today, drift, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams,
-    bridges, tokens, audit, metrics, instruments, acceptance,
+    bridges, tokens, audit, metrics, instruments, acceptance, repairs,
 )  # fmt: skip
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 

@@ -8,7 +8,7 @@ refused for it.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
+from kilter_service.versions.as_it_was import AsItWas
 from kilter_service.versions.objections import objections_of, of_calibration
 from kilter_service.versions.predictions import own_errors
 from kilter_service.versions.predictions.unfitted_rows import Archive, Unseen
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-REZEROED = store.REZEROED
 MOST_POSES = 2000  # compared at most, evenly chosen: one to two seconds
 
 NOTHING = (
@@ -45,7 +45,10 @@ ONLY_PLAIN = (
     "Version {active}, active now, was fitted to every pose that this one was not: compared with registration only."
 )
 
-BEFORE = "Campaign {campaign} was not compared: it was measured before what the version was re-zeroed by."
+NOTHING_SINCE = (
+    "Not compared with rows that no fit used: there are none from after {since}. Check the arm once the version is active "
+    "(kilter check)."
+)
 
 _ONE_AT_A_TIME = threading.Lock()  # a comparison holds the rows of a robot
 
@@ -101,10 +104,15 @@ def _first(cases: list[Case], own: list[Objection]) -> Verdict:
 
 
 def _settled(verdict: Verdict, report: Mapping[str, Any], rival: Mapping[str, Any] | None) -> Verdict:
-    """A verdict in which the active version counts, by stored errors where no measured pose is new to both."""
+    """A verdict in which the active version counts, by stored errors where no measured pose is new to both.
+
+    Those of a re-zeroed version are not compared: the rows of the other are of the arm as it was before, or after.
+    """
     if (
         rival is None
         or verdict.active is None
+        or store.REZEROED in report
+        or store.REZEROED in rival
         or (verdict.compared is not None and verdict.compared.active is not None)
     ):
         return verdict
@@ -129,35 +137,27 @@ def _cases(
 ) -> list[Case]:  # fmt: skip
     """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
     archive = Archive(session, robot_id)
-    later = since_rezeroed(session, robot_id, report)
+    reports = [report] if active is None else [report, store.get(session, active).report]
+    was = AsItWas.by(session, robot_id, *reports)
     own = frozenset(campaign for training in trainings for campaign, _ in training.campaigns)
-    alone = Case(new, active, None, later(archive.unseen_by(trainings)), own)
+    unseen = was.left_out(archive.unseen_by(trainings))
+    names = {one: campaigns.get(session, one).name for one in unseen.rows}
+    alone = Case(new, active, None, unseen, own, since=was.since, names=names)
     if active is None:
         return [alone]
-    both = archive.unseen_by([*trainings, *store.trainings(session, active)])
-    beside = Case(new, active, store.calibration(session, active), later(both), own, store.made_from(session, active))
+    both = was.left_out(archive.unseen_by([*trainings, *store.trainings(session, active)]))
+    rival, rival_own = store.calibration(session, active), store.made_from(session, active)
+    beside = Case(new, active, rival, both, own, rival_own, was.since, names)
     alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
     return [beside, alone]
-
-
-def since_rezeroed(session: Session, robot_id: int, report: Mapping[str, Any]) -> Callable[[Unseen], Unseen]:
-    """Leave out what was measured before the campaign that a version was re-zeroed by: it shows the arm as it was."""
-    campaign = (report.get(REZEROED) or {}).get("campaign")
-    before = set() if campaign is None else set(campaigns.ids_before(session, robot_id, campaign))
-
-    def later(unseen: Unseen) -> Unseen:
-        rows = {name: found for name, found in unseen.rows.items() if name not in before}
-        said = {name: BEFORE.format(campaign=name) for name in unseen.rows if name in before}
-        return Unseen(rows, unseen.left_out | said, unseen.places)
-
-    return later
 
 
 @dataclass
 class Case:
     """A version, its rivals, and the rows that none of them was fitted to. ``rival`` is the active one, if it may be.
 
-    ``own`` and ``rival_own`` are the campaigns that they were made from.
+    ``own`` and ``rival_own`` are the campaigns that they were made from; rows ``since`` then show the arm as it is, if that is
+    known. ``names`` are those of the campaigns.
     """
 
     new: Calibration
@@ -166,6 +166,8 @@ class Case:
     unseen: Unseen
     own: frozenset[str]
     rival_own: frozenset[str] = frozenset()
+    since: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
     warnings: list[dict[str, Any]] = field(default_factory=list)
     unpredictable: list[Objection] = field(default_factory=list)
 
@@ -174,19 +176,21 @@ class Case:
         found = [part for part in self._parts() if part is not None]
         own = [*own, *self.unpredictable]
         if not found:
-            self.warn("nothing_to_compare", NOTHING)
+            self.warn("nothing_to_compare", NOTHING_SINCE.format(since=self.since) if self.since else NOTHING)
             return Verdict(self.active, tuple(own), None, tuple(self.warnings))
         new, plain = (compare.pooled([getattr(part, name) for part in found]) for name in ("new", "plain"))
         with_rival = [part for part in found if part.rival is not None]
         rival = compare.pooled([part.rival for part in with_rival if part.rival is not None])
         against_plain = compare.Difference.of(new, plain)
+        used = sorted({part.campaign for part in found})
         against_rival = (
             compare.Difference.of(compare.pooled([part.new for part in with_rival]), rival) if with_rival else None
         )
         compared = Comparison(
             rows=sum(part.rows for part in found),
             poses=len(new),
-            campaigns=sorted({part.campaign for part in found}),
+            campaigns=used,
+            campaign_names=[self.called(one) for one in used],
             mean_mm=to_mm(float(new.mean())),
             registration_only=wire.rival(against_plain, plain),
             active_version=self.active,
@@ -210,7 +214,8 @@ class Case:
             missing = [] if self.rival is None else compare.lacking(self.rival, rows)
             if missing:
                 self.warn(
-                    "active_not_compared", f"Version {self.active} needs {', '.join(missing)}; {campaign} has none."
+                    "active_not_compared",
+                    f"Version {self.active} needs {', '.join(missing)}; {self.called(campaign)} has none.",
                 )
             for setup in compare.setups(rows):
                 chosen = compare.thinned(setup, max(compare.FEWEST_POSES, round(share * compare.poses_of(setup))))
@@ -220,9 +225,13 @@ class Case:
     def _usable(self, campaign: str, rows: Observations) -> bool:
         missing = compare.lacking(self.new, rows)
         if rows.position is None and rows.markers is None:
-            self.warn("campaign_not_compared", f"Campaign {campaign} has no measured position: it was not compared.")
+            self.warn(
+                "campaign_not_compared",
+                f"Campaign {self.called(campaign)} has no measured position: it was not compared.",
+            )
         elif missing:
-            message = f"Campaign {campaign} lacks {', '.join(missing)}, which this version needs: it was not compared."
+            lacks = f"Campaign {self.called(campaign)} lacks {', '.join(missing)}"
+            message = f"{lacks}, which this version needs: it was not compared."
             self.warn("campaign_not_compared", message)
         else:
             return True
@@ -232,19 +241,20 @@ class Case:
         """The errors at one set-up of a campaign; None, and a warning, when it cannot be compared."""
         if compare.poses_of(rows) < compare.FEWEST_POSES:
             message = (
-                f"{compare.poses_of(rows)} poses of campaign {campaign} have a set-up of their own: "
+                f"{compare.poses_of(rows)} poses of campaign {self.called(campaign)} have a set-up of their own: "
                 f"fewer than {compare.FEWEST_POSES} tell nothing."
             )
             self.warn("campaign_not_compared", message)
             return None
         plain = self._errors(core_model.Calibration.nominal(self.new.robot), rows)
         if isinstance(plain, str):
-            self.warn("campaign_not_compared", f"Campaign {campaign} was not compared: {plain}")
+            self.warn("campaign_not_compared", f"Campaign {self.called(campaign)} was not compared: {plain}")
             return None
         new = self._errors(self.new if campaign in self.own else self.new.for_another_campaign(rows), rows)
         if isinstance(new, str):
+            name = self.called(campaign)
             message = (
-                f"No base and tool are found in which it predicts campaign {campaign} ({new}); the nominal robot does."
+                f"No base and tool are found in which it predicts campaign {name} ({new}); the nominal robot does."
             )
             self.unpredictable.append(Objection(code="worse_than_registration", message=message))
             return None
@@ -252,7 +262,10 @@ class Case:
             rival = rival.for_another_campaign(rows)
         others = None if rival is None else self._errors(rival, rows)
         if isinstance(others, str):
-            self.warn("active_not_compared", f"Version {self.active} cannot predict campaign {campaign}: {others}")
+            self.warn(
+                "active_not_compared",
+                f"Version {self.active} cannot predict campaign {self.called(campaign)}: {others}",
+            )
             others = None
         if self._fits_nothing(campaign, rows, [e for e in (new, plain, others) if e is not None]):
             return None
@@ -263,9 +276,10 @@ class Case:
         best = min(float(np.mean(found)) for found in errors)
         said = compare.said_of_misfit(self.new.robot, rows, best)
         if said is not None:
+            name = self.called(campaign)
             message = (
-                f"Campaign {campaign} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct "
-                f"or retire it (`kilter campaigns retire {campaign}`)."
+                f"Campaign {name} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct or "
+                f"retire it (`kilter campaigns retire {campaign}`)."
             )
             self.warn("campaign_fits_no_model", message)
         return said is not None
@@ -282,6 +296,10 @@ class Case:
             return "no frames fit"
         return found if np.isfinite(found).all() else "no frames fit"
 
+    def called(self, campaign: str) -> str:
+        """What people call a campaign."""
+        return self.names.get(campaign) or campaign
+
     def warn(self, code: str, message: str) -> None:
         """Say what the comparison leaves out."""
         self.warnings.append({"code": code, "message": message})
@@ -290,7 +308,7 @@ class Case:
 def _objection(which: str, compared: Comparison, rival: Rival) -> Objection:
     name = "base and tool alone" if which == "registration" else f"version {compared.active_version}, active now,"
     message = (
-        f"On {rival.poses} poses it was not fitted to ({', '.join(compared.campaigns)}) it leaves "
+        f"On {rival.poses} poses it was not fitted to ({', '.join(compared.campaign_names)}) it leaves "
         f"{rival.mean_mm + rival.larger_by_mm:.4g} mm, {name} {rival.mean_mm:.4g} mm: more by {rival.larger_by_mm:.2g} mm, "
         f"where chance explains {rival.margin_mm:.2g} mm."
     )

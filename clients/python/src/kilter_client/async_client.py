@@ -63,6 +63,8 @@ class AsyncKilter:
     bridges = awaited(described.bridges)
     drift_history = awaited(described.drift_history)
     drift_list = awaited(described.drift_list)
+    add_repair = awaited(described.add_repair)
+    remove_repair = awaited(described.remove_repair)
     robots = awaited(described.robots)
     meshes = awaited(shapes.meshes)
     set_mesh = awaited(shapes.set_mesh)

@@ -79,6 +79,8 @@ class Kilter:
     bridges = waiting(robots.bridges)
     drift_history = waiting(robots.drift_history)
     drift_list = waiting(robots.drift_list)
+    add_repair = waiting(robots.add_repair)
+    remove_repair = waiting(robots.remove_repair)
     meshes = waiting(shapes.meshes)
     set_mesh = waiting(shapes.set_mesh)
     set_urdf_meshes = waiting(shapes.set_urdf_meshes)

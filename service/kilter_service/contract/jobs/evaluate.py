@@ -30,6 +30,7 @@ class EvaluateOptions(Asked):
 class CampaignErrors(StageErrors):
     """Errors of several models on the rows of a campaign."""
 
+    name: str | None = Field(None, description="What the campaign was called; null: an earlier release did not say it.")
     within_u95: float | None = Field(
         None, description="Share of the coordinates whose error is within its 95 % interval; null: nothing is known."
     )

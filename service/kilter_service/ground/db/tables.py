@@ -324,6 +324,18 @@ class InstrumentRow(Row):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
+class RepairRow(Row):
+    """What was done to an arm, and when: what was measured before is of the arm as it was."""
+
+    __tablename__ = "repairs"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), index=True)
+    at: Mapped[datetime]
+    what: Mapped[str] = mapped_column(String(200))
+    actor: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
 class SealRow(Row):
     """What a row was stored as: a digest for each of its columns. It is written with the row (`db/sealed.py`)."""
 

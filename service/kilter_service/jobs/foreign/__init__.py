@@ -1,1 +1,1 @@
-"""Rows of another arm: what becomes of them once a check has refused them."""
+"""Rows that prove nothing of this arm: what becomes of them once a check has refused them."""

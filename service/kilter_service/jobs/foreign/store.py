@@ -1,4 +1,4 @@
-"""What becomes of rows that a check refused as of another arm: page, HTTP, library and command follow this one rule."""
+"""What becomes of rows that a check refused: page, HTTP, library and command follow this one rule."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sqlalchemy import String, cast, select
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, JobRow
 from kilter_service.ground.references import store as references
-from kilter_service.jobs.kinds.drift import FOREIGN
+from kilter_service.jobs.kinds.drift import REFUSED
 
 KIND = "drift"
 RETIRED = (
@@ -16,20 +16,26 @@ RETIRED = (
 )
 KEPT = (
     " Campaign {campaign} is still in use, because {why}: ask an administrator to retire it (`kilter campaigns retire "
-    "{campaign}`) if it is of another arm, so that nothing is compared with it."
+    "{campaign}`) unless it shows this arm as it is, so that nothing is compared with it."
 )
 TO_FIT = "it was sent to be fitted"
 USED = "other jobs or versions name it"
 
 
-def refused(session: Session, job_id: str, code: str, message: str) -> str:
-    """Retire the campaign of a check that was refused as of another arm, and say so behind the message of the refusal.
+def retires(kind: str, code: str) -> bool:
+    """Whether the campaign of a job of a kind, refused with a code, is to be retired."""
+    return kind == KIND and code in REFUSED
 
-    A campaign stays where it was sent to be fitted, for it may be of an arm that was rebuilt, and where another job or a
-    version names it: whoever restored it, or learnt from it, knows more than the check.
+
+def refused(session: Session, job_id: str, code: str, message: str) -> str:
+    """Retire the campaign of a check whose rows were refused, and say so behind the message of the refusal.
+
+    Such rows prove nothing of this arm: too few poses, another arm, tool or temperature. A campaign stays where it was sent to
+    be fitted, for it may be of an arm that was rebuilt, and where another job or a version names it: whoever restored it, or
+    learnt from it, knows more than the check.
     """
     row = session.get_one(JobRow, job_id)
-    if row.kind != KIND or code != FOREIGN:
+    if not retires(row.kind, code):
         return message
     (key,) = row.request["campaigns"]
     campaign = session.get_one(CampaignRow, key)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from kilter_core.errors import ObservationError, OptionError
+from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
 from kilter_service.ground.wire import to_metres_if_known, to_mm
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
     from kilter_core.watch import Check
 
-FOREIGN = "rows_of_another_arm"
+# Codes with which the rows themselves are refused, whatever the options say.
+REFUSED = frozenset(
+    {"rows_of_another_arm", "too_few_poses", "tool_not_stated", "another_temperature", "contacts_mixed"}
+)
 STAYS = (
     " Campaign {campaign} is still in use: retire it, on its page or by `kilter campaigns retire {campaign}`, so that nothing "
     "is compared with it."
@@ -43,12 +46,12 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     with found.noting_refusals():
         try:
             checked(job, rows_of(job), known_of(job))
-        except ObservationError as error:
-            if error.code != FOREIGN:
+        except CoreError as error:
+            if error.code not in REFUSED:
                 raise
             (campaign,) = job.campaigns
-            raise ObservationError(
-                error.message + STAYS.format(campaign=campaign), code=FOREIGN, **error.context
+            raise type(error)(
+                error.message.rstrip() + STAYS.format(campaign=campaign), code=error.code, **error.context
             ) from None
 
 

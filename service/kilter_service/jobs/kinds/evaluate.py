@@ -45,8 +45,9 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         used = job.instruments.get(campaign)
         metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)
         metrics[campaign]["fitted"] = job.fit.fitted.get(campaign, 0)
-        warnings += [{**one, "campaigns": [campaign]} for one in metrics[campaign].pop("warnings")]
-        warnings += _flattering(campaign, metrics[campaign]["fitted"], len(seen))
+        metrics[campaign]["name"] = name = job.names.get(campaign, campaign)
+        said = [*metrics[campaign].pop("warnings"), *_flattering(metrics[campaign]["fitted"], len(seen))]
+        warnings += [{**one, "message": f"{name}: {one['message']}", "campaigns": [campaign]} for one in said]
     result = {"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows}
     return JobOutput(result | {"warnings": warnings})
 
@@ -62,14 +63,14 @@ def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[st
     return iso9283.criteria(iso9283.Trial.of(commanded.predict(rows), rows), asked)
 
 
-def _flattering(campaign: str, fitted: int, rows: int) -> list[dict[str, Any]]:
+def _flattering(fitted: int, rows: int) -> list[dict[str, Any]]:
     if not fitted:
         return []
     said = (
-        f"The version was fitted to {fitted} of the {rows} rows of campaign {campaign}, in whatever file they came: their "
-        "errors are smaller than elsewhere, and count as no number of today. Measure some poses that are only checked."
+        f"The version was fitted to {fitted} of these {rows} rows, in whatever file they came: their errors are smaller than "
+        "elsewhere, and count as no number of today. Measure some poses that are only checked."
     )
-    return [{"code": "rows_fitted", "message": said, "campaigns": [campaign]}]
+    return [{"code": "rows_fitted", "message": said}]
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:

@@ -16,7 +16,7 @@ from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
 from kilter_service.versions.drift import wire
-from kilter_service.versions.guard import REZEROED
+from kilter_service.versions.store import REZEROED
 
 if TYPE_CHECKING:
     from kilter_core.watch import Rezeroed
@@ -35,11 +35,11 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     found = _found(job)
     progress(0.5, "predicting")
     options: RezeroOptions = job.options
-    (campaign,) = job.campaigns
+    ((campaign, rows),) = job.campaigns.items()
     judged = {one.cause: one for one in found.before.judged}
     changed = [judged[cause] for cause in found.causes]
     report = _report(job, found)
-    said = wire.rezero_sentence(found, job.version_id or "")
+    said = wire.rezero_sentence(found, job.version_id or "", len(rows), job.names.get(campaign, campaign))
     remark = {"code": REZEROED, "message": said, "campaigns": [campaign]}
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]

@@ -27,7 +27,6 @@ from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.inputs.default_load import with_load_warning
 from kilter_service.jobs.inputs.limits_of_version import with_limits
 from kilter_service.jobs.kind import JobInput, JobOutput
-from kilter_service.jobs.kinds.drift import FOREIGN
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.records import JobRecord, UsedRecord
@@ -144,10 +143,13 @@ class Runner:
 
     def _asked_for(self, claim: Claim, outcome: Outcome) -> AbstractContextManager[None]:
         """Let the audit name who asked for a version that is stored, or a campaign that is retired; else no robot changes."""
-        retires = outcome.error is not None and outcome.error[0] == FOREIGN
-        if not retires and (outcome.output is None or outcome.output.version is None):
+        stores = outcome.output is not None and outcome.output.version is not None
+        if not stores and outcome.error is None:
             return nullcontext()
         with self._database.reading() as session:
+            kind = store.get(session, claim.job_id).kind
+            if not stores and outcome.error is not None and not foreign_rows.retires(kind, outcome.error[0]):
+                return nullcontext()
             return on_behalf(store.asked_by(session, claim.job_id), ROUTE, {"job": claim.job_id})
 
     def _patiently(self, ask: Callable[[], T]) -> T:

@@ -57,6 +57,8 @@ DONE: Mapping[str, str] = {
     "POST /v1/jobs/{job}/cancel": "cancelled {job}",
     "POST /v1/login-links": "made a link to log in with",
     "POST /v1/robots": "added robot {robot}",
+    "POST /v1/robots/{robot}/repairs": "recorded a repair of {robot}",
+    "DELETE /v1/robots/{robot}/repairs/{repair}": "removed a repair of {robot}",
     "POST /v1/robots/{robot}/campaigns": "added {campaign} to {robot}",
     "POST /v1/robots/{robot}/purge": "purged robot {robot}",
     "POST /v1/robots/{robot}/restore": "brought robot {robot} back into use",

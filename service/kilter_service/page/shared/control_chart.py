@@ -30,7 +30,7 @@ LOOKS: dict[State, tuple[str, str]] = {
     "never": ("not checked", "faint"),
 }
 VERDICTS = (("ok", "ok", 0), ("moved", "moved", 4), ("cannot_tell", "cannot tell", 5))
-MARKS = ("activated", "re-zeroed", "rolled back", "repaired")
+MARKS = ("activated", "re-zeroed", "rolled back", "repaired", "repair")
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,11 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     if not summed:
         return None
     charts = summed[:SHOWN_SUMS]
-    days = [_day(one.at) for one in found.history if one.version_id == found.version_id]
+    days = [
+        _day(one.at)
+        for one in found.history
+        if one.version_id == found.version_id and (found.repaired_at is None or one.at >= found.repaired_at)
+    ]
     highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
     drawn = Plot(
         "Cumulative sums", axis, Axis("sum, standard deviations of a check", 0.0, 1.08 * highest), WIDTH, HEIGHT,
@@ -149,7 +153,7 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
 def _marked(drawn: Plot, found: DriftHistory, axis: Days, labelled: bool = True) -> None:
     for place, what in enumerate(MARKS):
         own = [one for one in found.marks if one.what == what and _drawn(axis, one.at)]
-        names = [f"{what} {moment(one.at)}: {one.version_id}" for one in own]
+        names = [f"{what} {moment(one.at)}: {one.note or one.version_id}" for one in own]
         drawn.uprights([_day(one.at) for one in own], what if labelled else "", place + 1, names)
 
 
@@ -181,7 +185,9 @@ def _said_of_sums(charts: Sequence[ControlChart]) -> str:
 
 def _table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
     rows = [(one.at, [f"{one.at:%Y-%m-%d %H:%M}", _words(one), _chance(one)]) for one in found.history]
-    rows += [(one.at, [f"{one.at:%Y-%m-%d %H:%M}", f"{one.what}: {one.version_id}", ""]) for one in found.marks]
+    rows += [
+        (one.at, [f"{one.at:%Y-%m-%d %H:%M}", f"{one.what}: {one.note or one.version_id}", ""]) for one in found.marks
+    ]
     return ["When", "What", "Chance"], [row for _, row in sorted(rows, key=lambda one: one[0], reverse=True)]
 
 

@@ -20,7 +20,7 @@ from kilter_service.robots.instruments.validity import remarks
 from kilter_service.versions import store as versions
 from kilter_service.versions.acceptance import words
 from kilter_service.versions.acceptance.rows import judged, of_another_arm, shown, span
-from kilter_service.versions.guard import since_rezeroed
+from kilter_service.versions.as_it_was import AsItWas
 from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.today import sentences
 from kilter_service.versions.today import service as today
@@ -109,7 +109,9 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
     newest = found.newest if found.version_id == version_id else None
     if newest is None or newest.source == "fitted":
         return wish._replace(refit=wish.refit or ())
-    ids = tuple(one.id for one in newest.campaigns)
+    with database.reading() as session:
+        was = AsItWas.by(session, robots.get(session, robot).id)
+    ids = tuple(one.id for one in newest.campaigns if one.id not in was.campaigns)
     return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
 
 
@@ -135,7 +137,7 @@ def _parts(
     stated = None if wish.instrument is None else instruments.get(session, wish.instrument)
     unseen: Unseen = Archive(session, robot_id).unseen([version_id])
     if not wish.campaigns:
-        unseen = since_rezeroed(session, robot_id, report)(unseen)
+        unseen = AsItWas.by(session, robot_id, report).left_out(unseen)
     parts, left_out, foreign = [], [], []
     for key, rows in unseen.rows.items():
         if wish.campaigns and key not in wish.campaigns:

@@ -24,7 +24,7 @@ def sentence(
 ) -> str:
     """Say what was decided and by which row."""
     row = (
-        f"row {worst.row} of {worst.name} has {worst.error_mm:.3g} mm with a guard band of {worst.guard_band_mm:.2g} mm"
+        f"row {worst.row} of {worst.name} has {worst.error_mm:.3g} mm with a guard band of {worst.guard_band_mm:.3g} mm"
     )
     if decision == "accepted":
         return f"Accepted: all {rows} held-out rows prove {tolerance_mm:g} mm; the worst, {row}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -13,11 +14,13 @@ from kilter_service.contract.drift import (
     DriftList,
     DriftMark,
     DriftSummary,
+    Repair,
     State,
 )
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as robots
+from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import store
 from kilter_service.versions.drift import wire_history as wire
 from kilter_service.versions.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
@@ -25,9 +28,10 @@ from kilter_service.versions.drift.records import Activated, StoredCheck
 
 KEPT = KeptCharts()
 MOST_OF_MANY = 100  # checks of each robot in the list of all
+MOST_SUMMED, SUMMED_S = 20, 600.0  # robots whose sums one scrape computes, and how long they hold without a check
 MOST_OF_LAST = 5  # looked through for the last one that counts
 WORST = ("moved", "cannot_tell", "creeping", "never", "ok")
-NEVER = "Not checked since its version was activated: measure five poses and send them (kilter check)."
+NEVER = "Not checked since {since}: measure five poses and send them (kilter check)."
 UNCORRECTED = "It has no active version that could be checked."
 
 
@@ -37,11 +41,14 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
         ((key, name),) = robots.names_by_key(session, robot).items()
         made = store.checks(session, [key]).get(key, [])
         log = store.activations(session, [key]).get(key, [])
-    own, charts = _own(made, log)
+        repaired = repairs.of_robots(session, [key]).get(key, [])
+    own, charts = _own(made, log, repaired)
+    marks = [*map(wire.mark, log), *_agreeing_again(made), *map(wire.repair, repaired)]
     return DriftHistory(
-        **_summary(name, log, own, charts).model_dump(),
+        **_summary(name, _since(made, log, repaired), log, own, charts).model_dump(),
+        repaired_at=repaired[-1].at if repaired else None,
         history=[wire.check(one) for one in made],
-        marks=sorted([*map(wire.mark, log), *_repairs(made)], key=lambda one: one.at),
+        marks=sorted(marks, key=lambda one: one.at),
         charts=charts,
         run_length=RUN_LENGTH,
         false_alarm=FALSE_ALARM,
@@ -53,10 +60,11 @@ def of_robots(database: Database) -> DriftList:
     with database.reading() as session:
         names = robots.names_by_key(session, None)
         made, log = store.checks(session, names, MOST_OF_MANY), store.activations(session, names)
+        repaired = repairs.of_robots(session, names)
     found = []
     for key, name in names.items():
-        own, charts = _own(made.get(key, []), log.get(key, []))
-        found.append(_summary(name, log.get(key, []), own, charts))
+        known = made.get(key, []), log.get(key, []), repaired.get(key, [])
+        found.append(_summary(name, _since(*known), log.get(key, []), *_own(*known)))
     return DriftList(robots=sorted(found, key=_order))
 
 
@@ -64,11 +72,43 @@ def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     """Return the last check of the active version of each robot, by name; reads few rows, for the metrics."""
     names = robots.names_by_key(session, None)
     made, log = store.checks(session, names, MOST_OF_LAST), store.activations(session, names)
-    own = {key: _of_active(found, log.get(key, [])) for key, found in made.items()}
+    repaired = repairs.of_robots(session, names)
+    own = {key: _of_active(found, log.get(key, []), repaired.get(key, [])) for key, found in made.items()}
     return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}
 
 
-def _repairs(made: Sequence[StoredCheck]) -> list[DriftMark]:
+class Creeping:
+    """Which robots creep, for the metrics: their sums are computed when a check came, and again after a while.
+
+    A few robots each time, so that no scrape of a large fleet waits for all.
+    """
+
+    def __init__(self, most: int = MOST_SUMMED, kept_s: float = SUMMED_S) -> None:
+        self._most, self._kept_s = most, kept_s
+        self._known: dict[
+            str, tuple[str, float, bool]
+        ] = {}  # by robot: its last check, until when it holds, what it is
+
+    def of(self, session: Session, last: Mapping[str, CheckOfRobot]) -> dict[str, bool]:
+        """Whether each robot of these last checks creeps, as far as it is known already."""
+        now = time.monotonic()
+        due = [name for name, one in last.items() if self._is_due(name, one, now)][: self._most]
+        keys = {name: key for key, name in robots.names_by_key(session, None).items() if name in due}
+        made = store.checks(session, keys.values(), MOST_OF_MANY)
+        log, repaired = store.activations(session, keys.values()), repairs.of_robots(session, keys.values())
+        for name, key in keys.items():
+            charts = _own(made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
+            creeps = last[name].verdict == "ok" and any(one.alarms for one in charts)
+            self._known[name] = (last[name].job_id, now + self._kept_s, creeps)
+        self._known = {name: one for name, one in self._known.items() if name in last}
+        return {name: creeps for name, (job, _, creeps) in self._known.items() if job == last[name].job_id}
+
+    def _is_due(self, name: str, one: CheckOfRobot, now: float) -> bool:
+        job, until, _ = self._known.get(name, ("", 0.0, False))
+        return job != one.job_id or now > until
+
+
+def _agreeing_again(made: Sequence[StoredCheck]) -> list[DriftMark]:
     """Checks that agree again with a version that the one before missed."""
     return [
         wire.repaired(after)
@@ -88,23 +128,27 @@ def _order(one: DriftSummary) -> tuple[int, float, str]:
     return WORST.index(one.state), chance, one.robot
 
 
-def _of_active(made: Sequence[StoredCheck], log: Sequence[Activated]) -> list[StoredCheck]:
+def _of_active(made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]) -> list[StoredCheck]:
+    """The checks of the active version since the last repair: those before it are of the arm as it was."""
     active = _active(log)
-    return [one for one in made if active is not None and one.result.get("version_id") == active]
+    own = [one for one in made if active is not None and one.result.get("version_id") == active]
+    return [one for one in own if not repaired or one.at >= repaired[-1].at]
 
 
-def _own(made: Sequence[StoredCheck], log: Sequence[Activated]) -> tuple[list[StoredCheck], list[ControlChart]]:
-    """The checks of the active version, and their charts."""
-    own = _of_active(made, log)
+def _own(
+    made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]
+) -> tuple[list[StoredCheck], list[ControlChart]]:
+    """The checks of the active version since the last repair, and their charts."""
+    own = _of_active(made, log, repaired)
     return own, KEPT.of(own)
 
 
 def _summary(
-    robot: str, log: Sequence[Activated], own: Sequence[StoredCheck], charts: Sequence[ControlChart]
+    robot: str, since: str, log: Sequence[Activated], own: Sequence[StoredCheck], charts: Sequence[ControlChart]
 ) -> DriftSummary:
     alarmed = [one for one in charts if one.alarms]
     last = own[-1] if own else None
-    state, sentence = _stand(last.result if last else None, alarmed, bool(log))
+    state, sentence = _stand(last.result if last else None, alarmed, since)
     return DriftSummary(
         robot=robot,
         state=state,
@@ -116,9 +160,21 @@ def _summary(
     )
 
 
-def _stand(last: Mapping[str, Any] | None, alarmed: Sequence[ControlChart], corrected: bool) -> tuple[State, str]:
+def _since(made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]) -> str:
+    """Since when checks of the active version count, in words; empty without one.
+
+    Rows that are sent late are dated before the activation of their version, and a repair after them may be, too.
+    """
+    if not log:
+        return ""
+    if repaired and (repaired[-1].at > log[-1].at or _of_active(made, log, [])):
+        return f"the repair of {repaired[-1].at:%Y-%m-%d} ({repaired[-1].what})"
+    return "its version was activated"
+
+
+def _stand(last: Mapping[str, Any] | None, alarmed: Sequence[ControlChart], since: str) -> tuple[State, str]:
     if last is None:
-        return "never", NEVER if corrected else UNCORRECTED
+        return "never", NEVER.format(since=since) if since else UNCORRECTED
     verdict: State = last["verdict"]
     if verdict != "ok" or not alarmed:
         return verdict, str(last["sentence"])

@@ -11,7 +11,7 @@ from sqlalchemy import func, select
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
 from kilter_service.versions.drift.records import Activated, StoredCheck
-from kilter_service.versions.guard import REZEROED
+from kilter_service.versions.store import REZEROED
 
 MOST = 1000  # checks of a robot, the newest
 MOST_LOOKED = 30  # looked through for the last one, and the last that agreed

@@ -116,11 +116,14 @@ def chance_words(p_value: float, digits: int = 1) -> str:
     return f"{p_value:.{digits}g}" if p_value > 0.0 else f"less than {LEAST_CHANCE:g}"
 
 
-def rezero_sentence(found: Rezeroed, start: str) -> str:
-    """Return what was changed in a version."""
+def rezero_sentence(found: Rezeroed, start: str, rows: int, campaign: str) -> str:
+    """Return what was changed in a version, by how many rows of which campaign."""
     judged = {one.cause: one for one in found.before.judged}
     changes = " and ".join(by_how_much(judged[cause]) for cause in found.causes)
-    return f"Version {start} re-zeroed: {changes}; everything else is as it was identified."
+    return (
+        f"Version {start} re-zeroed: {changes}; everything else is as it was identified. The {rows} rows of {campaign} were "
+        "used for that, so errors on them flatter: rows measured from now on say how good it is."
+    )
 
 
 def by_how_much(one: Judged) -> str:

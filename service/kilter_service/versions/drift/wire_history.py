@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_service.contract.drift import CheckOfRobot, DriftMark, Mark
+from kilter_service.contract.drift import CheckOfRobot, DriftMark, Mark, Repair
 from kilter_service.versions.drift.records import Activated, StoredCheck
 
 
@@ -24,6 +24,11 @@ def mark(one: Activated) -> DriftMark:
     """Say what was done to a robot's version."""
     what: Mark = "rolled back" if one.action == "rollback" else "re-zeroed" if one.rezeroed else "activated"
     return DriftMark(at=one.at, what=what, version_id=one.version_id)
+
+
+def repair(one: Repair) -> DriftMark:
+    """Say what somebody did to the arm."""
+    return DriftMark(at=one.at, what="repair", version_id="", note=one.what, repair_id=one.id)
 
 
 def repaired(first: StoredCheck) -> DriftMark:

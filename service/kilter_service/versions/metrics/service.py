@@ -17,7 +17,7 @@ from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.version import code_version
 from kilter_service.ground.wire import to_metres
-from kilter_service.versions.drift.service import last_checks
+from kilter_service.versions.drift.service import Creeping, last_checks
 from kilter_service.web.observability import histograms, machine, store
 from kilter_service.web.observability.metrics import REGISTRY
 
@@ -26,6 +26,7 @@ reading = Failing(logging.getLogger("kilter.api"), "the metrics of the database 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 DATABASE_UP = "Whether the database answers."
 VERDICTS = ("ok", "moved", "cannot_tell")
+CREEPING = Creeping()
 HELD_BACK = ("reversing", "damped", "saturated", "slowed")  # counters of a stream's status
 
 
@@ -77,12 +78,13 @@ def _of(session: Session) -> Iterable[Metric]:
     beats = [((process, name), age_s) for process, name, age_s in store.beats(session)]
     text = "Time since a process last said that it is alive."
     yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
-    yield from _of_checks(last_checks(session))
+    checks = last_checks(session)
+    yield from _of_checks(checks, CREEPING.of(session, checks))
     yield from _of_webhooks(store.webhooks(session))
     yield from _of_streams(store.streams(session))
 
 
-def _of_checks(checks: Mapping[str, CheckOfRobot]) -> Iterable[Metric]:
+def _of_checks(checks: Mapping[str, CheckOfRobot], creeping: Mapping[str, bool]) -> Iterable[Metric]:
     """What the last check of each robot's active version said."""
     verdicts = [
         ((robot, verdict), float(one.verdict == verdict)) for robot, one in checks.items() for verdict in VERDICTS
@@ -91,6 +93,8 @@ def _of_checks(checks: Mapping[str, CheckOfRobot]) -> Iterable[Metric]:
     chances = [((robot,), one.p_value) for robot, one in checks.items()]
     text = "Chance of the last check from an arm that has not moved."
     yield _gauge("kilter_drift_p_value", text, ("robot",), chances)
+    text = "1 where no check says that a robot has moved and all together do; no value until its sums are known."
+    yield _gauge("kilter_drift_creeping", text, ("robot",), [((robot,), float(one)) for robot, one in creeping.items()])
     measured = [((robot,), one.at.timestamp()) for robot, one in checks.items()]
     text = "When the rows of the last check were measured, s since 1970."
     yield _gauge("kilter_drift_last_check_seconds", text, ("robot",), measured)

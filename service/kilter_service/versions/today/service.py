@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from kilter_service.contract.drift import Repair
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, SearchToday, Today
 from kilter_service.contract.units import ControllerCompensation
@@ -13,6 +14,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import compensation_in, sentence
+from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.predictions.own_errors import larger
 from kilter_service.versions.today import missing, sentences, store
 from kilter_service.versions.today.store import Active, Evaluated, Measured
@@ -29,8 +31,20 @@ def of_robot(database: Database, robot: str) -> Today:
         found = store.newest_search(session, key)
         searched = None if found is None else missing.against(found, active)
         compensation = compensation_in(arms.compensation_of(session, key))
-        known = _all(session, robots, searched)[robots[key]]
+        known = _with_repair(_all(session, robots, searched)[robots[key]], repairs.last(session, key))
         return _with_controller(known, compensation)
+
+
+def _with_repair(today: Today, repair: Repair | None) -> Today:
+    """What is said of a robot; rows from before its last repair say how it was."""
+    measured = [] if today.newest is None else [one.measured_at for one in today.newest.campaigns]
+    if repair is None or not measured or max(measured) >= repair.at:
+        return today
+    said = (
+        f"These rows are from before the repair of {repair.at:%Y-%m-%d} ({repair.what}): check the arm as it is (`kilter check "
+        f"{today.robot} FILE`)."
+    )
+    return today.model_copy(update={"sentences": [*today.sentences, said]})
 
 
 def _with_controller(today: Today, compensation: ControllerCompensation) -> Today:

@@ -108,6 +108,8 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/versions/{version}/restore": OPERATE,
     "POST /v1/versions/{version}/activate": OPERATE,
     "POST /v1/robots/{robot}/rollback": OPERATE,
+    "POST /v1/robots/{robot}/repairs": OPERATE,
+    "DELETE /v1/robots/{robot}/repairs/{repair}": OPERATE,
     "POST /v1/robots/{robot}/stream/sessions": OPERATE,
     "POST /v1/robots": ADMINISTER,
     "PATCH /v1/robots/{robot}": ADMINISTER,

@@ -69,7 +69,7 @@ def _show(found: dict[str, Any]) -> None:
             number(one["before"]["max_mm"], 3),
             number(one["after"]["max_mm"], 3),
             number(one["error_mm"], 3),
-            number(one["guard_band_mm"], 2),
+            number(one["guard_band_mm"], 3),
             number(one["provable_mm"], 3),
             one["instrument"] or "none",
         )

@@ -46,6 +46,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "hand-eye": Entry("camera.hand_eye", "Find where cameras stand on a robot, and export it."),
         "check": Entry("drift", "Say whether an arm has moved since its version."),
         "drift": Entry("drift", "Show the checks of a robot, or how all robots stand."),
+        "repair": Entry("drift", "Record what was done to an arm, and when."),
         "rezero": Entry("drift", "Make a version of what moved, and nothing else."),
         "joint-parameters": Entry("joints", "Measure clearance, backlash and stiffness directly."),
         "fleet": Entry("fleet", "Identify many robots anew, and show what came out."),

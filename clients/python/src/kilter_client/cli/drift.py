@@ -16,11 +16,13 @@ from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.terminal.output import emit, note
+from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import resolved, resolved_options
 from kilter_client.cli.texts.option_texts import DRIFT, REZERO
 from kilter_client.errors import UsageError
+from kilter_client.requests.calls import robots as calls
+from kilter_client.verbs.inputs import moment_of
 
 Rows = Annotated[
     Path | None,
@@ -35,6 +37,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter check ur10 today.csv --temperature-c 23.5")(check)
     app.command(epilog="Example: kilter drift ur10")(drift)
+    app.command(epilog='Example: kilter repair ur10 "gear of joint 3 replaced" --at 2026-11-18T14:30')(repair)
     app.command(epilog="Example: kilter rezero ur10 --campaign today.csv --cause zero_1")(rezero)
 
 
@@ -104,6 +107,39 @@ def drift(
             emit(kilter.robots.drifts(), as_json, show_robots)
         else:
             emit(kilter.robots.drift(robot), as_json, show_history)
+
+
+def repair(
+    robot: Robot,
+    what: Annotated[
+        str | None, typer.Argument(help="What was done: gear of joint 3 replaced.", metavar="WHAT", show_default=False)
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="WHEN", help="When: 2026-11-18 (noon), or 2026-11-18T14:30; left out: now."),
+    ] = None,
+    remove: Annotated[
+        str | None, typer.Option(metavar="ID", help="Take a repair back; `kilter drift ROBOT` lists their ids.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Record what was done to an arm: its checks, charts and comparisons begin anew with it.
+
+    Rows measured before are of the arm as it was: no chart, acceptance or guard of an activation counts them.
+    """
+    if (what is None) == (remove is None):
+        raise UsageError('Say WHAT was done, as "gear of joint 3 replaced", or --remove ID to take a repair back.')
+    with Kilter() as kilter:
+        if remove is not None:
+            kilter.run(calls.remove_repair(robot, remove))
+            emit({"removed": remove}, as_json, lambda one: say(f"Repair {one['removed']} is removed."))
+        else:
+            emit(kilter.run(calls.add_repair(robot, str(what), moment_of(at))), as_json, _show_repair)
+
+
+def _show_repair(one: dict[str, Any]) -> None:
+    say(f"Repair {one['id']}, {str(one['at'])[:16].replace('T', ' ')} UTC: {one['what']}.")
+    say("Checks and charts begin anew with it. Check the arm (kilter check), and take a mistake back with --remove.")
 
 
 def rezero(

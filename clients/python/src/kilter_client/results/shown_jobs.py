@@ -123,7 +123,7 @@ class ShownEvaluation(Shown):
 
     def _line(self) -> str:
         of = f"version {self.version_id}" if self.version_id else "the nominal robot"
-        known = [(campaign, errors.identified or errors.nominal) for campaign, errors in self.metrics.items()]
+        known = [(one.name or campaign, one.identified or one.nominal) for campaign, one in self.metrics.items()]
         shown = [f"{campaign} mean error {errors.mean_mm:.3g} mm" for campaign, errors in known if errors is not None]
         for campaign, report in self.iso9283.items():
             shown += [f"{campaign} {symbol} {number(found.mm, 3)} mm" for symbol, found in report.metrics.items()]

@@ -10,6 +10,44 @@ from kilter_client.typed.fits import Metrics
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rival(Record):
+    """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
+
+    larger_by_mm: float
+    """By how much the version's mean error is larger, mm; below 0: it is smaller."""
+    margin_mm: float
+    """By how much it may be larger by chance, mm."""
+    mean_mm: float
+    """Mean error of the rival, mm."""
+    poses: int
+    """Poses compared."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Record):
+    """Mean errors on rows that no version compared was fitted to, base and tool refitted to each campaign.
+
+    ``active`` is None when no version was active, or when it cannot predict these rows or was fitted to all of them."""
+
+    active: Rival | None
+    """The version that was active, on the rows it can be compared on."""
+    active_version: str | None
+    """The version that was active."""
+    campaign_names: tuple[str, ...]
+    """What these campaigns are called, in the same order."""
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns they are from."""
+    mean_mm: float
+    """Mean error of the version, mm."""
+    poses: int
+    """Poses they are at."""
+    registration_only: Rival
+    """The nominal robot, base and tool fitted."""
+    rows: int
+    """Rows compared."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PairedErrors(Record):
     """What two versions leave of the same rows, base and tool as each version has them. Rows of one pose count once."""
 

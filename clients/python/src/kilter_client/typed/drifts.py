@@ -183,10 +183,14 @@ class DriftMark(Record):
 
     at: str
     """When."""
+    note: str
+    """Of a repair what was done."""
+    repair_id: str | None
+    """Id of a repair; None: it is none."""
     version_id: str
-    """The version."""
+    """The version; of a repair empty."""
     what: str
-    """What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the first check that agrees again with a version that the check before missed."""
+    """What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the first check that agrees again with a version that the check before missed; `repair`: what somebody recorded."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -198,7 +202,7 @@ class DriftHistory(Record):
     charts: Records[ControlChart]
     """A chart for each number, over the checks of the active version."""
     checks: int
-    """Checks of the active version."""
+    """Checks of the active version, since the last repair."""
     false_alarm: float
     """Chance at which a single check says that the arm has moved."""
     history: Records[CheckOfRobot]
@@ -207,6 +211,8 @@ class DriftHistory(Record):
     """The last of them; None: none."""
     marks: Records[DriftMark]
     """What was done to its version, oldest first."""
+    repaired_at: str | None
+    """When the arm was last repaired: checks and charts of the active version count from then on."""
     robot: str
     """Name of the robot."""
     run_length: int
@@ -214,7 +220,7 @@ class DriftHistory(Record):
     sentence: str
     """The same in words."""
     state: str
-    """`never`: not checked since its version was activated; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
+    """`never`: not checked since its version was activated or the arm repaired; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
     version_id: str | None
     """The active version; None: none."""
 
@@ -226,7 +232,7 @@ class DriftSummary(Record):
     age_days: int | None
     """Whole days since then; None: none."""
     checks: int
-    """Checks of the active version."""
+    """Checks of the active version, since the last repair."""
     last: CheckOfRobot | None
     """The last of them; None: none."""
     robot: str
@@ -234,7 +240,7 @@ class DriftSummary(Record):
     sentence: str
     """The same in words."""
     state: str
-    """`never`: not checked since its version was activated; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
+    """`never`: not checked since its version was activated or the arm repaired; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
     version_id: str | None
     """The active version; None: none."""
 
@@ -245,3 +251,19 @@ class DriftList(Record):
 
     robots: Records[DriftSummary]
     """The robots, the worst first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Repair(Record):
+    """A repair of an arm: from then on it is another one for its checks."""
+
+    at: str
+    """When it was done."""
+    by: str
+    """Who recorded it."""
+    created_at: str
+    """When it was recorded."""
+    id: str
+    """Its id."""
+    what: str
+    """What was done."""

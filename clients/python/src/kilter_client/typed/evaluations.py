@@ -27,6 +27,8 @@ class CampaignErrors(Record):
     """Rows that were left out of them, as no measurements; None: not known."""
     n: int | None
     """Points the errors are taken over."""
+    name: str | None
+    """What the campaign was called; None: an earlier release did not say it."""
     nominal: Errors | None
     """The nominal robot, in its own base and tool."""
     registration_only: Errors | None

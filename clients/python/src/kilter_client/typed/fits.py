@@ -217,6 +217,8 @@ class Remark(Record):
     """Masses and centres far from what was stated."""
     message: str
     """What is the matter, and what helps."""
+    off_mm: tuple[float, ...]
+    """How far each of these rows is off, mm."""
     quantity: str | None
     """Which errors were compared: `mean by pose` or `rms by pose`."""
     ratio: float | None
@@ -225,6 +227,8 @@ class Remark(Record):
     """The row it is about, from 0."""
     rows: tuple[int, ...]
     """Rows it is about, from 1."""
+    sigmas: tuple[float, ...]
+    """The same of its worst coordinate, in standard deviations of what was expected there."""
     simpler_deg: float | None
     """Error of the simpler model on held-out rows, degrees."""
     simpler_mm: float | None

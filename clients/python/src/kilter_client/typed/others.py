@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
+from kilter_client.typed.comparisons import Comparison
 from kilter_client.typed.fits import Objection, Remark
 from kilter_client.typed.server import JobError, Progress
-from kilter_client.typed.versions import Comparison
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
 from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
+from kilter_client.typed.comparisons import Comparison
 from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 from kilter_client.typed.fleet_priors import PriorUsed
 from kilter_client.typed.identifications import (
@@ -248,42 +249,6 @@ class VersionSummary(OfVersion, Record):
     """Since when it is out of use; None: it is in use."""
     robot: str
     """Name of its robot."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Rival(Record):
-    """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
-
-    larger_by_mm: float
-    """By how much the version's mean error is larger, mm; below 0: it is smaller."""
-    margin_mm: float
-    """By how much it may be larger by chance, mm."""
-    mean_mm: float
-    """Mean error of the rival, mm."""
-    poses: int
-    """Poses compared."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Comparison(Record):
-    """Mean errors on rows that no version compared was fitted to, base and tool refitted to each campaign.
-
-    ``active`` is None when no version was active, or when it cannot predict these rows or was fitted to all of them."""
-
-    active: Rival | None
-    """The version that was active, on the rows it can be compared on."""
-    active_version: str | None
-    """The version that was active."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns they are from."""
-    mean_mm: float
-    """Mean error of the version, mm."""
-    poses: int
-    """Poses they are at."""
-    registration_only: Rival
-    """The nominal robot, base and tool fitted."""
-    rows: int
-    """Rows compared."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -39,7 +39,7 @@ def drift(
     """Say whether an arm has moved since its version was made, and which one change explains it.
 
     The rows are stored as a campaign with the role ``validation``: no fit takes them unless it names them. Where
-    they are of another arm the server retires them.
+    they are refused, as of another arm or too few, the server retires them.
 
     Args:
         robot: name of the robot.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from kilter_client import typed
 from kilter_client.errors import UsageError
@@ -13,8 +13,11 @@ from kilter_client.files import read
 from kilter_client.requests.calls import robots as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.verbs.inputs import Data, moment_of, rows_of
 from kilter_client.verbs.references import ResourceReference, reference
+
+if TYPE_CHECKING:
+    from datetime import date, datetime
 
 Compensation = Literal["none", "factory", "kilter", "unknown"]
 
@@ -145,6 +148,33 @@ def drift_history(robot: ResourceReference) -> Steps[typed.drifts.DriftHistory]:
 
     """
     return typed.drifts.DriftHistory.read((yield from calls.drift(reference("robot", robot))))
+
+
+def add_repair(
+    robot: ResourceReference, what: str, *, at: datetime | date | str | None = None
+) -> Steps[typed.drifts.Repair]:
+    """Record what was done to an arm: its checks, charts and comparisons begin anew with it.
+
+    Args:
+        robot: name of the robot.
+        what: what was done, as ``"gear of joint 3 replaced"``.
+        at: when, as ``"2026-11-18T14:30"``; left out: now. What was measured before is of the arm as it was.
+
+    Raises:
+        UsageError: it is not a time; NotFoundError: no such robot; ApiError: a time to come.
+
+    """
+    return typed.drifts.Repair.read((yield from calls.add_repair(reference("robot", robot), what, moment_of(at))))
+
+
+def remove_repair(robot: ResourceReference, repair: str) -> Steps[None]:
+    """Delete a repair that was recorded by mistake: checks from before it count again.
+
+    Raises:
+        NotFoundError: no such robot or repair.
+
+    """
+    yield from calls.remove_repair(reference("robot", robot), repair)
 
 
 def drift_list() -> Steps[typed.drifts.DriftList]:

@@ -39,7 +39,7 @@ def _show_preview(preview: Mapping[str, Any] | None) -> None:
 def _show_comparison(version: str, compared: Mapping[str, Any] | None) -> None:
     if not compared:
         return
-    where = ", ".join(compared["campaigns"])
+    where = ", ".join(compared.get("campaign_names") or compared["campaigns"])
     say(f"Compared on {compared['poses']} poses ({compared['rows']} rows) that neither was fitted to, of {where}:")
     rivals = (("registration only", compared["registration_only"]), (compared["active_version"], compared["active"]))
     rows = [

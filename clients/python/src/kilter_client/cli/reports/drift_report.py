@@ -42,7 +42,7 @@ def show_history(found: Mapping[str, Any]) -> None:
     """Print how a robot stands, its checks with what was done between them, and the charts that say most."""
     say(f"{found['robot']}: {found['sentence']}")
     events = [(str(one["at"]), one["verdict"].replace("_", " "), one["sentence"]) for one in found["history"]]
-    events += [(str(one["at"]), one["what"], one["version_id"]) for one in found["marks"]]
+    events += [(str(one["at"]), one["what"], _said_of_mark(one)) for one in found["marks"]]
     show_rows(("when", "", ""), [(at[:16].replace("T", " "), what, said) for at, what, said in sorted(events)])
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
@@ -52,7 +52,14 @@ def show_history(found: Mapping[str, Any]) -> None:
         )
         for one in charts
     ]  # fmt: skip
-    show_rows(("chart", "last", "scatter", "sum", "since"), rows)
+    if rows:
+        show_rows(("chart", "last", "scatter", "sum", "since"), rows)
+    elif found["checks"]:
+        say("The sums over many checks begin with the fourth that agrees.")
+
+
+def _said_of_mark(one: Mapping[str, Any]) -> str:
+    return f"{one['note']} ({one['repair_id']})" if one.get("repair_id") else str(one["version_id"])
 
 
 def _height(chart: Mapping[str, Any]) -> float:

@@ -98,7 +98,7 @@ def _workspace(found: Mapping[str, Any] | None) -> None:
 
 def show_result(result: Mapping[str, Any]) -> None:
     """Print the parts of a result that are tables or sentences for people; the rest is in the JSON."""
-    _metrics(result.get("metrics") or {})
+    _metrics(result.get("metrics") or {}, "re-zeroed by" if _is_rezeroed(result) else "train")
     for campaign, report in (result.get("iso9283") or {}).items():
         _iso9283(campaign, report)
     show_parameters(result.get("parameters") or [])
@@ -131,29 +131,37 @@ def _stage(job: Mapping[str, Any]) -> str:
     return f", {100 * float(progress.get('fraction') or 0):.0f} %, {progress.get('stage')}"
 
 
-def _metrics(metrics: Mapping[str, Any]) -> None:
-    blocks = {name: block for name, block in metrics.items() if isinstance(block, Mapping)}
-    present = [stage for block in blocks.values() for stage in STAGES if isinstance(block.get(stage), Mapping)]
+def _is_rezeroed(result: Mapping[str, Any]) -> bool:
+    """Whether it is of a re-zeroing, or of the version that one made."""
+    return "p_after" in result or any(one.get("code") == "rezeroed" for one in result.get("warnings") or ())
+
+
+def _metrics(metrics: Mapping[str, Any], train: str) -> None:
+    """Print errors by rows: of an evaluation those of each campaign, else those that were fitted, called ``train``."""
+    blocks = [
+        (block.get("name") or (train if name == "train" else name), block)
+        for name, block in metrics.items()
+        if isinstance(block, Mapping)
+    ]
+    present = [stage for _, block in blocks for stage in STAGES if isinstance(block.get(stage), Mapping)]
     if not present:
         return
-    measures = [m for m in MEASURES if any(m[0] in (b.get(s) or {}) for b in blocks.values() for s in STAGES)]
+    measures = [m for m in MEASURES if any(m[0] in (b.get(s) or {}) for _, b in blocks for s in STAGES)]
     rows = [
         (
             f"{name} ({block.get('n', '?')})",
             _label(block, stage),
             *(number(block[stage].get(key)) for key, _ in measures),
         )
-        for name, block in blocks.items()
+        for name, block in blocks
         for stage in STAGES
         if isinstance(block.get(stage), Mapping)
     ]
     show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
-    aside = [
-        f"{name} {block['left_out'] or 'none'}" for name, block in blocks.items() if block.get("left_out") is not None
-    ]
-    if aside:
+    aside = [f"{name} {block['left_out'] or 'none'}" for name, block in blocks if block.get("left_out") is not None]
+    if aside and train == "train":
         say(f"rows left out of these errors: {', '.join(aside)}")
-    for name, block in blocks.items():
+    for name, block in blocks:
         if block.get("within_u95") is not None:
             say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")
         if block.get("budget"):

@@ -46,6 +46,16 @@ def drift(name: str) -> Steps[Document]:
     return get(address("robots", name, "drift"))
 
 
+def add_repair(name: str, what: str, at: str | None) -> Steps[Document]:
+    """Record what was done to an arm."""
+    return post(address("robots", name, "repairs"), {"what": what, "at": at}, again=True)
+
+
+def remove_repair(name: str, repair: str) -> Steps[None]:
+    """Delete a repair that was recorded by mistake."""
+    yield from answer_of(Request("DELETE", address("robots", name, "repairs", repair)))
+
+
 def drifts() -> Steps[Document]:
     """Return how all robots stand by their checks."""
     return get("/v1/drift")

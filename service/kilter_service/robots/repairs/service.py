@@ -1,0 +1,47 @@
+"""What can be done with repairs."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import UTC, datetime
+
+from kilter_service.contract.drift import NewRepair, Repair
+from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
+from kilter_service.robots import store as robots
+from kilter_service.robots.repairs import store
+
+
+def add(database: Database, robot: str, new: NewRepair, actor: str) -> Repair:
+    """Record a repair; the same one twice is one.
+
+    Raises:
+        ServiceError: no such robot, one out of use, or a date to come, from which on no check would count.
+
+    """
+    now = datetime.now(UTC)
+    at = new.at or now
+    if at > now:
+        raise ServiceError(
+            f"The repair is dated {at:%Y-%m-%d %H:%M} UTC, and it is {now:%Y-%m-%d %H:%M}: say when it was done (--at), or "
+            "leave that out for now.",
+            code="repair_to_come",
+            at=at.isoformat(),
+        )
+    with database.transaction() as session:
+        key = robots.usable(session, robot).id
+        for known in store.of_robots(session, [key]).get(key, []):
+            if (known.at, known.what) == (at, new.what):
+                return known
+        return store.add(session, key, f"rep_{secrets.token_hex(8)}", at, new.what, actor)
+
+
+def remove(database: Database, robot: str, repair: str) -> None:
+    """Delete a repair that was recorded by mistake: its checks count again.
+
+    Raises:
+        ServiceError: no such robot or repair.
+
+    """
+    with database.transaction() as session:
+        store.remove(session, robots.get(session, robot).id, repair)

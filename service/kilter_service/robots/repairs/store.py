@@ -1,0 +1,57 @@
+"""Rows of repairs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from datetime import datetime
+
+from sqlalchemy import select
+
+from kilter_service.contract.drift import Repair
+from kilter_service.ground.db import Session
+from kilter_service.ground.db.tables import RepairRow
+from kilter_service.ground.errors import ServiceError
+
+
+def add(session: Session, robot_id: int, key: str, at: datetime, what: str, actor: str) -> Repair:
+    """Store a repair."""
+    row = RepairRow(id=key, robot_id=robot_id, at=at, what=what, actor=actor)
+    session.add(row)
+    session.flush()
+    return _repair(row)
+
+
+def remove(session: Session, robot_id: int, key: str) -> None:
+    """Delete a repair.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    row = session.get(RepairRow, key)
+    if row is None or row.robot_id != robot_id:
+        raise ServiceError(
+            f"The robot has no repair {key!r}: its drift history lists them (kilter drift ROBOT).",
+            code="repair_not_found",
+            repair=key,
+        )
+    session.delete(row)
+
+
+def of_robots(session: Session, robots: Collection[int]) -> dict[int, list[Repair]]:
+    """Return the repairs of robots, oldest first."""
+    row = RepairRow
+    query = select(row).where(row.robot_id.in_(robots)).order_by(row.at, row.created_at, row.id)
+    out: dict[int, list[Repair]] = {}
+    for one in session.execute(query).scalars():
+        out.setdefault(one.robot_id, []).append(_repair(one))
+    return out
+
+
+def last(session: Session, robot_id: int) -> Repair | None:
+    """Return the last repair of a robot; None: none is known."""
+    return next(reversed(of_robots(session, [robot_id]).get(robot_id, [])), None)
+
+
+def _repair(row: RepairRow) -> Repair:
+    return Repair(id=row.id, at=row.at, what=row.what, by=row.actor, created_at=row.created_at)
