@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from kilter_service.contract.fits import Metrics, NullDirection, Parameter, Remark
+from kilter_service.contract.fits import Metrics, NullDirection, Parameter
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import Details
 from kilter_service.contract.written import as_written
 

@@ -19,7 +19,7 @@ from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_oth
 from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
-from kilter_service.contract.fits import Remark
+from kilter_service.contract.remarks import Remark
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time

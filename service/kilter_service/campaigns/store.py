@@ -18,9 +18,9 @@ from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
-from kilter_service.contract.fits import Remark
 from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.remarks import Remark
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from kilter_service.ground.errors import ServiceError

@@ -7,7 +7,8 @@ from typing import Literal
 from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
-from kilter_service.contract.fits import Errors, Remark
+from kilter_service.contract.fits import Errors
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Mm, Strict
 
 Decision = Literal["accepted", "rejected", "not_proved"]

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field
 
-from kilter_service.contract.fits import Remark
 from kilter_service.contract.references import RETIRED_AT
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Listed, Load, Name, Newton, NewtonMetre, PointMm, Strict
 
 Role = Literal["train", "validation", "confirmation"]

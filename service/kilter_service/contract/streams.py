@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kilter_service.contract.fits import Remark
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Strict
 
 Hex32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]

@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from kilter_service.contract.comparisons import PairedErrors
-from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
+from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter
 from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import RETIRED_AT, TITLE
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Deg, Listed, Mm, Stored, Strict
 
 

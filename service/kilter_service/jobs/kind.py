@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
-    from kilter_service.contract.fits import Remark
     from kilter_service.contract.instruments import Instrument
+    from kilter_service.contract.remarks import Remark
     from kilter_service.jobs.job_preview import JobPreview
 
 

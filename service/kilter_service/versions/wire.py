@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.later import pa
-from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter, Remark
+from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter
 from kilter_service.contract.previews import JointPreview, VersionPreview
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import (
     Activation,
     CorrectionLimits,

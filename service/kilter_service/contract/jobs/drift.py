@@ -7,8 +7,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from kilter_service.contract.fits import Remark, StageErrors
+from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, Version
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
 
 CauseKind = Literal["zero", "sag", "base", "tool", "scale"]

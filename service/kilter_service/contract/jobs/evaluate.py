@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.fits import Remark, StageErrors
+from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.jobs.shared import NewFrames, Version
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Deg, Mm, Stored
 
 Symbol = Literal["AP", "RP", "vAP", "AD", "RD", "AT", "RT", "dAP", "dRP"]

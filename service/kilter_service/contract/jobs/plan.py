@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
-from kilter_service.contract.fits import Remark
 from kilter_service.contract.jobs.drift import SmallestChange
 from kilter_service.contract.jobs.shared import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
 from kilter_service.contract.next_poses import ToldApart
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
 
 MAX_POSES = 2000

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PlainSerializer
 
 from kilter_service.contract.effects import AnyEffect
-from kilter_service.contract.fits import Remark
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Id, Mm, Stored
 from kilter_service.contract.versions import CorrectionLimits, Objection
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from kilter_service.contract.fits import Remark
 from kilter_service.contract.jobs.fleet import FleetCounts, FleetJob, FleetJobSummary, FleetRobot
 from kilter_service.contract.jobs.job import FINAL, JobError, Progress, State
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import Comparison, Objection
 from kilter_service.contract.written import as_written
 from kilter_service.jobs.fleet.records import FleetRecord, FleetRobotRecord

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from kilter_service.contract.fits import Remark
 from kilter_service.contract.instruments import Instrument
+from kilter_service.contract.remarks import Remark
 
 
 def remarks(instrument: Instrument | None, measured_at: datetime | None, stored_at: datetime) -> list[Remark]:

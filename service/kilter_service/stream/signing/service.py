@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from kilter_service.contract.fits import Remark
+from kilter_service.contract.remarks import Remark
 from kilter_service.contract.stream_messages import MAX_AGE_NS
 from kilter_service.contract.streams import NewStreamSession, StreamSession
 from kilter_service.ground.caller import CALLER

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from kilter_core.errors import TooFewPosesError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
-from kilter_service.contract.fits import Errors, Remark
+from kilter_service.contract.fits import Errors
+from kilter_service.contract.remarks import Remark
 from kilter_service.ground.core import core_watch_check, predictive
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since

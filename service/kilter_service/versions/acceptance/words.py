@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from kilter_service.contract.acceptance import Decision, JudgedCampaign
-from kilter_service.contract.fits import Remark
+from kilter_service.contract.remarks import Remark
 
 RULE = (
     "ISO 14253-1: accepted where every measured error and its guard band are within the tolerance, rejected where one is "
