@@ -15,6 +15,7 @@ from kilter_core.identify.reference import registered
 from kilter_core.identify.registry import METHODS
 from kilter_core.identify.rows.errors_by_kind import KindErrors, errors_of, pooled
 from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
+from kilter_core.identify.uncertainty.held_arm import beside_held_arm
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors
@@ -76,7 +77,7 @@ def held_of(fold: Fold, progress: Progress) -> Held:
     shown = measurement_for(fold.shown, fold.options, fold.shape)
     unseen = measurement_for(fold.unseen, fold.options, fold.shape, shown)
     model = gated(with_cameras(fold.begin, fold.shown, shown), fold.shown, fold.options, fold.prior)[0]
-    fit = fit_by_method(model, shown, fold.options, progress, fold.prior)
+    fit = beside_held_arm(fit_by_method(model, shown, fold.options, progress, fold.prior))
     found = in_fitted_frames(fold.begin, shown.of_tool(), fold.options, fold.prior)
     stages = {
         "nominal": found if shown.tool.places_itself else fold.nominal,

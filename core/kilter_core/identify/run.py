@@ -45,6 +45,7 @@ from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.start_model import begin_with, refuse_missing_columns
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses
+from kilter_core.identify.uncertainty.held_arm import beside_held_arm
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
@@ -252,7 +253,7 @@ def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -
 def _fitted(
     begin: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress, prior: Prior | None
 ) -> Fit:
-    return with_likeliest_scale(fit_by_method(begin, measurement, options, progress, prior))
+    return beside_held_arm(with_likeliest_scale(fit_by_method(begin, measurement, options, progress, prior)))
 
 
 def _views(

@@ -17,6 +17,7 @@ from kilter_core.identify.plausibility.views import shuffled_control
 from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.held_arm import by_held_arm, holds_arm
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
@@ -32,7 +33,7 @@ def with_own_scatter(fit: Fit) -> tuple[Fit, ViewScatter | None]:
     if not fit.problem.measurement.tool.places_itself:
         return clustered(fit), None
     found = view_scatter(fit)
-    return by_views(fit, found), found
+    return by_held_arm(fit, found) if holds_arm(fit) else by_views(fit, found), found
 
 
 def predictive_of(fit: Fit, found: ViewScatter | None) -> Predictive | None:
