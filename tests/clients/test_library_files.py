@@ -80,7 +80,7 @@ def test_points_of_a_preset_with_their_joints(k: Kilter, robot: str, write_campa
     )
     assert k.upload(robot, points, preset="polyworks", joints=joints).rows == 12
     assert k.campaigns.list(robot)[0]["device"] == "polyworks"
-    with pytest.raises(UsageError, match="preset 'nikon': is not one of generic, leica"):
+    with pytest.raises(UsageError, match="preset= nikon: is not one of generic, leica"):
         k.upload(robot, points, preset="nikon", joints=joints)
     with pytest.raises(UsageError, match="preset= belongs to a file"):
         k.upload(robot, {"q1_deg": [1.0]}, preset="leica")

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
-from kilter_client import FileError, Kilter
-from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.rig.points import prepare_points
+from kilter_client import FileError, Kilter, prepare
 from tests.clients.answered import document
 from tests.clients.files.formats.test_joint_logs import RAPID, write_bag
 
@@ -90,16 +88,15 @@ def test_contract_columns_of_a_device_that_is_a_preset_stay_as_they_are(
 def test_a_row_that_is_left_out_takes_its_joints_with_it(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("// Alignment: base of robot\nid,x,y,z\nA,1,2,3\nB,0,0,0\nC,7,8,9\n")
     (tmp_path / "p.mod").write_text(RAPID)
-    found = prepare_points(tmp_path / "p.csv", "generic", None, read_joint_log(tmp_path / "p.mod"))
+    found = prepare(tmp_path / "p.csv", joined=tmp_path / "p.mod", preset="generic")
     rows = np.genfromtxt(found.content.decode().splitlines(), delimiter=",", names=True)
     np.testing.assert_allclose(rows["q3_deg"], [20, -3])
     np.testing.assert_allclose(rows["x_mm"], [1, 7])
     assert found.lines == (3, 5)
     assert "coordinate frame: base of robot" in found.notes
     (tmp_path / "p.mod").write_text(RAPID.replace("jointtarget jHome:=", "jointtarget_ jHome:="))
-    two = read_joint_log(tmp_path / "p.mod")
     with pytest.raises(FileError, match="3 points, but 2 poses"):
-        prepare_points(tmp_path / "p.csv", "generic", None, two)
+        prepare(tmp_path / "p.csv", joined=tmp_path / "p.mod", preset="generic")
 
 
 def test_joints_of_a_bag_in_the_order_that_is_named(

@@ -149,12 +149,14 @@ def test_the_first_page_of_the_report_has_the_numbers_of_the_interface(
     pages = [re.sub(r"\s+", " ", one.get_textpage().get_text_bounded()) for one in document]
     document.close()
     budget = one["budget"]
-    # One table is written in one unit, that of its largest length.
-    most = max(part[size] or 0.0 for part in budget["contributions"] for size in ("half_width_mm", "standard_mm"))
+    # One table is written in one unit, that of its largest length, which its heads name.
+    merits = [one[stage][size] for stage in ("before", "after") for size in ("mean_mm", "rms_mm", "p95_mm", "max_mm")]
+    parts = [part[size] for part in budget["contributions"] for size in ("half_width_mm", "standard_mm")]
+    sums = [budget["expanded_mm"], budget["measured_expanded_mm"]]
     numbers = [
-        *(words.mm(one[stage][size]) for stage in ("before", "after") for size in ("mean_mm", "rms_mm", "p95_mm", "max_mm")),
-        *(words.beside(part["standard_mm"], most) for part in budget["contributions"]),
-        words.mm(budget["expanded_mm"]), words.mm(budget["measured_expanded_mm"]), words.mm(found["provable_mm"]),
+        *(words.bare(length, words.largest(column)) for column in (merits, parts, sums) for length in column if length),
+        *(f", {words.unit(words.largest(column))}" for column in (merits, parts, sums)),
+        words.mm(found["provable_mm"]),
         found["sentence"], "ISO 14253-1", "Katana".lower(), "with tracker",
     ]  # fmt: skip
     for text in (page, pages[0]):
@@ -179,6 +181,16 @@ def first_page(client: httpx.Client, version: str) -> tuple[str, str]:
     return part.partition('data-decision="')[2].partition('"')[0], plain(part)
 
 
+def shows(page: str, budget: dict[str, Any], stages: list[dict[str, Any]]) -> None:
+    """The sums of the budget and the errors of the stages stand there, below heads with their unit."""
+    sums = [budget["expanded_mm"], budget["measured_expanded_mm"]]
+    errors = [stage[size] for stage in stages for size in ("mean_mm", "rms_mm", "p95_mm", "max_mm")]
+    for column in (sums, errors):
+        most = words.largest(column)
+        assert f", {words.unit(most)}" in page
+        assert all(words.bare(length, most) in page for length in column)
+
+
 def test_the_first_page_without_a_tolerance_has_the_budget_and_says_how_to_have_it_decided(
     client: httpx.Client, katana: Katana, arm: dict[str, str], until: Until
 ) -> None:
@@ -188,17 +200,14 @@ def test_the_first_page_without_a_tolerance_has_the_budget_and_says_how_to_have_
     assert "no tolerance was stated" in page
     assert "kilter accept katana --tolerance 0.3" in page
     assert f"As it is, these rows prove none: {found['lacking'][0]['message'][:40]}" in page
-    for number in (found["campaigns"][0]["budget"]["expanded_mm"], found["campaigns"][0]["after"]["mean_mm"]):
-        assert words.mm(number) in page
+    one = found["campaigns"][0]
+    shows(page, one["budget"], [one["before"], one["after"]])
     client.post(f"/v1/campaigns/{arm['second']}/retire").raise_for_status()
     whole = done(client, until, kind="identify", campaigns=[arm["first"]], options={"level": 2})["result"]
     decision, page = first_page(client, whole["version_id"])  # nothing is held out: the budget is that of the fit
     assert (decision, "No row with a measured place is left" in page) == ("none", True)
-    for number in (
-        whole["metrics"]["train"]["budget"]["expanded_mm"],
-        whole["metrics"]["train"]["identified"]["mean_mm"],
-    ):
-        assert words.mm(number) in page
+    fitted = whole["metrics"]["train"]
+    shows(page, fitted["budget"], [fitted["registration_only"], fitted["identified"]])
     assert "fitted rows, calibrated" in page
 
 

@@ -169,7 +169,7 @@ def test_a_version_worse_than_the_active_one_is_refused_unless_forced(lab: Lab) 
     assert (answer.status_code, refused["code"]) == (409, "activation_refused")
     assert codes(refused["context"]["objections"]) == {"worse_than_active"}
     assert refused["context"]["compared"]["campaigns"] == [judged]
-    assert "predicts campaign c (" in refused["detail"]
+    assert "was not fitted to (c (3))" in refused["detail"]
     assert "--force" in refused["detail"]
     assert good in refused["detail"]
     assert (lab.active(), len(lab.log())) == (good, 1)
@@ -371,12 +371,12 @@ def test_campaigns_that_no_model_fits_are_named_and_left_out(lab: Lab) -> None:
 
 def test_too_few_poses_new_to_both_leave_the_comparison_with_registration(lab: Lab) -> None:
     first, second = (lab.campaign(lab.readings(40, seed), seed) for seed in (1, 2))
-    few = lab.campaign(lab.readings(5, 3), 3)
+    lab.campaign(lab.readings(5, 3), 3)
     lab.activate(lab.identify([first])).raise_for_status()
     found = lab.activate(lab.identify([second])).raise_for_status().json()
     assert found["compared"]["campaigns"] == [first]
     assert codes(found["warnings"]) == {"active_not_compared", "campaign_not_compared"}
-    assert any(few in warning["message"] for warning in found["warnings"])
+    assert any("c (3)" in warning["message"] for warning in found["warnings"])
 
 
 def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
@@ -403,7 +403,7 @@ def test_what_a_version_needs_and_a_campaign_lacks_is_said(lab: Lab) -> None:
     found = lab.activate(version).raise_for_status().json()
     assert found["compared"] is None
     assert codes(found["warnings"]) == {"campaign_not_compared", "nothing_to_compare"}
-    assert any(bare in w["message"] and "direction" in w["message"] for w in found["warnings"])
+    assert any("c (3)" in w["message"] and "direction" in w["message"] for w in found["warnings"])
     found = lab.activate(plain).raise_for_status().json()
     assert found["compared"]["campaigns"] == [bare]
     assert found["compared"]["active"] is None

@@ -147,7 +147,8 @@ def _sent(
 
 def _placed(error: ObservationError, prepared: Prepared, file: str) -> ObservationError:
     """Add on which lines of the person's own file the refused rows stand."""
-    rows = [k for k in error.context.get("rows") or [error.context.get("row")] if isinstance(k, int)]
+    named = error.context.get("rows")  # of a mix-up it is how many
+    rows = [k for k in (named if isinstance(named, list) else [error.context.get("row")]) if isinstance(k, int)]
     lines = [prepared.lines[k - 1] for k in rows if 0 < k <= len(prepared.lines)]
     if lines:
         error.context |= {"file": file, "line": lines[0], "lines": lines}
