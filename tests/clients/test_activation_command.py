@@ -44,7 +44,8 @@ def test_a_worse_version_is_refused_forced_and_rolled_back(
 
     assert run(["activate", good]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    for words in ("Compared on 42 poses (42 rows)", "of coarse, checked", "registration only", "chance mm", f"{good} is active."):
+    shown = ("Compared on 42 poses (42 rows)", "of coarse, checked", "registration only", "chance mm")
+    for words in (*shown, f"{good} is active."):
         assert words in said, words
     assert run(["activate", coarse]) == 1
     refused = " ".join(capsys.readouterr().err.split())

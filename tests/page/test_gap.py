@@ -25,7 +25,7 @@ from kilter_service.page.gap.claim import GATES
 from kilter_service.page.gap.curves import curves
 from kilter_service.page.shared.called import named
 from kilter_service.page.shared.own_curves import own_curves, without
-from kilter_service.page.words import mm, number, of_joints
+from kilter_service.page.words import number, of_joints
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
@@ -252,11 +252,11 @@ def test_the_gap_closes_in_steps(hunted: Hunted) -> None:
         f"{low[0]:.3g} to {high[0]:.3g}",
     ):
         assert text in report
+    table = report.partition("Moves the tool, rms, ")[2]
+    per_mm = {"µm": 1e3, "mm": 1.0}[table.partition(",")[0].split()[0]]  # the unit stands in the head
     for effect in hunted.closed["result"]["effects"]:
-        joints, moves = of_joints(effect["joints"]), mm(effect["moves_mm"])
-        assert re.search(
-            rf"{effect['id']} {joints} .*? {re.escape(moves)} ", report.partition("Moves the tool, rms")[2]
-        )
+        joints, moves = of_joints(effect["joints"]), number(per_mm * effect["moves_mm"])
+        assert re.search(rf"{effect['id']} {joints} .*? {re.escape(moves)} ", table)
 
 
 def test_bins_hold_their_points_and_intervals() -> None:

@@ -54,8 +54,10 @@ def rows_of(text: str) -> list[tuple[str, ...]]:
                 one for one in told if one.startswith("Off by, ")
             ]:  # its unit stands in the head of the column
                 told["Off by"] = f"{told[name]} {name.removeprefix('Off by, ')}"
-            # A page links an unnamed version, a report on paper has its id.
-            who = re.sub(r" (ver_\w+|\(its version, its job\)|\(its job\))$", "", told["Says who"])
+            # A page links an unnamed version, a report on paper has when it was made.
+            who = re.sub(
+                r" (that made version of [\d: -]+|\(its version, its job\)|\(its job\))$", "", told["Says who"]
+            )
             found.append((told["Row"], told["Off by"], told["Standard deviations"], who, told["Why"]))
     return sorted(found)
 

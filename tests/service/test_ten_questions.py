@@ -211,7 +211,8 @@ def did_it_help(asked: Asked, kilter: Kilter, read: Callable[[], Any]) -> None:
         assert f" {number} " in history
         assert f", {unit} " in history
         said = asked.words(f"{asked.version(job)}/report")
-        assert f"The mean error of the tool is {after} on poses that were held out" in said
+        told = beside(held["identified"]["mean_mm"], held["registration_only"]["mean_mm"])  # a sentence has one unit
+        assert f"The mean error of the tool is {told} on poses that were held out" in said
         left = "no row left out" if held["left_out"] == 0 else f"{held['left_out']} row"
         for page in (asked.version(job), f"{asked.version(job)}/report", f"/jobs/{job['id']}"):
             assert left in asked.words(page), page
