@@ -19,7 +19,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from tests.core.measurement.test_pixels import ASKED, STIFF, registered_error
-from tests.core.pixel_scene import ERRORS, HOME, eye_in_hand, eye_to_hand
+from tests.core.pixel_scene import ERRORS, HOME, Scene, eye_in_hand, eye_to_hand
 
 UNSURE = {"scale_sigma": 1e-3}  # of a board, as a share
 
@@ -91,20 +91,27 @@ def test_intervals_hold_and_follow_the_noise(many: int, least: float) -> None:
     assert np.mean(sigma[0.2], axis=0) / np.mean(sigma[0.1][:3], axis=0) == pytest.approx(2.0, rel=0.25)
 
 
-@pytest.mark.parametrize("scene", [eye_to_hand({}, STIFF), eye_in_hand({}, STIFF)], ids=["to_hand", "in_hand"])
-def test_a_held_arm_that_is_off_costs_a_camera_no_more_than_it_must(scene) -> None:  # type: ignore[no-untyped-def]
-    """0.05 degrees in each joint and pose. With every corner for itself cameras were 2.0 and 2.8 mm off."""
+@pytest.mark.parametrize(
+    ("scene", "poses", "times", "most_mm"),
+    [(eye_to_hand({}, STIFF), 20, 1, 1.3), (eye_in_hand({}, STIFF), 20, 1, 1.3), (eye_in_hand({}, STIFF), 8, 4, 2.0)],
+    ids=["to_hand", "in_hand", "repeats"],
+)
+def test_a_held_arm_that_is_off_costs_a_camera_no_more_than_it_must(
+    scene: Scene, poses: int, times: int, most_mm: float
+) -> None:
+    """0.05 degrees in each joint and pose, shared by its repeats. With every corner for itself cameras were 2 to 6 mm off."""
     robot, true = robot_from_document(scene.drawn.document()), scene.eyes[0].pose.translation
     off, told = [], []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        rows = scene.observed(scene.poses(20, rng), rng, 0.1)
-        read = replace(rows, q=rows.q + np.radians(0.05) * rng.standard_normal(rows.q.shape))
+        rows = scene.observed(np.repeat(scene.poses(poses, rng), times, axis=0), rng, 0.1)
+        wrong = np.repeat(np.radians(0.05) * rng.standard_normal((poses, 6)), times, axis=0)
+        read = replace(rows, q=rows.q + wrong, pose_id=np.repeat(np.arange(poses), times))
         result = identify(robot, read, None, IdentifyOptions(fix=("*",)))
         off.append(1e3 * (place_of_camera(result) - true))
         told.append(result.views["cameras"][0]["sigma_mm"])
     size, known = (float(np.sqrt(np.mean(np.sum(np.square(one), axis=1)))) for one in (off, told))
-    assert size < 1.3
+    assert size < most_mm
     assert size == pytest.approx(known, rel=0.5)
 
 

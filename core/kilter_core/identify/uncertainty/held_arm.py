@@ -14,7 +14,7 @@ import numpy as np
 
 from kilter_core.identify.fit.least_squares import Fit, fit_at
 from kilter_core.identify.uncertainty.by_views import view_scatter
-from kilter_core.identify.uncertainty.clustered import as_normal
+from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
 from kilter_core.identify.views.cameras import rig_at, unknown_rig
 from kilter_core.measurement import Block
 from kilter_core.measurement.camera.view_scatter import SMALLEST_M, SMALLEST_RAD, ViewScatter
@@ -38,25 +38,39 @@ def beside_held_arm(fit: Fit) -> Fit:
     """The fit with what the arm is off by in each view as a part of its model; as it is where the arm was fitted too."""
     if not holds_arm(fit):
         return fit
+    problem = fit.problem
     for _ in range(ROUNDS):
-        H, downhill = _equations(fit, view_scatter(fit))
-        step: Floats = np.asarray(np.linalg.solve(H, downhill), dtype=np.float64)
-        values = fit.problem.moved(fit.values, step)
-        fit = replace(fit_at(fit.problem, values, fit.problem.linearised(values), fit.iterations), report=fit.report)
+        A, r = _whitened(fit, view_scatter(fit))
+        away = problem.prior.stiff(problem.prior.away(problem.current(fit.values)))
+        downhill = np.einsum("nrk,nr->k", A, r) - away
+        step: Floats = np.asarray(
+            np.linalg.solve(products(A, A) + problem.prior_information(), downhill), dtype=np.float64
+        )
+        values = problem.moved(fit.values, step)
+        fit = replace(fit_at(problem, values, problem.linearised(values), fit.iterations), report=fit.report)
         if float(np.max(np.abs(step), initial=0.0)) < SETTLED:
             break
     return fit
 
 
 def by_held_arm(fit: Fit, found: ViewScatter) -> Fit:
-    """The same with the covariance of its parameters, scaled so that 1.96 sigma are half of Student's 95 % interval."""
-    around = np.linalg.inv(_equations(fit, found)[0])
-    scale = as_normal(fit.problem.prior_sigma, found.freedom)
-    return replace(fit, covariance=np.asarray(around * np.outer(scale, scale)), freedom=found.freedom)
+    """The same with the covariance of its parameters, scaled so that 1.96 sigma are half of Student's 95 % interval.
+
+    Views of one pose share what the arm is off by there: what each pose says counts as in
+    :mod:`~kilter_core.identify.uncertainty.clustered`.
+    """
+    problem = fit.problem
+    A, r = _whitened(fit, found)
+    total, known = products(A, A), problem.prior_information()
+    bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
+    poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
+    around = sandwich(total + known, mixed(total, *poses), known, known)
+    scale = as_normal(problem.prior_sigma, found.freedom)
+    return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)
 
 
-def _equations(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
-    """Normal equations (F, F), (F,) in prior sigmas, the priors included, of views whose tool is off as was found."""
+def _whitened(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
+    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), by corners and a tool that is off as was found."""
     problem, views = fit.problem.wholly(), fit.problem.measurement.pixels
     rig = rig_at(problem.model, fit.values)
     assert views is not None
@@ -69,13 +83,12 @@ def _equations(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
     (block,), (root,) = here.residual.blocks, problem.roots(here.residual)
     white = problem.over_sigma_slope(Block(block.group, block.r, by_tool))
     B = (white if root is None else root[..., None] * white).reshape(len(A), -1, 6)
-    taken = float(np.mean(problem.weights.points)) / views.metres_per_px
-    variance = (found.sigma_px / taken) ** 2  # of a whitened number, by its corner alone
-    wide = [max(found.place, SMALLEST_M) ** -2.0] * 3 + [max(found.turn, SMALLEST_RAD) ** -2.0] * 3
-    B_T = B.transpose(0, 2, 1)
-    shared = np.linalg.solve(variance * np.diag(wide) + B_T @ B, B_T)
-    told = A.transpose(0, 2, 1) - (A.transpose(0, 2, 1) @ B) @ shared
-    prior = problem.prior
-    away = prior.stiff(prior.away(problem.current(fit.values)))
-    H = np.einsum("nkr,nrl->kl", told, A) / variance + problem.prior_information()
-    return H, np.asarray(np.einsum("nkr,nr->k", told, r) / variance - away)
+    corner = found.sigma_px * views.metres_per_px / float(np.mean(problem.weights.points))  # of a whitened number
+    wide = np.array([max(found.place, SMALLEST_M)] * 3 + [max(found.turn, SMALLEST_RAD)] * 3)
+    along, size, _ = np.linalg.svd(B * wide / corner, full_matrices=False)
+    less = 1.0 - 1.0 / np.sqrt(1.0 + size**2)  # of what is along the motions of the tool, beside what corners say
+
+    def by(x: Floats) -> Floats:
+        return np.asarray((x - along @ (less[:, :, None] * (along.transpose(0, 2, 1) @ x))) / corner)
+
+    return by(A), by(r[:, :, None])[:, :, 0]
