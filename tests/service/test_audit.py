@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.work.runner import Runner
+from kilter_service.page.audit.action_words import REFUSED
 from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
@@ -115,6 +117,11 @@ def test_refused_requests_are_in_the_audit_in_groups(
     ]
     app.state.refusals.write()
     assert len(refused(client)) == 4
+    page = client.get("/audit").raise_for_status().text
+    assert "was refused 3 times at POST /v1/robots: the role does not suffice" in page
+    assert "was refused once at POST /login: a wrong token" in page
+    assert not re.search(r"<td[^>]*>\s*(added robot|logged in)", page)  # what was asked for was not done
+    assert set(REFUSED) == refusals.NOTED | {"several"}
 
 
 def test_nobody_fills_the_audit_by_being_refused(client: httpx.Client, database: Database) -> None:

@@ -74,6 +74,19 @@ DONE: Mapping[str, str] = {
     "PUT /v1/robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
     "kilterd worker": "finished {job} of {robot}",
 }
+# Why a request was refused, by the code of its answer.
+REFUSED: Mapping[str, str] = {
+    "csrf_missing": "the form came from elsewhere",
+    "host_refused": "the server has another name",
+    "origin_refused": "a page of another site asked",
+    "proxy_only": "it did not come through the proxy",
+    "role_too_low": "the role does not suffice",
+    "several": "for several reasons",
+    "token_ended": "the token or link had ended or was used already",
+    "token_limited": "the token is for other robots",
+    "token_missing": "no token",
+    "token_wrong": "a wrong token",
+}
 KINDS = {
     "campaigns": "campaign",
     "versions": "version",
@@ -103,10 +116,19 @@ def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[
 
 
 def _what(entry: AuditEntry, known: _Names) -> str:
+    refused = dict(_changed(entry)).get("refused")
+    if isinstance(refused, dict):
+        return _refused(entry.route, str(refused.get("code", "")), int(refused.get("times", 1)))
     template = DONE.get(entry.route)
     if template is None:
         return f"changed something by {entry.route}"
     return template.format_map(known.of(entry))
+
+
+def _refused(route: str, code: str, times: int) -> str:
+    """What was asked for and not done; nothing is known of what it would have changed."""
+    often = "once" if times == 1 else f"{times} times"
+    return f"was refused {often} at {route}: {REFUSED.get(code, code)}"
 
 
 def _reason(entry: AuditEntry) -> str:
