@@ -39,7 +39,12 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     assert views is not None
     taken = float(np.mean(problem.weights.points)) / views.metres_per_px
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
-    A, r = problem.by_row(problem.linearised(fit.values, fit.residual))
+    return by_poses(fit, *problem.by_row(problem.linearised(fit.values, fit.residual)), found, factor)
+
+
+def by_poses(fit: Fit, A: Floats, r: Floats, found: ViewScatter, factor: float = 1.0) -> Fit:
+    """The fit with the covariance that poses support, of views ``A (N, R, F)`` and ``r (N, R)`` of variance ``factor``."""
+    problem = fit.problem
     total, known = products(A, A), problem.prior_information()
     bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
     poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.identify.fit.least_squares import Fit, fit_at
-from kilter_core.identify.uncertainty.by_views import view_scatter
-from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
+from kilter_core.identify.uncertainty.by_views import by_poses, view_scatter
+from kilter_core.identify.uncertainty.clustered import products
 from kilter_core.identify.views.cameras import rig_at, unknown_rig
 from kilter_core.measurement import Block
 from kilter_core.measurement.camera.view_scatter import SMALLEST_M, SMALLEST_RAD, ViewScatter
@@ -59,14 +59,7 @@ def by_held_arm(fit: Fit, found: ViewScatter) -> Fit:
     Views of one pose share what the arm is off by there: what each pose says counts as in
     :mod:`~kilter_core.identify.uncertainty.clustered`.
     """
-    problem = fit.problem
-    A, r = _whitened(fit, found)
-    total, known = products(A, A), problem.prior_information()
-    bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
-    poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
-    around = sandwich(total + known, mixed(total, *poses), known, known)
-    scale = as_normal(problem.prior_sigma, found.freedom)
-    return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)
+    return by_poses(fit, *_whitened(fit, found), found)
 
 
 def _whitened(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
