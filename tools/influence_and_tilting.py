@@ -1,4 +1,4 @@
-"""Whether influence weights and tilting help each other: writes docs/explanation/influence-and-tilting.md.
+"""Whether influence weights and tilting help each other: writes the last section of docs/explanation/thesis-reproduction.md.
 
 ``python -m tools.influence_and_tilting [--seeds 10]``: four minutes on one core.
 """
@@ -18,14 +18,15 @@ from tools.thesis.drawing import table
 Floats = NDArray[np.float64]
 
 TEMPLATE = Path(__file__).resolve().parent / "thesis" / "influence-and-tilting.md"
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "explanation" / "influence-and-tilting.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "explanation" / "thesis-reproduction.md"
+HEADING = "## Do influence weights and joint tilting help each other?"
 SEEDS = 10
 COUNTS = (118, 30)
 PAIRS = {"none": "no tilting", "first": "tilting measured first", "both": "tilting identified too"}
 
 
 def main() -> None:
-    """Run everything and write the page and its picture."""
+    """Run everything and write the section and its picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS)
     seeds = parser.parse_args().seeds
@@ -40,7 +41,8 @@ def main() -> None:
         "influence-and-tilting", f"Error on poses not used, {seeds} arms of each make", "mm",
         {name: group for name, group in groups.items() if "118" in name}, log=True,
     )  # fmt: skip
-    PAGE.write_text(TEMPLATE.read_text(encoding="utf-8").format(**texts(seeds, groups)), encoding="utf-8")
+    above = PAGE.read_text(encoding="utf-8").partition(HEADING)[0]
+    PAGE.write_text(above + TEMPLATE.read_text(encoding="utf-8").format(**texts(seeds, groups)), encoding="utf-8")
 
 
 def texts(seeds: int, groups: dict[str, dict[str, Floats]]) -> dict[str, str]:

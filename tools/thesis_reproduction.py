@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tools.influence_and_tilting import HEADING
 from tools.thesis import drawing
 from tools.thesis import experiments as done
 from tools.thesis.drawing import spread, table
@@ -40,14 +41,16 @@ NEARLY = 0.02  # relative difference of two methods below which neither is calle
 
 
 def main() -> None:
-    """Run everything and write the page and its pictures."""
+    """Run everything and write the page but for its last section, and its pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS)
     seeds = parser.parse_args().seeds
     calibrate, unseen = done.poses(done.katana())
     texts = {"seeds": str(seeds)} | influence(calibrate) | methods(seeds, calibrate, unseen)
     texts |= models(seeds, calibrate, unseen)
-    PAGE.write_text(TEMPLATE.read_text(encoding="utf-8").format(**texts), encoding="utf-8")
+    _, heading, last = PAGE.read_text(encoding="utf-8").partition(HEADING)
+    page = TEMPLATE.read_text(encoding="utf-8").format(**texts)
+    PAGE.write_text(f"{page}\n{heading}{last}" if heading else page, encoding="utf-8")
 
 
 def influence(calibrate: Floats) -> Texts:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from kilter_files.look import inspection
     from kilter_files.look.draft import Draft
     from kilter_files.maps import column_map as column_maps
+    from kilter_files.maps import joined as joins
     from kilter_files.maps import mapped
     from kilter_files.rig import points
     from kilter_files.tables import joint_log as joint_logs
@@ -37,6 +38,7 @@ else:
     drafts = Later("kilter_files.look.draft")
     inspection = Later("kilter_files.look.inspection")
     column_maps = Later("kilter_files.maps.column_map")
+    joins = Later("kilter_files.maps.joined")
     mapped = Later("kilter_files.maps.mapped")
     points = Later("kilter_files.rig.points")
     joint_logs = Later("kilter_files.tables.joint_log")
@@ -90,15 +92,15 @@ def prepare(
             f"{other}: a second file (--joints) goes with a preset (--preset: a text export of points) or with a column map "
             "that has a table [join] (--map)."
         )
-    if preset is not None:
-        table = _points(path, preset, euler, other, hints)
-    elif column_map is not None or path.suffix.lower() in (".xlsx", ".xlsm"):
-        table = _mapped(path, None if column_map is None else Path(column_map), other)
-    else:
+    if preset is None and column_map is None and path.suffix.lower() not in (".xlsx", ".xlsm"):
         by_device = registry.readers_for(reader.DEVICE).get(device or "")
         if by_device is None or _is_joined(path):
             return as_it_is(path)
         table = by_device.read(path)
+    elif preset is not None:
+        table = points.read_points(path, preset, euler, other, hints)
+    else:
+        table = _mapped(path, None if column_map is None else Path(column_map), other)
     return Prepared.from_table(table)
 
 
@@ -107,16 +109,6 @@ def _preset_of(device: str | None, path: Path, joined: bool) -> str | None:
     if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
         return None
     return device if joined or not registry.recognised(path, "contract-columns") else None
-
-
-def _points(path: Path, preset: str, euler: str | None, joints: Path | None, hints: LogHints | None) -> Table:
-    """Read an export of points, whose joints are its own or those of another file, row by row."""
-    if preset not in tracker_header.PRESETS:
-        raise UsageError(f"--preset {preset}: is not one of {', '.join(tracker_header.PRESETS)}.")
-    log = None if joints is None else read_joints(joints, None, hints)
-    beside = None if log is None else points.columns_beside(log)
-    table = registry.readers()["tracker-text"].read(path, reader.Hints(preset=preset, euler=euler, joints=beside))
-    return points.checked_points(path, table, log)
 
 
 def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
@@ -157,14 +149,14 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
 def _mapped(path: Path, column_map: Path | None, joined: Path | None) -> Table:
     """Read a file and those of the map's [join] tables into contract columns; without a map it has these already."""
     if column_map is None:
-        return mapped.contract_table(opening.open_source(path, None, source.Layout()))
-    chosen = column_maps.read_map(column_map, registry.readers_for(reader.MAP))
-    first = opening.open_source(path, chosen.form, chosen.layout)
-    places = mapped.further_files(path, chosen, joined)
-    further = [
-        opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)
-    ]
-    return mapped.mapped(first, chosen, further)
+        first = opening.open_source(path, None, source.Layout())
+        chosen = column_maps.contract_map(first)
+    else:
+        chosen = column_maps.read_map(column_map, registry.readers_for(reader.MAP))
+        first = opening.open_source(path, chosen.form, chosen.layout)
+    places = joins.further_files(path, chosen.joins, chosen.path, joined)
+    others = [opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)]
+    return mapped.mapped(first, chosen, others)
 
 
 def _is_joined(path: Path) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from kilter_client import Kilter
 from tests.clients.bridges.rsi_peer import RsiPeer
-from tests.clients.bridges.running_bridge import add_arm, bridging, off_mm
+from tests.clients.bridges.running_bridge import PRIORITY, add_arm, bridging, off_mm
 from tests.clients.bridges.udp_peer import Floats
 from tools.local_server import local_server
 
@@ -36,6 +36,8 @@ def main() -> None:
             add_arm(kilter, "cell7", Path(folder))
         with bridging("rsi", "cell7", "--port", "0", "--cycle-ms", str(given.cycle_ms)) as bridge:
             bridge.heard("waiting")
+            if PRIORITY:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(PRIORITY)))
             peer = RsiPeer(bridge.port, path, cycle_s=given.cycle_ms / 1000.0).start()
             peer.wait(given.cycles, seconds=1e9)
             peer.stop()

@@ -24,6 +24,8 @@ from tests.clients.three_joint_arm import LENGTHS_MM, Floats, tip_mm
 from tests.clients.three_joint_arm import arm as three_joint_arm
 
 REAL_MM = (400.0, 300.6, 199.5)
+PRIORITY = os.environ.get("PRIORITY")  # real-time, of a bridge and of what plays its robot
+REAL_TIME = ["chrt", "--fifo", PRIORITY] if PRIORITY else []
 OFF_DEG = np.array([0.1, -0.05, 0.08])
 LATER_DEG = np.array([0.25, -0.05, 0.2])  # after something slipped
 
@@ -110,7 +112,7 @@ def bridging(*arguments: str, **environment: str) -> Iterator[Bridge]:
     """Run ``kilter bridge`` with these arguments."""
     code = "from kilter_client.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "bridge", *arguments],
+        [*REAL_TIME, sys.executable, "-c", code, "bridge", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},
     )  # fmt: skip
     try:

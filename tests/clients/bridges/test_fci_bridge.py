@@ -18,7 +18,7 @@ import pytest
 from kilter_client import Kilter
 from kilter_client.cli import run
 from tests.clients.bridges.franka_arm import Floats, from_path_mm, table, tool_mm
-from tests.clients.bridges.running_bridge import Bridge, bridging
+from tests.clients.bridges.running_bridge import REAL_TIME, Bridge, bridging
 
 ENVIRONMENT = Path(os.environ.get("KILTER_FRANKA", "/nowhere"))
 SECONDS, REST_S, RAMP_S = float(os.environ.get("SECONDS", "16")), 2.0, 1.0
@@ -38,7 +38,7 @@ def simulator(folder: Path) -> Iterator[Path]:
     script, log = Path(__file__).with_name("franka_server.py"), folder / "simulator.log"
     with log.open("wb") as file:
         process = subprocess.Popen(
-            [str(ENVIRONMENT / "bin" / "python"), str(script), str(folder)], stdout=file, stderr=file
+            [*REAL_TIME, str(ENVIRONMENT / "bin" / "python"), str(script), str(folder)], stdout=file, stderr=file
         )
     try:
         end = time.monotonic() + 60

@@ -10,13 +10,15 @@ import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from kilter_files.ground.errors import FileError
-from kilter_files.maps.columns import Columns, read_columns
+from kilter_files.ground.units import unit_of
+from kilter_files.maps.columns import Columns, contract_columns, read_columns
 from kilter_files.maps.join import Join, read_join
 from kilter_files.maps.orientation import Orientation, read_orientation
 from kilter_files.maps.section import Section
-from kilter_files.tables.source import Layout
+from kilter_files.tables.source import Layout, Source
 
 # TOML wants quotes around a key with a *; people write q* = { ... } without them
 BARE_PATTERN = re.compile(r"^([ \t]*)([A-Za-z]\w*\*\w*)([ \t]*=)", re.MULTILINE)
@@ -46,6 +48,27 @@ class ColumnMap:
     keep: tuple[Keep, ...]
     joins: tuple[Join, ...] = ()
     marker: str | int | None = None  # the column that names the one marker of a row
+    note: str = ""  # said instead of a note on every column
+
+
+def contract_map(source: Source) -> ColumnMap:
+    """Return the map of a workbook whose columns are the contract's already.
+
+    Raises:
+        FileError: other columns; the remedy is a map of one's own.
+
+    """
+    path, odd = source.path, [name for name in source.choices if name and unit_of(name) is None]
+    columns = contract_columns(source.choices)
+    if odd or not columns:
+        said = ", ".join(map(repr, odd[:6])) or "none has a name"
+        raise FileError(
+            f"{path}: not all of its columns are the contract's: {said}. Write a column map "
+            f"(`kilter inspect {quote(str(path))} --draft columns.toml`) and give it with --map.",
+            file=str(path),
+        )
+    note = "contract columns of the workbook's first sheet"
+    return ColumnMap(path, None, Layout(), columns, None, None, drop_missing=False, keep=(), note=note)
 
 
 def read_map(path: Path, formats: Collection[str]) -> ColumnMap:

@@ -11,6 +11,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
 from kilter_files.maps.section import Section
 
+PLAIN_JOINT = re.compile(r"q\d+")
 NUMBERED = ("q", "link", "cmd", "qd", "qdd", "tau", "dir", "m")
 NO_CONTRACT_COLUMN = (
     "is not a contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, tau1_nm, dir1, "
@@ -50,6 +51,13 @@ class Pattern:
 
 
 Columns = tuple[Column | Pattern, ...]
+
+
+def contract_columns(names: Sequence[str]) -> tuple[Column, ...]:
+    """Return the columns whose names are the contract's; a program's targets, ``q1``, are in degrees."""
+    named = [(name, unit_of(name)) for name in names]
+    plain = tuple(Column(name, name, unit) for name, unit in named if unit is not None)
+    return plain or tuple(Column(f"{name}_deg", name, "deg") for name in names if PLAIN_JOINT.fullmatch(name))
 
 
 def read_columns(top: Section, key: str = "columns") -> Columns:

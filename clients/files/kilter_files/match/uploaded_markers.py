@@ -5,43 +5,57 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Mapping, Sequence
-from itertools import permutations
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import MissingPackageError
 from kilter_files.ground.faults import fault
-from kilter_files.ground.later import need, pa, parquet
+from kilter_files.ground.later import Later, need, np, pa, parquet
 from kilter_files.ground.units import MARKER
-from kilter_files.match.dwells import Thinned
-from kilter_files.match.knocks import LEAST_MM, Knock, knocks_of_frames, knocks_of_rows
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
-SINGLE_ROWS = 2000  # more are averaged in stretches
+if TYPE_CHECKING:
+    from kilter_files.match import knocks, shape_change
+else:  # they need numpy, which rows without markers do not
+    knocks = Later("kilter_files.match.knocks")
+    shape_change = Later("kilter_files.match.shape_change")
+
+A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 SHOWN = 4
-MOST_EXCHANGED = 6  # markers, of which every order is tried
 
 
-def refuse_knocked_rows(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
-    """Refuse rows in which a marker was knocked; return the warning where the person allows it.
+def checked_markers(path: Path, prepared: Prepared, unchecked: bool) -> Prepared:
+    """Refuse rows in which a marker was knocked, or where the person allows them add the warning.
+
+    Rows without markers come back as they are; so do all where numpy is missing, and the server looks by itself.
 
     Raises:
         FileError: marker, rows and size.
 
     """
+    if prepared.content_type == CSV_TYPE and not A_MARKER.search(prepared.content.split(b"\n", 1)[0]):
+        return prepared
+    try:
+        found = _knocked(path, prepared, unchecked)
+    except ImportError:
+        return prepared
+    return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
+
+
+def _knocked(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
     numbers = sorted({int(m[1]) for name in _names(prepared) if (m := MARKER.fullmatch(name))})
     if len(numbers) < 2:
         return []
     points = _points(prepared, numbers)
-    found = [] if points is None else _knocks(points)
-    if not found:
+    found = [] if points is None else knocks.knocks_of_rows(points)
+    if points is None or not found:
         return []
     names = tuple(f"m{k}" for k in numbers)
-    exchanged = changed_places(points, found[0]) if points is not None else ()
+    exchanged = shape_change.changed_places(points, round(found[0].from_s))
     if exchanged:
         who = " and ".join(repr(names[k]) for k in exchanged)
         what = f"markers {who} change places between rows {found[0].from_s:.0f} and {found[0].to_s:.0f}"
@@ -56,36 +70,6 @@ def refuse_knocked_rows(path: Path, prepared: Prepared, unchecked: bool) -> list
         f"Send the rows before and after as campaigns of their own, or leave {columns} out and renumber the others."
     )
     raise fault(path, what, f"{remedy} --unchecked sends it anyway.")
-
-
-def _knocks(points: Floats) -> list[Knock]:
-    rows = np.arange(1.0, len(points) + 1)
-    if len(points) > SINGLE_ROWS:
-        return knocks_of_frames(Thinned(rows, points, 1.0))
-    return knocks_of_rows(points, np.stack([rows, rows], axis=1))
-
-
-def changed_places(points: Floats, knock: Knock) -> tuple[int, ...]:
-    """Markers (from 0) whose exchange after a change restores the former body; none where no exchange does."""
-    at = round(knock.from_s)
-    before, after = (_lengths(part) for part in (points[:at], points[at:]))
-    if len(before) > MOST_EXCHANGED or np.isnan(before).any() or np.isnan(after).any():
-        return ()
-    fitting = [
-        tuple(k for k, other in enumerate(order) if k != other)
-        for order in permutations(range(len(before)))
-        if np.abs(after[np.ix_(order, order)] - before).max() < LEAST_MM
-    ]
-    return min(filter(None, fitting), key=len, default=())  # an even triangle allows more exchanges than were made
-
-
-def _lengths(points: Floats) -> Floats:
-    """Median distances (m, m) between markers (n, m, 3); NaN where two were never seen together."""
-    apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
-    seen = ~np.isnan(apart).all(axis=0)
-    out = np.full(seen.shape, np.nan)
-    out[seen] = np.nanmedian(apart[:, seen], axis=0)
-    return out
 
 
 def _names(prepared: Prepared) -> list[str]:

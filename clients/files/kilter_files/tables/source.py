@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -47,3 +48,8 @@ class Source(Protocol):
 
     def numbers(self, name: str | int) -> list[float]:
         """Return a column as numbers, NaN where nothing was measured."""
+
+
+def lines_of(source: Source, rows: Sized) -> list[int]:
+    """Return the line of each of ``rows``: that in the file, else its number."""
+    return source.lines or list(range(1, len(rows) + 1))

@@ -157,6 +157,14 @@ def test_joints_of_another_file_by_row(tmp_path: Path) -> None:
     assert [row["q1_deg"] for row in joined(tmp_path, 'by = "row"')] == [30, 10, 50]
 
 
+def test_a_constant_of_another_file_reaches_its_column(tmp_path: Path) -> None:
+    write(tmp_path / "joints.csv", JOINTS)
+    column_map = JOIN.format(point=POINT, how='by = "row"') + "payload_kg = { value = 2.5 }\n"
+    done = prepare(write(tmp_path / "lab.csv", POINTS), column_map=write(tmp_path / "map.toml", column_map))
+    assert {row["payload_kg"] for row in rows_of(done.content)} == {2.5}
+    assert "payload_kg = 2.5 in every row, of joints.csv by row" in done.notes
+
+
 def test_joints_of_another_file_by_id(tmp_path: Path) -> None:
     rows = joined(tmp_path, 'by = "id"\nhere = "Point"\nthere = "pose"')
     assert [(row["x_mm"], row["q1_deg"], row["q2_deg"]) for row in rows] == [(1, 10, 20), (4, 30, 40), (1, 10, 20)]

@@ -14,7 +14,7 @@ from kilter_client.cli import run
 from kilter_files import prepare
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import match_dwells
-from kilter_files.match.uploaded_markers import refuse_knocked_rows
+from kilter_files.match.uploaded_markers import checked_markers
 from kilter_files.tables.joint_log import JointLog
 from tests.clients.files.match.campaign_generator import (
     Jump,
@@ -183,9 +183,9 @@ def test_a_knock_among_uploaded_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
     plan = Plan(19, poses=40, knock=Knock(63.5, 2, np.array([0.0, 0.5, 0.3])))  # in the move to pose 22
     path = marker_csv(tmp_path / "rows.csv", plan)
     with pytest.raises(FileError, match=r"marker 'm3' moved 0.5\d mm on the body between rows 2\d and 2\d"):
-        refuse_knocked_rows(path, prepare(path), False)
+        checked_markers(path, prepare(path), False)
     clean = marker_csv(tmp_path / "clean.csv", replace(plan, knock=None))
-    assert refuse_knocked_rows(clean, prepare(clean), False) == []
+    assert checked_markers(clean, prepare(clean), False).warnings == ()
     assert run(["upload", "any", str(path), "--dry-run"]) == 1
     assert "'m3' moved" in capsys.readouterr().err
     assert run(["upload", "any", str(path), "--dry-run", "--unchecked"]) == 0

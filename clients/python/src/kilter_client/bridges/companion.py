@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import secrets
 import select
 import signal
@@ -152,8 +153,15 @@ def _tell(task: Task, text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
+def _leave_real_time() -> None:
+    """Give back the real-time priority of a bridge: the loop shall not wait for what is beside it."""
+    if hasattr(os, "sched_getscheduler") and os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 def main() -> None:
     """Run as a process: file descriptor and task are its arguments."""
+    _leave_real_time()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the bridge says when it is over
     end = socket.socket(fileno=int(sys.argv[1]))
     Companion(Line(end), Task(**json.loads(sys.argv[2]))).run()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,9 +24,8 @@ from kilter_files import DEVICES, Prepared, prepare
 from kilter_files.formats.reader import LogHints
 from kilter_files.formats.registry import recognised
 from kilter_files.formats.tracker_header import PRESETS
-from kilter_files.tables.table import CSV_TYPE
+from kilter_files.match.uploaded_markers import checked_markers
 
-A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 Role = Literal["train", "validation", "confirmation"]
 PresetName = Annotated[
     str | None,
@@ -138,7 +135,7 @@ def upload(
     order, likely = arguments.split_names([joint_order or ""]), _likely(robot, joints, column_map, joint_order)
     hints = LogHints(topic, order, likely)
     read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
-    prepared = _checked(file, read, unchecked)
+    prepared = checked_markers(file, read, unchecked)
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
@@ -173,8 +170,7 @@ def sent_file(
     as_json: bool,
 ) -> dict[str, Any]:
     """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
-    prepared = prepare(file, device, column_map)
-    prepared = _checked(file, prepared, unchecked=False)
+    prepared = checked_markers(file, prepare(file, device, column_map), unchecked=False)
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
@@ -211,19 +207,6 @@ def _likely(robot: str, joints: Path | None, column_map: Path | None, order: str
     if joints is None or column_map is not None or order or not recognised(joints, "bag"):
         return []
     return joints_of(robot)
-
-
-def _checked(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
-    """Look for knocked markers, where there are markers, and numpy to do so."""
-    header = prepared.content.split(b"\n", 1)[0]
-    if prepared.content_type == CSV_TYPE and not A_MARKER.search(header):
-        return prepared  # numpy would be loaded for nothing
-    try:
-        from kilter_files.match.uploaded_markers import refuse_knocked_rows
-    except ImportError:
-        return prepared
-    found = refuse_knocked_rows(file, prepared, unchecked)
-    return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
 
 
 def _tell(file: Path, prepared: Prepared, as_json: bool) -> None:

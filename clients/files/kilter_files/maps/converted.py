@@ -1,0 +1,120 @@
+"""The columns of one file in the contract's names and units."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from kilter_files.ground.errors import FileError
+from kilter_files.ground.faults import fault
+from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
+from kilter_files.ground.time_stamps import seconds_of, stamps_of
+from kilter_files.ground.units import TIMESTAMP, converter, unit_of
+from kilter_files.maps.columns import Column
+from kilter_files.maps.nests import by_name, told
+from kilter_files.maps.orientation import Orientation
+from kilter_files.tables.source import Source, lines_of
+from kilter_files.tables.table import Table
+
+SESSION, NUMBER = "session", re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?")
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+def converted(source: Source, columns: Sequence[Column], orientation: Orientation | None, bare: bool = False) -> Table:
+    """Return the columns of a file as the map says, with a note on each; ``bare``: it may give rows alone.
+
+    Raises:
+        FileError: a column that is not there, a cell that is not a number, columns of different lengths, no row.
+
+    """
+    measured = {c.target: _convert(c, source) for c in columns if c.source is not None}
+    if orientation:
+        measured |= _orientation(source, orientation)
+    table = _table(source, measured, bare)
+    table.columns |= {c.target: [c.value] * len(table) for c in columns if c.value is not None}
+    table.notes += [_understood(column, source) for column in columns]
+    return table
+
+
+def _convert(column: Column, source: Source) -> list[float]:
+    assert column.source is not None
+    if column.unit == TIMESTAMP:
+        texts = source.texts(column.source)
+        seconds = seconds_of(stamps_of(texts, source.lines, source.path, column.source))
+        return [t - seconds[0] for t in seconds]
+    names = _session_names(column, source)
+    if names is not None:
+        return by_name(names)[0]
+    convert = converter(column.unit, unit_of(column.target) or "")
+    assert convert is not None  # the map was checked when it was read
+    values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
+    return values if column.still_below is None else _directions(values, column.still_below)
+
+
+def _session_names(column: Column, source: Source) -> list[str] | None:
+    """Cells of sessions that have names, none a number; None for any other column."""
+    if column.target != SESSION or column.source is None:
+        return None
+    cells = source.texts(column.source)
+    return None if any(NUMBER.fullmatch(cell.strip()) for cell in cells) or not any(map(str.strip, cells)) else cells
+
+
+def _directions(speeds: list[float], still_below: float) -> list[float]:
+    """Signs of speeds; a joint that stands keeps the direction it came from, 0 before it first moved."""
+    out, last = [], 0.0
+    for speed in speeds:
+        if abs(speed) > still_below:
+            last = math.copysign(1.0, speed)
+        out.append(math.nan if math.isnan(speed) else last)
+    return out
+
+
+def _understood(column: Column, source: Source) -> str:
+    if column.value is not None:
+        return f"{column.target} = {column.value:g} in every row"
+    turned = f" x {column.scale:g}" if column.scale != 1 else ""
+    shifted = f" {column.offset:+g}" if column.offset else ""
+    names = _session_names(column, source)
+    numbered = "" if names is None else f": {told(by_name(names)[1])}"
+    unit = f" [{column.unit}]" if column.unit else ""
+    return f"{column.target} from {column.source!r}{turned}{shifted}{unit}{numbered}"
+
+
+def _table(source: Source, measured: dict[str, list[float]], bare: bool) -> Table:
+    lengths = {name: len(values) for name, values in measured.items()}
+    if len(set(lengths.values())) > 1:
+        different = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise FileError(
+            f"{source.path}: the columns have different numbers of rows ({different}).", file=str(source.path)
+        )
+    first = next(iter(measured.values()), source.lines if bare else [])
+    if not first:
+        what = "no rows, or a map of constants only. Map at least the joints"
+        raise FileError(f"{source.path}: {what}.", file=str(source.path))
+    return Table(measured, list(lines_of(source, first)))
+
+
+def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
+    parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
+    if len(orientation.sources) == 9:
+        lines = lines_of(source, parts)
+        turned = [_of_matrix(p, orientation.order, source.path, line) for p, line in zip(parts, lines, strict=True)]
+    elif len(orientation.sources) == 4:
+        order = [orientation.order.index(axis) for axis in "wxyz"]
+        turned = [upright((p[order[0]], p[order[1]], p[order[2]], p[order[3]])) for p in parts]
+    else:
+        convert = converter(orientation.unit, "rad")
+        assert convert is not None  # the map was checked when it was read
+        turned = [from_euler((convert(a), convert(b), convert(c)), orientation.order) for a, b, c in parts]
+    return {name: [quaternion[i] for quaternion in turned] for i, name in enumerate(QUATERNION)}
+
+
+def _of_matrix(parts: tuple[float, ...], order: str, path: Path, line: int) -> Quaternion:
+    found = from_matrix(parts, order)
+    if found is None:
+        shape = "rows of length 1, at right angles, right-handed"
+        what = f"the nine columns of the orientation are not a rotation matrix ({shape})"
+        raise fault(path, what, 'Check their order and matrix = "rows" or "columns".', line=line)
+    return found
