@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from kilter_client.typed.jobs import PlanJob
 from tools.contract import client_types
 from tools.contract.client_types import client_modules
 
@@ -80,3 +81,25 @@ def test_what_the_types_of_an_interface_are(interface: Path) -> None:
     assert "'identify': 'IdentifyJob'" in made["names"]
     assert "level: Literal[1, 2] | None\n" in made["options"]
     assert "free: Sequence[str]\n" in made["options"]
+
+
+def test_what_all_jobs_have_is_written_once(interface: Path) -> None:
+    document = json.loads(interface.read_text())
+    schemas = document["components"]["schemas"]
+    schemas["PlanJob"] = schema(id={"type": "string"}, result={"type": "number"}, options=of("PlanOptions"))
+    schemas["PlanOptions"] = schema()
+    answer = document["paths"]["/v1/jobs/{job}"]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+    answer["discriminator"]["mapping"]["plan"] = "#/components/schemas/PlanJob"
+    interface.write_text(json.dumps(document))
+    jobs = client_modules(interface)["jobs"]
+    base, others = jobs.partition("class AnyJob(Record):")[2].split("class IdentifyJob(AnyJob):")
+    assert "id: str\n" in base
+    assert "result" not in base
+    assert "id: str\n" not in others
+    assert "class PlanJob(AnyJob):" in others
+    assert others.count("result: ") == 2
+
+
+def test_a_job_reads_what_it_inherits() -> None:
+    job = PlanJob.read({"id": "job_1", "kind": "plan", "state": "queued", "attempts": 2})
+    assert (job.id, job.kind, job.state, job.attempts, job.result) == ("job_1", "plan", "queued", 2, None)

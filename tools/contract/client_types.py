@@ -51,6 +51,11 @@ MODULES: Mapping[str, Sequence[str]] = {
     "server": ("Health", "ResolvedReference", "JobSummary", "Today", "BridgeList"),
 }
 JOB = "/v1/jobs/{job}"
+# Types that stand in one module and share most fields: what all of them have is written once, in a type that they inherit.
+FAMILIES: Mapping[str, tuple[str, str]] = {
+    "AnyJob": ("Job", "What every job has"),
+    "AnyCheck": ("Check", "What the check of every kind of job says"),
+}
 # What is written by hand for a type: how it is shown, and what can be made of it.
 SHOWN: Mapping[str, tuple[str, str]] = {
     "ActivatedVersion": ("ShownActivated", "shown_jobs"),
@@ -174,7 +179,7 @@ def _array(schema: Schema) -> str:
 
 
 def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str, str]) -> str:
-    classes = "\n".join(line for name in own for line in _class(name, schemas[name]))
+    classes = "\n".join(_classes(module, schemas, own))
     lines = [HEAD.format(f"What the server answers about {module.replace('_', ' ')}")]
     if re.search(r"\bMapping\[", classes):
         lines.append("from collections.abc import Mapping")
@@ -195,15 +200,36 @@ def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str,
     return "\n".join(lines) + "\n\n" + classes
 
 
-def _class(name: str, schema: Schema) -> Iterator[str]:
-    bases = f"{SHOWN[name][0]}, Record" if name in SHOWN else "Record"
+def _classes(module: str, schemas: Schema, own: Sequence[str]) -> Iterator[str]:
+    """The text of each type; that of a family's base stands before the first of the family."""
+    bases: dict[str, str] = {}
+    shared: dict[str, Schema] = {}
+    for base, (ending, text) in FAMILIES.items():
+        family = [name for name in own if name.endswith(ending)] if module == f"{ending.lower()}s" else []
+        if len(family) > 1:
+            bases |= dict.fromkeys(family, base)
+            first, *others = (schemas[name]["properties"] for name in family)
+            same = {field: one for field, one in first.items() if all(other.get(field) == one for other in others)}
+            shared[base] = {"description": f"{text}.", "properties": same}
+    for name in own:
+        base = bases.get(name, "Record")
+        if base in shared and name == next(one for one in own if bases.get(one) == base):
+            yield from _class(base, shared[base], "Record", {})
+        yield from _class(name, schemas[name], base, shared.get(base, {}).get("properties", {}))
+
+
+def _class(name: str, schema: Schema, base: str, inherited: Schema) -> Iterator[str]:
+    bases = f"{SHOWN[name][0]}, {base}" if name in SHOWN else base
+    own = {field: one for field, one in schema["properties"].items() if field not in inherited}
     yield "\n@dataclass(frozen=True, kw_only=True, eq=False, repr=False)"
     yield f"class {name}({bases}):"
-    yield f'    """{_text(schema["description"])}"""\n'
-    renamed = {RENAMED[field]: field for field in schema["properties"] if field in RENAMED}
+    yield f'    """{_text(schema["description"])}"""'
+    if own:
+        yield ""
+    renamed = {RENAMED[field]: field for field in own if field in RENAMED}
     if renamed:
         yield f"    RENAMED: ClassVar[Mapping[str, str]] = {renamed!r}"
-    for field, one in schema["properties"].items():
+    for field, one in own.items():
         yield f"    {RENAMED.get(field, field)}: {_type(one)}"
         yield f'    """{_text(_described(one))}"""'
     yield ""

@@ -110,8 +110,8 @@ class Missing(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class IdentifyCheck(Record):
-    """What an identification would do."""
+class AnyCheck(Record):
+    """What the check of every kind of job says."""
 
     campaigns: Records[CheckedCampaign]
     """Campaigns it would use, in the order given."""
@@ -119,10 +119,6 @@ class IdentifyCheck(Record):
     """How long it would compute, s."""
     held_out: HeldOut
     """What would be held out."""
-    identifiability: Identifiability | None
-    """What the poses tell of the parameters; None: see `problems`."""
-    kind: str
-    """Kind of the job."""
     limited: tuple[str, ...]
     """Where this check looked at less than the job would, in words."""
     missing: Records[Missing]
@@ -139,6 +135,16 @@ class IdentifyCheck(Record):
     """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
     """Whether the job would run through, as far as can be predicted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifyCheck(AnyCheck):
+    """What an identification would do."""
+
+    identifiability: Identifiability | None
+    """What the poses tell of the parameters; None: see `problems`."""
+    kind: str
+    """Kind of the job."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -152,182 +158,50 @@ class Testability(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GapCheck(Record):
+class GapCheck(AnyCheck):
     """What a gap search would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
     kind: str
     """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
     testability: Testability | None
     """What could be tested; None: see `problems`."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class EvaluateCheck(Record):
+class EvaluateCheck(AnyCheck):
     """What an evaluation would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
     kind: str
     """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PlanCheck(Record):
+class PlanCheck(AnyCheck):
     """What a plan would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
     kind: str
     """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointParametersCheck(Record):
+class JointParametersCheck(AnyCheck):
     """What a measurement of joints would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
     kind: str
     """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DriftCheck(Record):
+class DriftCheck(AnyCheck):
     """What a check of an arm would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
     kind: str
     """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RezeroCheck(Record):
+class RezeroCheck(AnyCheck):
     """What a re-zeroing would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
     kind: str
     """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""

@@ -16,280 +16,118 @@ from kilter_client.typed.server import JobError, Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DriftJob(Record):
+class AnyJob(Record):
+    """What every job has."""
+
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
+    attempts: int
+    """How often a worker began it."""
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns it uses."""
+    confirmation: tuple[str, ...]
+    """Campaigns in which what it finds must be seen again."""
+    created_at: str
+    """When it was asked for."""
+    error: JobError | None
+    """Why it failed; None: it did not."""
+    finished_at: str | None
+    """When it was over; None: not yet."""
+    id: str
+    """Id of the job, `job_` and 16 hexadecimal digits."""
+    name: str
+    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
+    progress: Progress
+    """How far it is."""
+    robot: str
+    """Name of the robot."""
+    started_at: str | None
+    """When it began; None: not yet."""
+    state: str
+    """`queued` and `running` become one of the other three."""
+    validation: tuple[str, ...] | float | Mapping[str, Any] | None
+    """What it holds out, as asked."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftJob(AnyJob):
     """A check of an arm with what was asked and what came out."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: DriftResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class EvaluateJob(Record):
+class EvaluateJob(AnyJob):
     """An evaluation with what was asked and what came out."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: EvaluateResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GapJob(Record):
+class GapJob(AnyJob):
     """A gap search with its options and its result."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: GapResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class IdentifyJob(Record):
+class IdentifyJob(AnyJob):
     """An identification with what was asked and what came out."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: IdentifyResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointParametersJob(Record):
+class JointParametersJob(AnyJob):
     """A measurement of joints with what was asked and what came out."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: JointParametersResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PlanJob(Record):
+class PlanJob(AnyJob):
     """A plan of poses with what was asked and what came out."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: PlanResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RezeroJob(Record):
+class RezeroJob(AnyJob):
     """A re-zeroing with what was asked and what came out."""
 
-    asked_by: str
-    """Who asked for it: name of the token; empty: not noted by an earlier release."""
-    attempts: int
-    """How often a worker began it."""
-    campaigns: tuple[str, ...]
-    """Ids of the campaigns it uses."""
-    confirmation: tuple[str, ...]
-    """Campaigns in which what it finds must be seen again."""
-    created_at: str
-    """When it was asked for."""
-    error: JobError | None
-    """Why it failed; None: it did not."""
-    finished_at: str | None
-    """When it was over; None: not yet."""
-    id: str
-    """Id of the job, `job_` and 16 hexadecimal digits."""
     kind: str
     """Kind of the job."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
     options: Mapping[str, Any]
     """Options, as asked."""
-    progress: Progress
-    """How far it is."""
     result: RezeroResult | None
     """What came out; None: it has not succeeded."""
-    robot: str
-    """Name of the robot."""
-    started_at: str | None
-    """When it began; None: not yet."""
-    state: str
-    """`queued` and `running` become one of the other three."""
-    validation: tuple[str, ...] | float | Mapping[str, Any] | None
-    """What it holds out, as asked."""
