@@ -25,7 +25,7 @@ FORGETS = 0.98  # by each command, how long the last pauses were
 Joints = tuple[float, ...]
 # A command that needed longer than this may come after its cycle: what is left is for the network and for whatever holds the
 # process up before it is out. The robot drops it; a simulator was seen to go back for it and to take the mean speed since for
-# the robot's (with 0.8 ms once in 290 000 cycles): it is better not sent, whoever listens.
+# the robot's: it is better not sent, whoever listens.
 LATE_S = 0.0005
 WAITED_S = 0.0001  # a state that came at once may have waited in the socket
 BRAKE_S = 1.0  # in which the plan is brought to rest when the bridge is ended
