@@ -12,7 +12,12 @@ STRONG = 30.0  # lambda from which an effect must be seen
 DECIDABLE = 11.0  # lambda (1 - |rho|) from which its name must be right
 TWINS = {"backlash": "friction_windup", "friction_windup": "backlash"}  # the same in any position data
 CLAIMS = ("confirmed", "class_confirmed", "replicated")
-SLOW = ("drift", "thermal_drift", "settling", "random_walk", "column_bending")  # motions of base or instrument
+STATION = ("drift", "settling", "random_walk", "base_step")  # motions of base or instrument with time: one class
+SLOW = (*STATION, "thermal_drift", "column_bending")  # and those with the temperature
+MOVED_AS = {
+    "column_bending": {"column_bending", "thermal_drift"},
+    None: {"thermal_drift"},
+}  # by the truth's id: names of it
 CURVES = (
     "hose_torque", "quadratic_curve", "spline_curve", "belt_error", "third_harmonic", "local_bump", "encoder_scale",
     "eccentricity", "second_harmonic", "gravity_spring",
@@ -70,8 +75,9 @@ def named(effect: Named, hidden: Named) -> bool:
 def right(effect: Named, truth: Truth) -> bool:
     """Whether a claim holds: a confirmed name is a hidden one's, a confirmed class holds a hidden one.
 
-    A family found joint by joint is right at each of its joints; a slow motion of base or instrument where they did
-    move; a wrong payload where it is wrong. Of joints that the data do not show nothing is claimed.
+    A family found joint by joint is right at each of its joints; the class of a slow motion of base or instrument where
+    they did move, and a member of it where they moved so; a wrong payload where it is wrong. Of joints that the data do
+    not show nothing is claimed.
     """
     shown = effect.get("seen_joints")
     if shown and list(shown) != list(effect.get("joints") or ()):
@@ -81,7 +87,7 @@ def right(effect: Named, truth: Truth) -> bool:
 
 def _right(effect: Named, truth: Truth) -> bool:
     hidden = truth["effects"]
-    if beside_the_point(effect, truth) or any(named(effect, h) or member(effect, h) for h in hidden):
+    if _true_beside(effect, truth) or any(named(effect, h) or member(effect, h) for h in hidden):
         return True
     return class_claim(effect) and any(
         covers(effect, h) or member_of_class(effect, h) or _curve_of(effect, h) or _kin(effect, h) for h in hidden
@@ -109,6 +115,15 @@ def beside_the_point(effect: Named, truth: Truth) -> bool:
     if truth.get("payload_wrong") and effect["id"] == "payload_error":
         return True
     return bool(truth.get("background")) and slow(effect)
+
+
+def _true_beside(effect: Named, truth: Truth) -> bool:
+    """Whether a claim of what is beside the point holds: where a member is claimed, it moved so."""
+    if not beside_the_point(effect, truth):
+        return False
+    member_claimed = (effect.get("claim") or {}).get("said") == "member" and effect["id"] in SLOW
+    moved = (truth.get("background") or {}).get("id")
+    return not member_claimed or effect["id"] in MOVED_AS.get(moved, {moved})
 
 
 def slow(effect: Named) -> bool:

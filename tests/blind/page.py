@@ -25,8 +25,10 @@ repeats are few, or none, or three readings per stop minutes apart, or taken wit
 some readings are wrong, in some cases up to 15 % of the visits with the same error.
 In every third case that hides nothing, and in every tenth set, base or instrument moves slowly (steadily, settling,
 as a random walk, with the temperature), so that pooled repeats overstate the noise 1.4 to 5 times:
-this motion may then be named, but nothing in the arm. Effects outside the library: smooth curves of one joint (a hose,
-a belt, splines), bumps, fields, errors of the tracker's circles. In every second case another campaign of the same arm
+this motion may then be named, but nothing in the arm: as its physical class (a drift, a walk, a settling, a step of
+the station), and by a name of its own only where it moved so.
+Effects outside the library: smooth curves of one joint (a hose, a belt, splines), bumps, fields, errors of the
+tracker's circles. In every second case another campaign of the same arm
 on another day can replicate what was found.
 
 λ is the non-centrality of an effect: the square of its signature in units of the noise,

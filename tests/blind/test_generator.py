@@ -163,6 +163,19 @@ def test_first_order_response_agrees_with_finite_motions(name: str) -> None:
         np.testing.assert_allclose(response.to(d), finite, atol=2e-3 * np.abs(finite).max())
 
 
+def test_a_joint_is_asked_for_by_what_it_does_beside_the_others_of_its_family() -> None:
+    """Tilts of neighbouring joints imitate each other: alone each does more, and together they do what is asked."""
+    truth = generate(case("seven", Hidden("radial_compliance", tuple(range(7))), lam=500.0)).truth.effects[0]
+    alone = [
+        generate(case("seven", Hidden("radial_compliance", (j,)), lam=truth.joint_lam[j + 1]))
+        .truth.effects[0]
+        .joint_lam
+        for j in range(7)
+    ]
+    assert sum(truth.joint_lam.values()) < 0.7 * truth.lam
+    assert [own[j + 1] for j, own in enumerate(alone)] == pytest.approx(list(truth.joint_lam.values()), rel=0.05)
+
+
 def test_what_geometry_swallows_is_swallowed() -> None:
     one_sided = replace(Options(), approach="one_sided")
     for hidden, options in ((Hidden("backlash", (2,)), one_sided), (Hidden("measurement_scale"), Options())):

@@ -80,7 +80,7 @@ def test_a_confirmed_name_must_be_hidden_and_a_class_must_hold_it() -> None:
 
 def test_a_slow_motion_of_the_base_may_be_named_where_there_is_one_and_nothing_in_the_arm() -> None:
     slow = {"kind": "thermal", "id": None}
-    for name in ("drift", "settling", "random_walk", "column_bending"):
+    for name in ("drift", "settling", "random_walk", "base_step", "column_bending"):
         assert right(said(name, None), [], background=slow)
         assert not right(said(name, None), [])
     assert not right(said("eccentricity", [2]), [], background=slow)
@@ -88,6 +88,29 @@ def test_a_slow_motion_of_the_base_may_be_named_where_there_is_one_and_nothing_i
     assert right(said("zero_drift", [1], "class_confirmed", ("drift", [])), [], background=slow)
     assert right(said("payload_error", None), [], payload_wrong=True)
     assert not right(said("payload_error", None), [])
+
+
+@pytest.mark.parametrize(
+    ("moved", "own"), [("random_walk", "random_walk"), ("column_bending", "thermal_drift"), (None, "thermal_drift")]
+)
+def test_of_a_station_that_moved_the_class_is_right_and_a_member_only_where_it_moved_so(
+    moved: str | None, own: str
+) -> None:
+    truth = {"kind": "walk", "id": moved}
+    for name in ("drift", "random_walk", "base_step"):
+        assert right({**said(name, None), "claim": {"said": "class"}}, [], background=truth)
+        member = {**said(name, None), "claim": {"said": "member"}}
+        assert right(member, [], background=truth) == (name == own)
+        assert not right(member, [])
+    assert right({**said(own, None), "claim": {"said": "member"}}, [], background=truth)
+
+
+def test_a_step_beside_a_walk_is_of_its_class_and_no_name_where_nothing_is_hidden() -> None:
+    walk = record([said("base_step", None, "provisional")], [], "no_gap")
+    walk["truth"]["background"] = {"kind": "walk", "id": "random_walk"}
+    still = record([said("base_step", None, "provisional")], [], "no_gap")
+    found = {f.title: f for f in figures([walk, still])}
+    assert (found["– the same, repeats drifting"].k, found["– the same, repeats stable"].k) == (0, 1)
 
 
 def test_a_smooth_curve_may_be_called_one_but_not_by_a_cause() -> None:

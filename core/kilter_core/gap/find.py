@@ -25,7 +25,7 @@ from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
 from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
-from kilter_core.gap.evidence.held_out.when import event_warnings, events, settled
+from kilter_core.gap.evidence.held_out.when import event_warnings, events, said_once, settled
 from kilter_core.gap.evidence.local_bump import local_bump_test
 from kilter_core.gap.evidence.rejected import refused
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
@@ -131,7 +131,7 @@ def find_gap(
     report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget, by_views).report()
     if not isinstance(share, Observations):
         report = report.numbered(*held_out(every, share, options.seed))
-    return replace(report, warnings=(*budget.warnings(), *report.warnings, *remarks))
+    return replace(report, warnings=(*budget.warnings(), *said_once(report.warnings, remarks)))
 
 
 def _part(progress: Progress, low: float, high: float) -> Progress:

@@ -114,8 +114,12 @@ class LinkBendingEffect(_AtJoints):
     """Bending of a link under its own weight and the load at its end."""
 
     id: Literal["link_bending"] = Field(description="Id of the effect.")
+    directions: list[list[float]] | None = Field(
+        None,
+        description="Direction of each link's shaft in the frame of its joint; null: to the next joint, across parallel axes.",
+    )
     centres_m: list[Annotated[float, unit("m")]] | None = Field(
-        None, description="Where along each link its centre of mass lies, m; null: from the robot's links."
+        None, description="Where along each link's shaft its centre of mass lies, m; null: from the robot's links."
     )
 
 
@@ -126,6 +130,9 @@ class LinkTorsionEffect(_AtJoints):
     directions: list[list[float]] | None = Field(
         None,
         description="Direction of each link's shaft in the frame of its joint; null: to the next joint, across parallel axes.",
+    )
+    centres_m: list[Annotated[float, unit("m")]] | None = Field(
+        None, description="Where along each link's shaft its centre of mass lies, m; null: from the robot's links."
     )
 
 

@@ -25,7 +25,8 @@ STRONG, DECIDABLE = 30.0, 11.0  # lambda, and lambda (1 - rho), from which a nam
 class TruthEffect:
     """A hidden effect. Joints from 1. ``lam`` after geometry, ``lam_partial`` after the other hidden effects too.
 
-    ``joint_lam`` is ``lam`` of each joint's own part. ``rivals`` are the library's candidates by likeness, best first;
+    ``joint_lam`` is ``lam`` of each joint's own part beside those of the other joints: what they imitate nobody can tell.
+    ``rivals`` are the library's candidates by likeness, best first;
     ``parameters`` are SI by symbol and joint (0: the whole arm), in the library's signs; ``freedom`` is how many a
     finder needs to follow it.
     """
@@ -146,8 +147,13 @@ def _candidates(arm: Arm, visits: Visits, acting: list[Acting]) -> list[Candidat
 
 def _by_joint(arm: Arm, visits: Visits, lens: Lens, a: Acting) -> dict[int, float]:
     at = np.array([j for _, j in a.physics.names])
+    joints = sorted({int(j) for j in at if j >= 0})
+    own = [lens.left(displacement(arm, visits, a.physics, np.where(at == j, a.values, 0.0))) for j in joints]
     out = {}
-    for j in sorted({int(j) for j in at if j >= 0}):
-        own = displacement(arm, visits, a.physics, np.where(at == j, a.values, 0.0))
-        out[j + 1] = float(np.sum(lens.left(own) ** 2))
+    for k, j in enumerate(joints):
+        others = (
+            np.stack([o for i, o in enumerate(own) if i != k], axis=1) if len(own) > 1 else np.zeros((len(own[k]), 0))
+        )
+        beside = span(others)
+        out[j + 1] = float(np.sum((own[k] - beside @ (beside.T @ own[k])) ** 2))
     return out

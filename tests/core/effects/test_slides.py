@@ -161,3 +161,43 @@ def test_a_telescope_needs_the_reading_at_which_nothing_stands_out() -> None:
         effect_on(free, "telescope_bending")
     with pytest.raises(OptionError, match="one of roots_m"):
         effect_on(GANTRY, "telescope_bending", roots_m=(0.0, 1.0))
+
+
+def test_a_carriage_on_a_bent_rail_is_where_mujoco_says() -> None:
+    """Straightness, pitch, yaw and roll of one rail, of no polynomial: rows that were not fitted come out at the noise."""
+    axes = [f'<joint name="{a}{n}" type="{kind}" axis="{way}"/>' for kind, a in (("slide", "t"), ("hinge", "r"))
+            for n, way in enumerate(("1 0 0", "0 1 0", "0 0 1"))]  # fmt: skip
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 0.5"><joint name="q0" type="slide" axis="1 0 0"/>'
+        + '<geom type="sphere" size="0.01" mass="1"/><body>' + "".join(axes[1:])
+        + '<geom type="sphere" size="0.01" mass="1"/><body><joint name="q1" type="hinge" axis="0 0 1"/>'
+        '<geom type="sphere" size="0.01" mass="1"/><body pos="0.6 0 0"><joint name="q2" type="hinge" axis="0 1 0"/>'
+        '<geom type="sphere" size="0.01" mass="1"/><site name="tool" pos="0.6 0.05 -0.1"/></body></body></body></body>'
+        "</worldbody></mujoco>"
+    )  # fmt: skip
+    arm = Arm(
+        (Step("tz", 0.5, name="up"), Step("tx", 0.0, 0, name="x"), Step("rx", name="square_x"), Step("ry", name="square_y"),
+         Step("rz", 0.0, 1, name="one"), Step("tx", 0.6, name="a"), Step("rx", name="twist"), Step("ry", 0.0, 2, name="two"),
+         Step("tx", 0.5, name="b")), 3, tool=pin.SE3(np.eye(3), np.array([0.1, 0.05, -0.1])),
+    )  # fmt: skip
+    rng = np.random.default_rng(12)
+    q = np.column_stack([rng.uniform(*TRAVEL, 160), rng.uniform(-2.5, 2.5, (160, 2))])
+    q[0, 0], q[1, 0] = TRAVEL
+    u, data, points = over(q[:, 0]), mujoco.MjData(model), np.empty((160, 3))
+    errors = {
+        "t1": 2e-4 * np.cos(1.8 * u), "t2": -2.5e-4 * np.sin(2.1 * u + 0.4),
+        "r0": 1.5e-4 * np.sin(1.4 * u), "r1": 2e-4 * np.cos(1.9 * u + 0.5), "r2": -2e-4 * np.sin(1.6 * u),
+    }  # fmt: skip
+    for k, row in enumerate(q):
+        data.qpos[[model.joint(f"q{j}").id for j in range(3)]] = row
+        data.qpos[[model.joint(name).id for name in errors]] = [error[k] for error in errors.values()]
+        mujoco.mj_forward(model, data)
+        points[k] = data.site("tool").xpos
+    rows = Observations(q, position=points + 1e-5 * rng.standard_normal(points.shape))
+    left = {}
+    for effects in (("straightness",), ("straightness", "guide_rotation")):
+        options = IdentifyOptions(effects=effects, noise_mm=0.01)
+        found = identify(robot_of(arm), rows.select(slice(0, 120)), options=options).calibration
+        rest = rows.select(slice(120, 160))
+        left[effects] = float(np.sqrt(np.mean((found.predict(rest).position - rest.position) ** 2)))
+    assert left["straightness", "guide_rotation"] < 1.5e-5 < 3e-5 < left["straightness",]

@@ -163,3 +163,31 @@ def test_no_family_is_asked_where_each_effect_acts_at_one_joint():
     single = [k for k, c in enumerate(search.scorer.candidates) if c.level == JOINT and c.columns[0] in (2, 9, 17)]
     assert search.faint_families(gram, single) == []
     assert search.faint_families(gram, [*single, single[0] + 1]) != []
+
+
+def alike(seed, apart, second):
+    """Two joints of one effect and another effect that imitates the second; the data hold the first and the ``second``.
+
+    The imitation leaves ``apart`` points of chi-square between the two explanations.
+    """
+    rng = np.random.default_rng(seed)
+    W = rng.standard_normal((90, 3))
+    W /= np.linalg.norm(W, axis=0)
+    W[:, 2] = W[:, 1] + np.sqrt(apart) / 10.0 * W[:, 2]
+    W[:, 2] /= np.linalg.norm(W[:, 2])
+    y = 10.0 * (W[:, 0] + W[:, second]) + rng.standard_normal(90)
+    candidates = [candidate("bending", (j,), joints=(j,)) for j in range(2)]
+    candidates += [candidate("bending", (0, 1), FAMILY, (0, 1)), candidate("tilt", (2,), joints=(1,))]
+    gram = gram_of(W, y)
+    search = selector(candidates, gram, 90, absolute=True)
+    return {search.scorer.candidates[k].id for k in search.searched(gram, CRITICAL, 8)}
+
+
+def test_of_two_explanations_alike_the_one_with_fewer_names_is_said():
+    """Nothing but noise decides between two effects and one effect at two joints: the second is the simpler statement."""
+    named = [alike(seed, 1.0, second=1) for seed in range(40)]
+    assert sum(one == {"bending"} for one in named) >= 36
+
+
+def test_another_effect_is_named_where_the_data_prefer_it():
+    assert all(alike(seed, 60.0, second=2) == {"bending", "tilt"} for seed in range(20))

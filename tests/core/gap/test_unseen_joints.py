@@ -88,6 +88,25 @@ def test_one_family_in_twenty_keeps_a_joint_that_has_nothing() -> None:
     assert sum(joints != {1, 4} for joints in kept) <= 25
 
 
+@pytest.mark.parametrize("size", [3.0, 6.0])
+def test_intervals_hold_where_joints_of_a_family_imitate_each_other(size: float) -> None:
+    """Radial compliance at all of seven joints, 60 times: what is told of those that stay must not presume the others zero."""
+    made = many_joints.campaign(0, 7, {})
+    robot, rows = robot_from_document(made.document), Observations(**made.columns)
+    prepared = prepare_data(Calibration.nominal(robot), rows, GapOptions(effects=("radial_compliance",)))
+    problem, every = prepared.problem, prepared.library.candidates
+    family = next(k for k, c in enumerate(every) if c.level == FAMILY)
+    columns, rng, inside = list(every[family].columns), np.random.default_rng(1), list[bool]()
+    for _ in range(60):
+        y = size * problem.W[:, columns].sum(axis=1) + rng.standard_normal(len(problem.W))
+        kept = _kept(prepared, family, y)
+        own = [k for k, j in zip(columns, every[family].joints or (), strict=True) if j in kept]
+        y = y - problem.U @ (problem.U.T @ y)
+        values, covariance = fitted(replace(problem, y=y, c=problem.W.T @ y), own)
+        inside += (np.abs(values - size / problem.size[own]) < 1.96 * np.sqrt(np.diag(covariance))).tolist()
+    assert np.mean(inside) > 0.92
+
+
 def _kept(prepared: Prepared, family: int, y: np.ndarray) -> set[int]:
     """Joints of a family that is the only name, where these are the data."""
     problem = prepared.problem

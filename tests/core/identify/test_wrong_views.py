@@ -11,6 +11,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
+from kilter_core.gap.evidence.held_out.when import RENAME, said_once
 from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify import Identification, IdentifyOptions, identify
@@ -121,5 +122,30 @@ def test_a_search_says_how_far_a_camera_moved() -> None:
     quick = GapOptions(permutations=3, resamples=10, bootstraps=99, effects=("base_step", "tool_step"), next_poses=0)
     report = find_gap(robot_from_document(scene.drawn.document()), rows, quick)
     told = {one["code"]: one for one in report.warnings}
-    assert told["camera_moved"]["moved_mm"] == pytest.approx(3.0, abs=0.05)
+    assert "camera_moved" not in told  # of the fit before it, which has one place of the camera; the version has both
+    assert (told["moved_once"]["row"], told["moved_once"]["part"], told["moved_once"]["name"]) == (
+        31,
+        "camera",
+        eye.name,
+    )
     assert "by 3 mm (95 %: within " in told["moved_once"]["message"]
+    assert f"If camera {eye.name} moved, give it another name from there on" in told["moved_once"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("code", "rows", "turn", "one"),
+    [
+        ("moved_once", [30, 32], 0.1, True),
+        ("moved_once", [40, 41], 0.1, False),  # another move
+        ("moved_once", [31, 31], None, False),  # the zero of a joint
+        ("no_load", [31, 31], 0.1, False),
+    ],
+)
+def test_a_move_is_told_once_where_a_search_names_it(code: str, rows: list[int], turn: float | None, one: bool) -> None:
+    step = {"code": code, "rows_95": rows, "rotated_deg": turn, "message": f"It moved. {RENAME}"}
+    camera = {"code": "camera_moved", "rows_95": [31, 33], "part": "camera", "name": "eye", "message": "It averages."}
+    astray = {"code": "views_astray", "message": "Rows."}
+    told = said_once([step], [astray, camera])
+    assert [w["code"] for w in told] == [code, "views_astray", *([] if one else ["camera_moved"])]
+    assert ("If camera eye moved, give it another name" in told[0]["message"]) == one
+    assert told[0].get("name") == ("eye" if one else None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.scan import Scorer
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Ints
 
 TRACE = 1e-3  # chance below which a family is tried beside what may imitate it; above it a joint may be noise
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
@@ -34,18 +34,23 @@ class CandidateSets:
         return any(self.scorer.candidates[k].empirical for k in chosen)
 
     @cached_property
-    def _shared(self) -> dict[str, frozenset[int]]:
-        """Columns of each effect that is searched for as a family, by its id."""
-        return {c.id: frozenset(c.columns) for c in self.scorer.candidates if c.level == FAMILY}
+    def _named(self) -> Ints:
+        """The name (K,) that each candidate is: an effect at several joints is one, a shape each of its places."""
+        shared = {c.id: frozenset(c.columns) for c in self.scorer.candidates if c.level == FAMILY}
+        known: dict[Hashable, int] = {}
+        out = []
+        for k, c in enumerate(self.scorer.candidates):
+            member = c.level in (JOINT, FAMILY) and shared.get(c.id, frozenset()).issuperset(c.columns)
+            out.append(known.setdefault(c.id if member else k, len(known)))
+        return np.array(out, dtype=np.int64)
 
     def names(self, chosen: Sequence[int]) -> int:
-        """How many names a set takes of those allowed: an effect at several joints is one, a shape each of its places."""
-        named = set()
-        for k in chosen:
-            c = self.scorer.candidates[k]
-            member = c.level in (JOINT, FAMILY) and self._shared.get(c.id, frozenset()).issuperset(c.columns)
-            named.add(c.id if member else k)
-        return len(named)
+        """How many names a set takes of those allowed."""
+        return len(set(self._named[list(chosen)].tolist()))
+
+    def another_name(self, chosen: Sequence[int]) -> Floats:
+        """1 for each candidate (K,) that beside a set is a name more, 0 for one whose effect is in it at other joints."""
+        return np.asarray(~np.isin(self._named, self._named[list(chosen)]), dtype=np.float64)
 
     def faint_families(self, gram: Gram, chosen: Sequence[int]) -> list[int]:
         """Families that a set, of which an effect acts at several joints, may lack, the clearest first.

@@ -40,8 +40,8 @@ class Reach:
             told = np.zeros_like(told)
         self.scans[frozenset(columns)] = np.where(told, reaches, np.inf)
 
-    def able(self, columns: list[int], price: float, least: float) -> Bools:
-        """Candidates (K,) that beside these columns, which cost ``price``, may come to the criterion ``least``."""
+    def able(self, columns: list[int], price: Floats, least: float) -> Bools:
+        """Candidates (K,) that beside these columns, where the whole costs ``price (K,)`` besides, may come to ``least``."""
         own = frozenset(columns)
         most = np.full(len(self.scorer.candidates), np.inf)
         for beside, reaches in self.scans.items():

@@ -22,7 +22,7 @@ from kilter_core.gap.search.scan import Scores
 from kilter_core.types import Bools, Floats
 
 MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal
-FAMILY_MARGIN = 3.0
+FAMILY_MARGIN = 3.0  # of a family against some of its joints, and what each name costs: fewer of either are simpler
 MOST_JOINTS = 0.6
 MOST_OF_IT = 0.5  # of what is left, from which an addition is tried plain when what it was improved to failed
 TRIED = 4
@@ -47,8 +47,8 @@ class Selector(CandidateSets):
         return replace(self, closed=frozenset(np.flatnonzero(self.scorer.empirical).tolist()))
 
     def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
-        """What parameters cost; an empirical term must beat every physical one by the margin."""
-        beyond = float(np.sum(self.extra[list(places)]))
+        """What parameters and names cost; an empirical term must beat every physical one by the margin."""
+        beyond = float(np.sum(self.extra[list(places)])) + FAMILY_MARGIN * self.names(places)
         return float(sum(degrees)) * float(np.log(self.rows)) + beyond
 
     @property
@@ -69,7 +69,7 @@ class Selector(CandidateSets):
         scores = self.scorer.scores(given)
         if not len(scores.p):
             return None, scores
-        ranked = self.ranked(given, scores)
+        ranked = self.ranked(given, scores, chosen)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(banned)] = False
         k, _ = self._first(gram, tuple(chosen), ranked, able)
@@ -88,11 +88,15 @@ class Selector(CandidateSets):
                 best, worth = (k, its) if its > worth else (best, worth)
         return best, worth
 
-    def ranked(self, given: Gram, scores: Scores) -> Floats:
-        """S over the noise left, less the price (K,), to a tenth: equal explanations keep the library's order."""
+    def ranked(self, given: Gram, scores: Scores, chosen: Sequence[int]) -> Floats:
+        """S over the noise left, less the price (K,) beside a set, to a tenth: equal explanations keep the library's order."""
         free = np.maximum(given.nu - scores.d, 1.0)
         variance = float(np.min(self.scorer.variance((given.yy - scores.S) / free, free)))
-        return np.asarray(np.round(scores.S / variance - scores.d * np.log(self.rows) - self.extra, 1))
+        return np.asarray(np.round(scores.S / variance - scores.d * np.log(self.rows) - self._beyond(chosen), 1))
+
+    def _beyond(self, chosen: Sequence[int]) -> Floats:
+        """What each candidate (K,) costs beside a set, beyond its parameters."""
+        return np.asarray(self.extra + FAMILY_MARGIN * self.another_name(chosen))
 
     def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Swap, merge and drop until nothing improves."""
@@ -170,7 +174,7 @@ class Selector(CandidateSets):
                 continue
             second, value = self._best_instead(problem, (*rest, first), variance, critical, {*chosen, first})
             after = (*rest, first) if second is None else (*rest, first, second)
-            if second is None or value <= self.criterion(problem, chosen, variance) + FAMILY_MARGIN:
+            if second is None or value <= self.criterion(problem, chosen, variance):
                 continue
             if max(self.tails(gram, after)[len(rest) :]) < critical:
                 chosen = after
@@ -303,7 +307,7 @@ class Selector(CandidateSets):
         scores = self.scorer.scores(given)
         if not len(scores.p):
             return None
-        worth = np.where(scores.d > 0, self.ranked(given, scores), -np.inf)
+        worth = np.where(scores.d > 0, self.ranked(given, scores, chosen), -np.inf)
         best, most = None, -np.inf
         for k in map(int, np.argsort(-worth, kind="stable")[:PAIRED]):
             self.tick()
@@ -347,7 +351,8 @@ class Selector(CandidateSets):
         able = np.ones(len(self.scorer.candidates), dtype=bool)
         able[list(taken)] = False
         if reach is not None:
-            able &= reach.able(columns, self.price(rest, [gram.rank(columns)]), least)
+            price = self.price(rest, [gram.rank(columns)]) + FAMILY_MARGIN * self.another_name(rest)
+            able &= reach.able(columns, price, least)
             if not able.any():
                 return None, -np.inf
         given = gram.given(columns)
@@ -355,7 +360,7 @@ class Selector(CandidateSets):
         reductions, d = self.scorer.reductions(given, given.c[None], among)
         if reach is not None and len(rest) + 1 == len(taken):  # of smaller sets this says what they reach at most
             reach.scanned(columns, reductions[0], d)
-        value = np.round(reductions[0] / variance - d * np.log(self.rows) - self.extra, 1)
+        value = np.round(reductions[0] / variance - d * np.log(self.rows) - self._beyond(rest), 1)
         able &= d > 0
         without = self.criterion(gram, rest, variance)
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # no tail needs to be computed

@@ -148,7 +148,8 @@ def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> dict[str, 
     either = ", or ".join([*other, "the base of the robot did" if part.fixed else "the tool did"])
     what = "camera" if part.camera else "board"
     return {
-        "code": "camera_moved", "part": what, "name": part.name, "row": row, **sizes, "p_value": best.chance,
+        "code": "camera_moved", "part": what, "name": part.name, "row": row, "rows_95": [first, latest], **sizes,
+        "p_value": best.chance,
         "message": f"{part.words} moved between rows {last} and {row}{sure}{far}, or {either}: this fit averages the places "
         f"before and after. Give the {what} another name from row {row} on (column `{what}`, and a second entry in "
         f"`{what}s`), and identify again: each place is then fitted by itself.",

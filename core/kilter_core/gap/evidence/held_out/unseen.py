@@ -16,7 +16,9 @@ from kilter_core.effects import Effect
 from kilter_core.gap.evidence.fits.intervals import all_shown, shown
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate, Untestable
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import refit
+from kilter_core.gap.search.linear.linearized import fitted, refit
+
+TAKEN_OVER = 0.2  # share of the variance of an amplitude that would vanish with a joint that it imitates
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,8 @@ def seen_only(found: SearchResult) -> tuple[SearchResult, tuple[Unseen, ...]]:
     """The search with every family at the joints that show it, fitted again; and what was left out.
 
     Joints go one by one, the least certain first, as long as nothing that differs from zero goes with them: two joints that
-    the poses hardly tell apart are each uncertain, and one of them is not.
+    the poses hardly tell apart are each uncertain, and one of them is not. Where one would take over what the other does,
+    both stay, each as uncertain as it is.
     """
     out = []
     for n, place in enumerate(found.chosen):
@@ -80,14 +83,30 @@ def _shown_members(found: SearchResult, candidate: Candidate) -> list[Member]:
     members = len(left)
     while len(left) > 1:
         columns = sorted({*others, *_columns(left)})
+        apart = [n for n, (_, own) in enumerate(left) if not _taken_over(found, columns, own, left)]
+        if not apart:
+            break
         chances = [1.0 if _nominal(found, own) else shown(found, columns, own)[0] for _, own in left]
-        worst = max(range(len(left)), key=lambda m: chances[m])
+        worst = max(apart, key=lambda m: chances[m])
         # Each at 95 % by itself, one family of seven in three kept a joint that has nothing.
         together = [shown(found, found.columns, [*gone, *left[worst][1]])[0]]
         if chances[worst] < 1.0 and (all_shown(chances, members) or all_shown(together, members - len(left) + 1)):
             break
         gone += left.pop(worst)[1]
     return left
+
+
+def _taken_over(found: SearchResult, columns: Sequence[int], own: Sequence[int], members: Sequence[Member]) -> bool:
+    """Whether members that stay would take over what one does: without it one of them would be told much too surely.
+
+    Its amount would then be presumed to be zero, which no data say, and theirs would be wrong by what it is.
+    """
+    covariance = fitted(found.problem, columns)[1]
+    at = {k: n for n, k in enumerate(columns)}
+    mine, theirs = [at[k] for k in own], [at[k] for k in _columns(members) if k not in own]
+    shared = covariance[np.ix_(theirs, mine)]
+    known = np.sum(shared @ np.linalg.pinv(covariance[np.ix_(mine, mine)], hermitian=True) * shared, axis=1)
+    return bool(np.any(known > TAKEN_OVER * np.diag(covariance)[theirs]))
 
 
 def _nominal(found: SearchResult, own: Sequence[int]) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -176,9 +176,38 @@ def event_warnings(
         )
         rotated = when.rotated
         yield {
-            "code": "moved_once", "row": when.after, "moved_mm": when.moved_mm, "u95_mm": when.u95_mm,
+            "code": "moved_once", "row": when.after, "rows_95": [when.low, when.high],
+            "moved_mm": when.moved_mm, "u95_mm": when.u95_mm,
             "rotated_deg": rotated and rotated.rotated_deg, "u95_deg": rotated and rotated.u95_deg,
             "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.3g} mm "
             f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if rotated is None else rotated.words}, as the "
             f"version stores it. {remedy}",
         }  # fmt: skip
+
+
+def said_once(found: Sequence[dict[str, Any]], before: Sequence[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+    """All warnings of a search and, of those ``before`` it, the ones that it does not say itself.
+
+    A camera or board that moved half-way was found in a fit that knows one place of it. Where the search named the same
+    move, its version has both places: then it is one finding, which takes the name of what moved from the fit.
+    """
+    out, left = list(found), []
+    for one in before:
+        same = [k for k, w in enumerate(out) if one["code"] == "camera_moved" and _same_move(w, one)]
+        if not same:
+            left.append(one)
+        for k in same:
+            who = f"If {one['part']} {one['name']} moved, give it another name from there on"
+            out[k] = {
+                **out[k], "part": one["part"], "name": one["name"],
+                "message": out[k]["message"].replace(RENAME.partition(":")[0], who),
+            }  # fmt: skip
+    return (*out, *left)
+
+
+def _same_move(step: dict[str, Any], part: dict[str, Any]) -> bool:
+    """Whether a step of base or tool, which rotates as a frame does, may be the move of a camera or board."""
+    if step["code"] != "moved_once" or step["rotated_deg"] is None:
+        return False
+    (low, high), (first, last) = step["rows_95"], part["rows_95"]
+    return bool(low <= last and first <= high)
