@@ -182,6 +182,7 @@ J|P[5]{{ GP1: UF : 0, UT : 0, J1= 5.0 deg, J2= 0.0 deg, J3= 0.0 deg, J4= 0.0 deg
 SIX = "X 600.0,Y 0.0,Z 400.0,A 0.0,B 90.0,C 0.0,S 2,T 2"
 KRL = f"""
 .|&ACCESS RVP
+.|&COMMENT Modul (src/dat) with INI line and PTP HOME at start and end of Program
 .|DEF A( )
 .|;FOLD INI;%{{PE}}
 .|  BAS (#INITMOV,0 )
