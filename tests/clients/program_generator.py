@@ -1,17 +1,19 @@
 """Robot programs of many lines, each of which is known to be a target, to be named, or to be left alone.
 
 It knows how people write programs and nothing of how Kilter reads them. A program is a list of lines and of what each is:
-``"joints"`` and ``"pose"`` with the joints at which it was taught, ``"named"``, or ``"alone"``.
+``"joints"`` and ``"pose"`` with the joints at which it was taught, ``"computed"`` likewise where a move computes the pose
+from another, ``"named"``, or ``"alone"``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from .six_joint_arms import Arm, Floats
+from .six_joint_arms import Arm, Floats, about, shift
 from .test_filter_poses import BASE, TOOL, confdata, config, numbers, quaternion, status_turn, vector, zyx
 
 
@@ -56,6 +58,7 @@ class Generator:
         alone = [
             Line("; PTP {A1 10,A2 20,A3 30,A4 0,A5 0,A6 0} was here"), Line("$VEL.CP=0.25"), Line("WAIT SEC 0.5"),
             Line("$OUT[3]=TRUE"), Line("$VEL_AXIS[1]=50"), Line(""), Line("WAIT FOR $IN[4]"), Line("  "), Line("$APO.CDIS=5.5"),
+            Line("PTP $AXIS_ACT ; BCO"), Line("ptp $pos_act"),
         ]  # fmt: skip
         named = [
             Line(text, "named")
@@ -67,6 +70,8 @@ class Generator:
                 "PTP {A3 45}",
                 "PTP {A1 Q,A2 0}",
                 "LIN NOWHERE : {X 1,Y 0,Z 0,A 0,B 0,C 0}",
+                "LIN $POS_ACT : {X 1,Y 0,Z 0,A 0,B 0,C 0}",
+                "PTP XELSE[I,1]",
             )
         ]
         for _ in range(count):
@@ -83,8 +88,11 @@ class Generator:
                 lines += self.krl_arc(q, self.q())
             elif kind < 0.65:
                 lines += self.krl_spline(q)
+            elif kind < 0.7:
+                name = f"XP[{len(lines)},{(' 2', '2')[self.rng.integers(2)]}]"
+                lines += [Line(f"{name}={self.krl_pose(q)}", "pose", q), Line(f"LIN {name.replace(' ', '')} C_DIS")]
             else:
-                lines.append(self.one_of(alone if kind < 0.85 else named))
+                lines.append(self.one_of(alone if kind < 0.87 else named))
         return [*lines, Line("END")]
 
     def six(self, T: Floats) -> str:
@@ -111,11 +119,13 @@ class Generator:
         ]  # fmt: skip
 
     def rapid(self, count: int) -> list[Line]:
-        """A RAPID module: targets in moves, work objects, external axes, offsets, circles, logic."""
-        lines = [
+        """A RAPID module: targets in moves and in arrays, work objects, external axes, offsets, circles, logic."""
+        head = [
             Line("MODULE w"), Line(f"  PERS tooldata grip := [TRUE,[{quaternion(TOOL)}],[1,[0,0,1],[1,0,0,0],0,0,0]];"),
-            Line(f'  PERS wobjdata bench := [FALSE,TRUE,"",[{quaternion(BASE)}],[[0,0,0],[1,0,0,0]]];'), Line("PROC main()"),
+            Line(f'  PERS wobjdata bench := [FALSE,TRUE,"",[{quaternion(BASE)}],[[0,0,0],[1,0,0,0]]];'),
+            Line("  CONST num nUp := 7.25;"),
         ]  # fmt: skip
+        lines = [Line("PROC main()")]
         alone = [
             Line("  ! MoveAbsJ [[1,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]], v100, z10, grip;"), Line("  SetDO doGrip, 1;"),
             Line("  WaitTime 0.5;"), Line('  TPWrite "p1 [[1,2,3],[1,0,0,0]]";'), Line("  AccSet 50, 100;"), Line(""),
@@ -127,6 +137,8 @@ class Generator:
             for text in (
                 "  MoveL Offs(pHome, 0, 0, 50), v100, z10, grip\\WObj:=bench;",
                 "  MoveL RelTool(pHome, 0, 0, -10), v50, fine, grip\\WObj:=bench;",
+                "  MoveL Offs(pGrid{1,1}, 0, 0, reg1), v100, z10, grip\\WObj:=bench;",
+                "  MoveL Offs(pGrid{1,1}, 0, 0, 2*nUp), v100, z10, grip\\WObj:=bench;",
                 "  MoveJ pElsewhere, v200, z50, grip\\WObj:=bench;",
                 f"  DispL [[600,0,400],[0,0,1,0],[0,0,0,0],{outside}], v50, bead1, z10, grip\\WObj:=bench;",
             )
@@ -146,9 +158,44 @@ class Generator:
                 word = word[:-1] + "C" if arc and word[-1] in "LJ" else "ArcCEnd" if arc else word
                 line = f"  {word} {goals}, v100{more}{weld}, z10, grip\\WObj:=bench;"
                 lines.append(Line(line, "pose", q, via))
+            elif kind < 0.75:
+                data, moves = self.rapid_offset(q, len(head))
+                head += data
+                lines += moves
             else:
-                lines.append(self.one_of(alone if kind < 0.85 else named))
-        return [*lines, Line("ENDPROC"), Line("ENDMODULE")]
+                lines.append(self.one_of(alone if kind < 0.9 else named))
+        grid, moves = self.rapid_grid()
+        return [*head, *grid, *lines, *moves, Line("ENDPROC"), Line("ENDMODULE")]
+
+    def rapid_grid(self) -> tuple[list[Line], list[Line]]:
+        """An array of two dimensions, declared over several lines, and moves to its elements by constants."""
+        q = [self.q() for _ in range(6)]
+        around = ("[{},", "{},", "{}],", "[{},", "{},", "{}]")
+        rows = [Line(f"    {form.format(self.robtarget(at))}", "pose", at) for form, at in zip(around, q, strict=True)]
+        comma = (",", ", ", " , ")[self.rng.integers(3)]
+        order = self.rng.permutation([f"pGrid{{{k // 3 + 1}{comma}{k % 3 + 1}}}" for k in range(6)])
+        moves = [Line(f"  MoveJ {name}, v200, z50, grip\\WObj:=bench;") for name in order]
+        return [Line("  CONST robtarget pGrid{2,3} := ["), *rows, Line("  ];")], moves
+
+    def rapid_offset(self, q: Floats, number: int) -> tuple[list[Line], list[Line]]:
+        """A target beside a declared one by plain numbers, in the work object or in the tool; the other need not be one."""
+        x, y, z = (float(v) for v in self.rng.uniform(-20, 20, 3).round(2))
+        name, kind = f"pBy{number}", self.rng.integers(4)
+        if kind < 2:  # in the work object
+            pose = shift(-x, -y, -z) @ self.pose(q)
+            said = (f"Offs({name},{x},{y},{z})", f"offs ( {name} , {x:+} , {y} ,{z} )")[kind]
+        elif kind == 2:  # along the tool, by a constant
+            pose = self.pose(q) @ shift(0, 0, 7.25)
+            said = f"RelTool({name}, 0, 0, -nUp)"
+        else:  # in the tool, and rotated: about x, then about the new y, then about the new z
+            a, b, c = (float(v) for v in self.rng.uniform(-30, 30, 3).round(1))
+            turned = shift(x, y, z) @ about("XYZ", np.radians([a, b, c]))
+            pose = self.pose(q) @ np.linalg.inv(turned)
+            said = f"RelTool({name},{x},{y},{z} \\Rx:={a} \\Ry:={b}\\Rz:={c})"
+        declared = f"[{quaternion(pose)},{confdata(q)},[9E9,9E9,9E9,9E9,9E9,9E9]]"
+        kept = ("CONST", "PERS", "VAR")[self.rng.integers(3)]
+        move = f"  MoveL {said}, v100, z10, grip\\WObj:=bench;"
+        return [Line(f"  {kept} robtarget {name}:={declared};")], [Line(move, "computed", q)]
 
     def robtarget(self, q: Floats) -> str:
         """A robtarget written into a move."""
@@ -156,7 +203,8 @@ class Generator:
 
     def urscript(self, count: int) -> list[Line]:
         """A URScript: joints, poses behind them, arithmetic on poses, moves that are computed, logic."""
-        lines = [Line("def w():"), Line(f"  set_tcp(p[{vector(TOOL)}])"), *self.subprogram()]
+        frame = Line(f"  ref_frame = p[{vector(BASE)}]")
+        lines = [Line("def w():"), Line(f"  set_tcp(p[{vector(TOOL)}])"), frame, *self.subprogram()]
         alone = [
             Line("  # movej([0, 0, 0, 0, 0, 0])"), Line("  set_digital_out(3, True)"), Line("  sleep(0.5)"), Line(""),
             Line('  textmsg("movel(p[1,2,3,0,0,0])")'), Line("  set_payload(1.2)"), Line("  count = count + 1"),
@@ -165,6 +213,7 @@ class Generator:
             Line(text, "named")
             for text in (
                 "  movel(pose_trans(get_actual_tcp_pose(), p[0, 0, 0.05, 0, 0, 0]), a=1.2, v=0.1)",
+                "  movel(pose_trans(p_taught, p[0, 0, 0.05, 0, 0, 0]), a=1.2, v=0.1)",
                 "  movej(get_inverse_kin(p_taught), a=1.4)",
                 "  movel(pose_add(p_taught, p[0, 0, 0.1, 0, 0, 0]))",
                 "  movej([0.1, q_taught, 0, 0, 0, 0])",
@@ -201,6 +250,9 @@ class Generator:
         """Moves from these joints to poses: along a line or arc, in a loop, and after the subprogram moved the arm."""
         (pose, near), (other, on), kind = self.beside(q), self.beside(q), self.rng.random()
         line = Line(f"  movel({pose}, a=1.2, v=0.2, r=0.01)", "pose", near)
+        if kind < 0.2:  # as offline systems write it
+            framed = f"p[{vector(self.pose(near))}]"
+            return [Line(f"  movel(pose_trans(ref_frame, {framed}), 1.2, 0.2, 0, 0.000)", "pose", near)]
         if kind < 0.4:
             return [line]
         if kind < 0.6:
@@ -216,6 +268,7 @@ class Generator:
     def fanuc(self, count: int) -> list[Line]:
         """A FANUC program in the controller's ASCII form: positions in frame 2 with tool 1, logic, registers."""
         moves, positions = [], []
+        numbered = self.rng.random() < 0.7  # offline systems leave the numbers out
         alone = [
             "  CALL GRIP    ;", "  WAIT   0.50(sec) ;", "  DO[3]=ON ;", "  !P[1] was taught by hand ;", "  R[1]=R[1]+1    ;",
             "  IF R[1]>5,JMP LBL[1] ;",
@@ -231,6 +284,8 @@ class Generator:
             elif arc:
                 moves += [Line(f"  {len(moves) + 1}:C P[{k}]    "), Line(f"    :  P[{k}] 100mm/sec CNT50    ;")]
             else:
+                approach = Line(f"  {len(moves) + 1}:L P[{k}] 100mm/sec CNT50 Tool_Offset,PR[3:up]    ;", "named")
+                moves += [approach] if kind < 0.1 else []
                 moves.append(Line(f"  {len(moves) + 1}:L P[{k}] 100mm/sec FINE    ;"))
             x, y, z, r, p, w = zyx(self.pose(q))
             places = ", ".join(f"{n} = {v:.9f} mm" for n, v in zip("XYZ", (x, y, z), strict=True))
@@ -244,6 +299,7 @@ class Generator:
             if kind < 0.5:
                 moves.append(Line(f"  {len(moves) + 1}:{alone[self.rng.integers(len(alone))]}"))
         moves.append(Line(f"  {len(moves) + 1}:{named[0]}", "named"))
+        moves = moves if numbered else [line._replace(text=re.sub(r"^ *\d+:", ":", line.text)) for line in moves]
         return [Line("/PROG W"), Line("/MN"), *moves, Line("/POS"), *positions, Line("/END")]
 
 

@@ -367,6 +367,47 @@ def test_who_makes_lost_cycles_up_may_change_the_offset_by_what_they_allow() -> 
     assert ramped.share == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("late_ones_count", [False, True])
+def test_answers_that_a_controller_misses_make_no_larger_step_of_the_one_that_it_takes(late_ones_count: bool) -> None:
+    """It holds its offset meanwhile: the next answer must not be two steps away, whether or not late ones count after all."""
+    rng = np.random.default_rng(7)
+    guard = Guard(2, LARGEST_RAD, RATE_RAD_S, 0.1, CYCLE_S)
+    force, missed, steps, wanted = np.zeros(2), False, [], np.zeros(2)
+    for k in range(4000):
+        if k % 50 == 0:
+            wanted = rng.uniform(-1.5, 1.5, 2) * LARGEST_RAD
+        late = np.array(guard.offset)
+        new = np.array(guard.follow(wanted.tolist(), taken=not missed))
+        if missed and late_ones_count:
+            steps.append(np.abs(late - force).max())
+            force = late
+        missed = bool(rng.random() < 0.3)
+        if not missed:
+            steps.append(np.abs(new - force).max())
+            force = new
+    assert max(steps) <= RATE_RAD_S * CYCLE_S * (1 + 1e-9)
+    assert np.abs(force).max() > 0.0
+
+
+def test_a_controller_that_counts_missed_answers_is_led_on_from_the_offset_that_it_holds(
+    correction: Correction, controllers: Make
+) -> None:
+    with looping(correction) as (_, address, _):
+        controller, force, steps, missed = controllers(address), np.zeros(6), [], 0
+        for k in range(120):
+            asked = message(1000 + 4 * k).replace(b'D="3"', f'D="{missed}"'.encode())
+            answer = controller.ask(asked)
+            assert answer is not None
+            if k % 3 == 1:  # it comes too late for the controller
+                missed += 1
+                continue
+            new = np.radians(offsets(answer))
+            steps.append(np.abs(new - force).max())
+            force = new
+        assert force.any()
+        assert max(steps) <= RATE_RAD_S * CYCLE_S * 1.001 + 2e-8  # of the digits of an answer
+
+
 def test_off_is_said_once_nothing_is_offset(correction: Correction, guard: Guard) -> None:
     """Offsets that came in over seconds go out no faster, however short the ramp is."""
     q = np.radians(Q_DEG)

@@ -23,6 +23,16 @@ RAPID = f"""
 .|  PERS tooldata t2:=[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];
 L|  CONST robtarget p10:={WHOLE};
 P|  CONST robtarget p20:={WHOLE};
+.|  CONST robtarget p90:={WHOLE};
+.|  CONST robtarget p{{2,2}}:=[[
+P|    {WHOLE},
+L|    {WHOLE}],[
+.|    {WHOLE},
+L|    {WHOLE}]];
+.|  CONST num up:=20;
+J|  CONST jointtarget j6{{count}}:=[[[0,0,0,0,90,0],{AXES}],[[0,0,0,0,90,0],{AXES}]];
+.|  VAR num far:=20;
+J|  CONST jointtarget j5{{1,2}}:=[[[[0,0,0,0,90,0],{AXES}],[[0,0,0,0,90,0],{AXES}]]];
 L|  VAR robtarget p30:={WHOLE};
 L|  PERS robtarget p40:={WHOLE};
 P|  PERS robtarget p50:={WHOLE};
@@ -36,7 +46,18 @@ L|  VAR jointtarget j4:=jElsewhere;
 .|  PROC main()
 L|    MoveJ p10,v1000,z50,t1;
 L|    MoveL Offs(p10,0,0,50),v100,fine,t1;
-L|    MoveL RelTool(p20,0,0,50\\Rz:=20),v100,fine,t1;
+P|    MoveL RelTool(p20,0,0,50\\Rz:=20),v100,fine,t1;
+L|    MoveL RelTool(p20,0,0,reg1),v100,fine,t1;
+P|    MoveL Offs(Offs(p20,0,0,50),-10,0,+5.5),v100,fine,t1;
+P|    MoveL offs(p90, 0, 0, -up), v100, fine, t1;
+P|    MoveC Offs(p90,0,0,1), Offs(p{{2, 1}},0,0,1), v100, fine, t1;
+L|    MoveL Offs(p90,0,0,far),v100,fine,t1;
+L|    MoveL Offs(p90,0,0,1\\Rz:=20),v100,fine,t1;
+L|    MoveL Offs(p90,0,0),v100,fine,t1;
+L|    MoveL Offs(p{{3,1}},0,0,1),v100,fine,t1;
+.|    MoveL p{{1 , 1}},v100,fine,t1;
+.|    MoveAbsJ j5{{1,2}},v100,fine,t1;
+.|    MoveAbsJ j6{{reg1}},v100,fine,t1;
 .|    ArcLStart p20,v100,seam1,weld1\\Weave:=weave1,fine,t1\\SeamName:="a";
 P|    ArcL {WHOLE}\\ID:=10,v100,seam1,weld1,fine,t1;
 L|    PaintL {WHOLE},v100,fine,t1;
@@ -83,9 +104,28 @@ P|  global way_p=p[.433, -.467, .522, 1.5003, .5214, .5309]
 J|  global way_q=[1.99, -1.66, 1.93, -0.27, 1.32, 0.0036]
 J|  global home=[0.1, -1.5, 1.5, -1.5, -1.5, 0]
 .|  feature=p[0.1,0.2,0.3,0,0,0]
+.|  moved=p[0.1,0.2,0.3,0,0,0]
+.|  moved[2]=0.5
+.|  part=p[0.1,0.2,0.3,0,0,0]
+P|  movel(pose_trans(part, p[0.1,0,0,0,0,0]))
+.|  part=p[0.1,0.2,0.4,0,0,0]
+P|  movel(pose_trans(part, p[0.1,0,0,0,0,0]))
+.|  if True:
+.|    seat=p[0.1,0.2,0.4,0,0,0]
+.|  end
+.|  seat=p[0.1,0.2,0.5,0,0,0]
+P|  movel(pose_trans(seat, p[0.1,0,0,0,0,0]))
+.|  if True:
+.|    seat=p[0.1,0.2,0.4,0,0,0]
+.|  end
+L|  movel(pose_trans(seat, p[0.1,0,0,0,0,0]))
 .|  movej(get_inverse_kin(way_p, qnear=way_q), a=1.39, v=1.04)
 .|  movej(way_q, r=0.01)
-L|  movel(pose_trans(feature, p[0.1,0,0,0,0,0]), a=1.2, v=0.25, t=0, r=0.01)
+P|  movel(pose_trans(feature, p[0.1,0,0,0,0,0]), a=1.2, v=0.25, t=0, r=0.01)
+P|  movel(pose_trans(p[0.1,0.2,0.3,0,0,0], pose_trans(feature, p[0.1,0,0,0,0,0])))
+L|  movel(pose_trans(elsewhere, p[0.1,0,0,0,0,0]))
+L|  movel(pose_trans(moved, p[0.1,0,0,0,0,0]))
+L|  movel(pose_trans(feature, feature, p[0.1,0,0,0,0,0]))
 J|  movel([0.1, -1.5, 1.5, -1.5, -1.5, 0], a=1)
 .|  movel(home)
 .|  movej(home)
@@ -113,6 +153,14 @@ FANUC = f"""
 .|   1:  PR[90:lpos]=LPOS    ;
 .|   2:L P[1:abc] R[171:SPEED]mm/sec CNT100    ;
 L|   3:L P[2] 100mm/sec FINE RTCP    ;
+L|   3:L P[1:abc] 100mm/sec FINE Tool_Offset,PR[2:up]    ;
+L|   3:L P[6] 100mm/sec FINE Offset,PR[2]    ;
+.|:J P[1] 100% CNT50;
+L|:J P[7] 100% CNT50;
+.|:  !PR[1]=P[1] ;
+L|:  PR[1]=P[1] ;
+.|:C P[1]
+.|:  P[1] 100mm/sec FINE;
 L|   4:L P[R[3]] 100mm/sec FINE    ;
 .|   5:  !PR[1]=P[1] ;
 .|   6://L P[2] 100mm/sec FINE    ;
@@ -126,6 +174,7 @@ L|  12:  P[5]=JPOS    ;
 P|P[1:"abc"]{{ GP1: UF : 0, UT : 0, {POSE} }};
 L|P[2]{{ GP1: UF : 0, UT : 0, {POSE} }};
 L|P[3]{{ GP1: UF : 0, UT : 0, {POSE} }};
+L|P[6]{{ GP1: UF : 0, UT : 0, {POSE} }};
 L|P[4]{{ GP1: UF : 0, UT : 0, {POSE} }};
 J|P[5]{{ GP1: UF : 0, UT : 0, J1= 5.0 deg, J2= 0.0 deg, J3= 0.0 deg, J4= 0.0 deg, J5= -90.0 deg, J6= 0.0 deg }};
 .|/END
@@ -133,6 +182,7 @@ J|P[5]{{ GP1: UF : 0, UT : 0, J1= 5.0 deg, J2= 0.0 deg, J3= 0.0 deg, J4= 0.0 deg
 SIX = "X 600.0,Y 0.0,Z 400.0,A 0.0,B 90.0,C 0.0,S 2,T 2"
 KRL = f"""
 .|&ACCESS RVP
+.|&COMMENT Modul (src/dat) with INI line and PTP HOME at start and end of Program
 .|DEF A( )
 .|;FOLD INI;%{{PE}}
 .|  BAS (#INITMOV,0 )
@@ -141,6 +191,16 @@ KRL = f"""
 .|$BASE={{X 0,Y 0,Z 0,A 0,B 0,C 0}}
 .|$TOOL={{X 0,Y 0,Z 100,A 0,B 0,C 0}}
 P|XP1={{{SIX},E1 0.0}}
+P|XG[1, 2]={{{SIX},E1 0.0}}
+L|XG[2,2]={{{SIX},E1 0.0}}
+L|XI[1]={{{SIX},E1 0.0}}
+J|XK[1,1]={{A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}}
+.|PTP $AXIS_ACT
+.|LIN XG[ 1,2 ] C_DIS
+L|LIN XG[1,3]
+L|LIN XI[1]
+L|LIN XI[k]
+.|PTP XK[1,1]
 J|XJ={{A3 90,A2 -90,A1 0,A4 0,A5 0,A6 0,E1 0}}
 L|PTP {{A1 10}}
 L|PTP {{A1 Q1,A2 -90,A3 90,A4 0,A5 0,A6 0}}

@@ -270,15 +270,15 @@ end
         ("a.mod", RAPID_POSES, {
             2: "tool tX is not in this program", 3: "an external axis", 4: "the program changes it", 5: "a computed index",
             6: "not a unit quaternion", 7: "tool t2 stands still", 10: "left", 11: "left", 12: "left", 14: "left",
-            15: "no target of this file", 16: "no target of this file", 17: "left", 18: "left",
-            19: "left",
-        }, [20]),
+            15: "no target of this file", 17: "left", 18: "left", 19: "left",
+        }, [16, 20]),
         ("a.ls", FANUC_POSES, {
-            3: "left", 4: "left", 5: "left", 6: "no position of this file", 8: "has an offset",
+            3: "moves beside it", 4: "left", 5: "left", 6: "no position of this file", 8: "have an offset",
             9: "UT : 1 is not in this program", 10: "without X", 11: "an external axis",
         }, [7]),
         ("a.script", UR_POSES, {
-            2: "no set_tcp is before it", 4: "the program changes it", 6: "left", 10: "no target of this file", 11: "left",
+            2: "no set_tcp is before it", 4: "the program changes it", 6: "left", 10: "its frame p1 is a target itself",
+            11: "left",
         }, [3, 9]),
     ],
 )  # fmt: skip

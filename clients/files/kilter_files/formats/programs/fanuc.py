@@ -12,10 +12,11 @@ POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
 OTHER_GROUP = re.compile(r"\bGP[2-9]\s?:")
 MOVE = re.compile(
-    r"^\s*(?:\d+\s*:\s*(?=[JLCAS]\s)|:\s*(?=P))((?:[JLCAS]\s+)?(P|PR)\[\s*(\d+|[^\]]{1,80})[^\]\n]{0,80}\])([^\n]{0,200})",
+    r"^\s*(?:\d*\s*:\s*(?=[JLCAS]\s)|:\s*(?=P)(?![^\n]{0,99}\]\s*=))"
+    r"((?:[JLCAS]\s+)?(P|PR)\[\s*(\d+|[^\]]{1,80})[^\]\n]{0,80}\])([^\n]{0,200})",
     re.M,
 )
-NOTHING = re.compile(r"^\s*\d+\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
+NOTHING = re.compile(r"^\s*\d*\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
 NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
 GROUPS = "motion groups beside GP1 are left out: what they move belongs to the base or the tool"
 
@@ -46,19 +47,34 @@ def find(program: Program) -> None:
             raise program.refuse(match.start(), what, "Correct the position, or export it again.")
         numbers = [(part[2], part.span(2)) for part in arm]
         known[match[1]] = program.add(f"P[{match[1]}]", numbers, line=line_at(text, match.start()))
-    for match in MOVE.finditer(text):
-        pose = poses.get(match[3]) if match[2] == "P" else None
-        if pose is not None:
-            program.moves_to_poses.append((line_at(text, match.start(1)), match[1], pose))
-            frame = "a move to it has another frame (RTCP, COORD)" if OTHER_FRAME.search(match[4]) else ""
-            pose.problem = pose.problem or ("a move to it has an offset" if OFFSET.search(match[4]) else frame)
-        elif match[2] != "P" or match[3] not in known:
-            program.leave(match.start(1), f"{match[1]}: no position of this file")
-        elif OFFSET.search(match[4]):
-            program.leave(match.start(1), f"{match[1]}: moves beside it")
-        program.moves += [known.get(match[3])] if match[2] == "P" else []
+    _follow(program, known, poses)
     _name_other_uses(program, known, poses)
     program.notes.append("FANUC reads J3 against the horizontal: the robot needs --follows J3=J2")
+
+
+def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget]) -> None:
+    """Take the moves of the program, and name those that go beside their position, or to one that it does not hold."""
+    text, moves = program.text, list(MOVE.finditer(program.text))
+    displaced: set[str] = set()
+    for k, match in enumerate(moves):
+        later = moves[k + 1] if k + 1 < len(moves) else None
+        second = later is not None and match[1][0] == "C" and later[1][0] == "P"  # the line with the end of an arc
+        said = f"{match[4]} {later[4]}" if second and later is not None else match[4]
+        number = match[3] if match[2] == "P" else ""
+        program.moves += [known.get(number)] if number else []
+        if number not in known and number not in poses:
+            program.leave(match.start(1), f"{match[1]}: no position of this file")
+        elif OFFSET.search(said):
+            program.leave(match.start(1), f"{match[1]}: moves beside it")
+            displaced.add(number)
+        elif number in poses:
+            program.moves_to_poses.append((line_at(text, match.start(1)), match[1], poses[number]))
+        if number in poses and OTHER_FRAME.search(said):
+            poses[number].problem = poses[number].problem or "a move to it has another frame (RTCP, COORD)"
+    plain = {id(pose) for _, _, pose in program.moves_to_poses}
+    for pose in (poses[number] for number in displaced & poses.keys()):
+        if id(pose) not in plain:
+            pose.problem = pose.problem or "the moves to it have an offset"
 
 
 def _name_other_uses(program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, edited
 from kilter_files.ground.faults import fault
 
 # every repeat is bounded: a damaged file must not make the search slow
@@ -105,12 +105,7 @@ class Program:
             for span, old, value, turn in zip(target.spans, target.joints_deg, row, target.radians, strict=True)
             if abs(value - old) > SAME_DEG
         }
-        new |= others or {}
-        parts, at = [], 0
-        for (start, end), number in sorted(new.items()):
-            parts += [self.text[at:start], number]
-            at = end
-        return "".join([*parts, self.text[at:]])
+        return edited(self.text, new | dict(others or {}))
 
 
 @dataclass(frozen=True)

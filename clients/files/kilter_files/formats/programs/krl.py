@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.krl import NAME, POSE, note_changes, pose_of
+from kilter_files.formats.programs.poses.krl import NAME, POSE, key, note_changes, note_computed, pose_of
 from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
 AXES = re.compile(
@@ -20,6 +20,9 @@ AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
 GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME})(?![\w.\[])[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
+WHERE_IT_STANDS = re.compile(
+    r"[ \t]*\$(?:AXIS|POS)_ACT[ \t]*(?:C_\w{1,9}[ \t]*){0,2}", re.I
+)  # the start of most programs
 COMMA = re.compile(r"[ \t]*,")
 LINE_END = re.compile(r"\n")
 
@@ -57,7 +60,7 @@ def find(program: Program) -> None:
             continue
         target = known.written[match.start()] = _take(program, match, count)
         if target is not None:
-            known.joints[(match[1] or "").upper()] = target
+            known.joints[key(match[1] or "")] = target
     frames = KrlFrames(program, text)
     _take_poses(program, text, moves, relative, frames, known)
     for match in moves:
@@ -103,6 +106,9 @@ def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFr
         program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
         known.last = None
         return
+    if WHERE_IT_STANDS.fullmatch(match[2]):
+        known.last = None
+        return
     first = GOAL.match(match[2])
     goals = [first]
     comma = COMMA.match(match[2], first.end()) if first is not None and "CIRC" in match[1].upper() else None
@@ -115,7 +121,7 @@ def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFr
 def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, known: _Known, frames: KrlFrames) -> None:
     target: JointTarget | PoseTarget | None = None
     if goal is not None:
-        name = goal[1].upper()
+        name = key(goal[1])
         at = match.start(2) + goal.start(1)
         target = known.written.get(at) if name[0] == "{" else known.joints.get(name) or known.poses.get(name)
     said = f"{match[1]} {match[2].strip()[:40]}"
@@ -123,6 +129,7 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
         where = " or of its .dat" if program.beside is not None else ""
         if goal is None or match.start(2) + goal.start(1) not in known.written:
             program.leave(match.start(), f"{said}: not a target of this file{where}")
+            note_computed(match[2], known.poses)
         program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
     elif isinstance(target, JointTarget):
         program.moves.append(target)
@@ -140,7 +147,7 @@ def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | N
     """Take a list of axes, in any order; one that lacks some, or computes them, is named and left: the others stay."""
     parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in re.finditer(r"[^,]+", match[2])]
     arm = sorted((part for part in parts if part is not None and part[1].upper() == "A"), key=lambda part: part[2])
-    name, axes = match[1] or "axis target", [int(part[2]) for part in arm]
+    name, axes = "".join((match[1] or "").split()) or "axis target", [int(part[2]) for part in arm]
     declared = program.path.suffix.lower() == ".dat"
     if match[3] != "}" or (None in parts and declared):
         what = f"{name} is not A1, A2, ... with numbers"

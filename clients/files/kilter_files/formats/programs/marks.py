@@ -46,7 +46,8 @@ def marked(program: Program, text: str, version: str) -> str:
     if mark is None:
         return "".join(_with_cell(lines, version))
     lines = [line for line in lines if not SAID.search(line)]
-    number = 1 + max((int(found[1]) for line in lines if (found := NUMBERED.match(line))), default=0)
+    numbers = [int(found[1]) for line in lines if (found := NUMBERED.match(line))]
+    number = 1 + max(numbers) if numbers else ""
     said = mark.form.format(said=f"Kilter corrected {version[: mark.most]}", number=number)
     closing = [k for k, line in enumerate(lines) if mark.before.match(line)]
     lines.insert(closing[-1] if closing else 0, said + _end(lines))

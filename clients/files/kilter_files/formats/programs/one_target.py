@@ -26,6 +26,15 @@ class Spans:
         return k >= 0 and place < self._ends[k]
 
 
+def edited(text: str, new: Mapping[Span, str]) -> str:
+    """Return a text with others at these places, which do not overlap."""
+    parts, at = [], 0
+    for (start, end), other in sorted(new.items()):
+        parts += [text[at:start], other]
+        at = end
+    return "".join([*parts, text[at:]])
+
+
 @dataclass(frozen=True)
 class JointTarget:
     """A target: its joints in deg, and the places of their numbers; ``radians`` says of each how it is written.
@@ -38,6 +47,11 @@ class JointTarget:
     joints_deg: tuple[float, ...]
     spans: tuple[Span, ...] = ()
     radians: tuple[bool, ...] = ()
+
+    @property
+    def first(self) -> int:
+        """Where it begins in the text."""
+        return self.spans[0][0] if self.spans else 0
 
 
 @dataclass(frozen=True)
@@ -86,11 +100,32 @@ class Use:
     straight: bool = False
 
 
+@dataclass(frozen=True)
+class WrittenOut:
+    """What stands for a target that a move computes from another one: the list of that one, with the numbers of this.
+
+    ``place`` is where the move computes it, ``ends`` are the ends of lines within; ``literal`` is the list of the other
+    target ``of``, which begins at ``at``.
+    """
+
+    of: PoseTarget
+    place: Span
+    ends: str
+    literal: str
+    at: int
+
+    def edits(self, new: Mapping[Span, str]) -> dict[Span, str]:
+        """Return the list with these numbers at the places of the other's, in place of the computation."""
+        moved = {(start - self.at, end - self.at): number for (start, end), number in new.items()}
+        return {self.place: "".join(edited(self.literal, moved).split()) + self.ends}
+
+
 @dataclass(eq=False)
 class PoseTarget:
     """A target given as a pose, its numbers at their places, and the moves to it.
 
-    ``problem`` says why it cannot be rewritten.
+    ``problem`` says why it cannot be rewritten. ``whole`` is the place of its list, where it has one. ``computed``: the places
+    are those of another target, from which a move computes this one.
     """
 
     name: str
@@ -101,11 +136,19 @@ class PoseTarget:
     configuration: Configuration | None = None
     uses: list[Use] = field(default_factory=list)
     problem: str = ""
+    whole: Span = (0, 0)
+    computed: WrittenOut | None = None
+
+    @property
+    def first(self) -> int:
+        """Where it begins in the text."""
+        return self.spans[0][0] if self.computed is None else self.computed.place[0]
 
     def why_left(self) -> str:
         """Say what of this target is not known; empty: all that the program can say."""
-        if self.problem or not self.uses:
-            return self.problem or UNUSED
+        problem = self.problem or ("" if self.computed is None else self.computed.of.problem)
+        if problem or not self.uses:
+            return problem or UNUSED
         said = [frame for use in self.uses for frame in (use.base, use.tool) if isinstance(frame, str)]
         if said:
             return said[0]

@@ -15,12 +15,13 @@ from kilter_files.formats.programs.poses.rapid import (
     pose_of,
 )
 from kilter_files.formats.programs.poses.rapid import DECLARED as POSE
-from kilter_files.formats.programs.rapid_uses import changed, declared_again, is_assigned, other_uses
+from kilter_files.formats.programs.poses.rapid_computed import CALL, Computed
+from kilter_files.formats.programs.rapid_uses import changed, declared_again, elements, is_assigned, other_uses
 
 UNUSED_AXIS = 8e9  # 9E9 stands for an external axis that is not there
 SIX = r"\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]"
 PAIR = re.compile(rf"\[\s*{SIX}\s*,\s*{SIX}\s*\]")
-DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*(?:\{[\d,\s]*\})?\s*:=([^;]{0,200000})(;|\Z)", re.I)
+DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*(\{[\w,\s]*\})?\s*:=([^;]{0,200000})(;|\Z)", re.I)
 MOVE = re.compile(
     r"\b(Move\w{1,20}|Arc[LC]\d?(?:Start|End)?|Trigg[LJC]|Search[LC])(?=[\s\\])\s*([^;]{0,2000})(;|\Z)", re.I
 )
@@ -29,15 +30,17 @@ TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed an
 SEVERAL_TIMES = "it is declared several times"
 EXTERNAL = re.compile(r"\.\s*extax\b", re.I)
 CONSTANT = re.compile(r"\bCONST\s+robtarget\s+(\w+)", re.I)
-HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*(?:\{[\d,\s]*\})?\s*:=[^;]{0,200000}", re.I)
+HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*(?:\{[\w,\s]*\})?\s*:=[^;]{0,200000}", re.I)
 COMPUTED = re.compile(r"[A-Za-z_]\w{2,}")
-WRITTEN = re.compile(r"\w+(?:\s*\{\s*\d+\s*\})?|\[.*\]", re.S)
+INDEX = r"\{\s*\d+\s*(?:,\s*\d+\s*){0,2}\}"
+WRITTEN = re.compile(rf"\w+(?:\s*{INDEX})?|\[.*\]", re.S)
 WITH = re.compile(r"(\w+)\s*((?:\\[^\\]{1,80})*)")
 WORK_OBJECT = re.compile(r"\\\s*WObj\s*:=\s*(\w+)", re.I)
-GOAL = re.compile(r"(\w+)\s*(?:\{\s*(?:(\d+)\s*\}|[^}]{0,80}\}))?\s*(?:\\.*)?", re.S)
+GOAL = re.compile(rf"(\w+)\s*({INDEX}|\{{[^}}]{{0,80}}\}})?\s*(?:\\.*)?", re.S)
 
-Known = dict[str, list[JointTarget]]
-Poses = dict[str, list[PoseTarget]]
+# by the name of the variable, and there by that of the element, both in small letters
+Known = dict[str, dict[str, JointTarget]]
+Poses = dict[str, dict[str, PoseTarget]]
 
 
 def find(program: Program) -> None:
@@ -50,48 +53,62 @@ def find(program: Program) -> None:
     text = blanked(program.text, "!")
     known: Known = {}
     for match in DECLARED.finditer(text):
-        pairs = [*PAIR.finditer(text, match.start(2), match.end(2))]
-        if not pairs and match[3] == ";" and COMPUTED.search(match[2]):
+        pairs = [*PAIR.finditer(text, match.start(3), match.end(3))]
+        if not pairs and match[4] == ";" and COMPUTED.search(match[3]):
             what = f"{match[1]}, a jointtarget that the program computes"
             program.leave(match.start(), what)
             program.unknown.append((line_at(text, match.start()), what, "Write its joints."))
             continue
-        if not pairs or match[3] != ";" or PAIR.sub("", match[2]).strip(" \t\r\n[],"):
+        if not pairs or match[4] != ";" or PAIR.sub("", match[3]).strip(" \t\r\n[],"):
             what = f"{match[1]} is not made of six joints and six external axes, [[...],[...]]"
             raise program.refuse(match.start(), what, "Correct the target.")
-        names = [match[1]] if len(pairs) == 1 else [f"{match[1]}{{{k}}}" for k in range(1, len(pairs) + 1)]
-        known[match[1].lower()] = [_take(program, name, pair) for name, pair in zip(names, pairs, strict=True)]
+        names = elements(match[1], match[2], len(pairs))
+        known[match[1].lower()] = {
+            name.lower(): _take(program, name, pair) for name, pair in zip(names, pairs, strict=True)
+        }
     poses = _poses(program, text)
     frames = RapidFrames(text, program.stated)
     goals: set[int] = set()
+    computed = Computed(program, text, lambda said: _declared(said, poses))
     left = [
         match.span()
         for match in MOVE.finditer(text)
-        if not _to_poses(program, text, match, poses, frames, goals) and not _follow(program, text, match, known, goals)
+        if not _to_poses(program, text, match, poses, frames, goals, computed)
+        and not _follow(program, text, match, known, goals)
     ]
+    goals |= computed.named
+    # one from which moves only compute others is no goal itself
+    origins = {one.computed.of for one in program.cartesian if one.computed is not None}
+    program.cartesian = [pose for pose in program.cartesian if pose.uses or pose not in origins]
     _note_problems(text, program, poses)
     _note_other_uses(text, program, poses, known, goals, Spans(left))
 
 
 def _poses(program: Program, text: str) -> Poses:
-    """The declared robtargets by name, each a list: arrays have several."""
+    """The declared robtargets by name: arrays have several."""
     poses: Poses = {}
     for match in POSE.finditer(text):
-        found = [*TARGET.finditer(text, match.start(2), match.end(2))]
-        if not found or TARGET.sub("", match[2]).strip(" \t\r\n[],"):
+        found = [*TARGET.finditer(text, match.start(3), match.end(3))]
+        if not found or TARGET.sub("", match[3]).strip(" \t\r\n[],"):
             program.leave_pose(match.start(), match[1], f"{match[1]}, a robtarget without numbers")
             continue
-        names = [match[1]] if len(found) == 1 else [f"{match[1]}{{{k}}}" for k in range(1, len(found) + 1)]
-        for earlier in poses.get(match[1].lower(), ()):
+        names = elements(match[1], match[2], len(found))
+        for earlier in poses.get(match[1].lower(), {}).values():
             earlier.problem = SEVERAL_TIMES
-        poses[match[1].lower()] = [
-            program.add_pose(pose_of(program, name, one)) for name, one in zip(names, found, strict=True)
-        ]
+        poses[match[1].lower()] = {
+            name.lower(): program.add_pose(pose_of(program, name, one)) for name, one in zip(names, found, strict=True)
+        }
     return poses
 
 
 def _to_poses(
-    program: Program, text: str, match: re.Match[str], poses: Poses, frames: RapidFrames, understood: set[int]
+    program: Program,
+    text: str,
+    match: re.Match[str],
+    poses: Poses,
+    frames: RapidFrames,
+    understood: set[int],
+    computed: Computed,
 ) -> bool:
     """Take the robtargets of a move as moves to them, and note their places; whether all of its goals are such."""
     way = TO_POSES.fullmatch(match[1])
@@ -100,7 +117,7 @@ def _to_poses(
     said = [(match.start(2) + at, one) for at, one in arguments(match[2]) if not one.startswith("\\")]
     count = 2 if way[1].upper() == "C" else 1
     with_tool = count + TO_TOOL[match[1][0].upper()]
-    goals = [_goal(program, text, match[1], at, one, poses) for at, one in said[:count]]
+    goals = [_goal(program, text, match[1], at, one, poses, computed) for at, one in said[:count]]
     if len(said) <= with_tool or None in goals:
         return False
     held = WITH.match(said[with_tool][1])
@@ -111,24 +128,31 @@ def _to_poses(
         assert goal is not None
         goal.uses.append(Use(base, tool, straight=way[1].upper() != "J"))
         line = line_at(text, match.start())
-        program.moves_to_poses.append((line, f"{match[1]} {match[2].split(',')[0].strip()[:40]}", goal))
+        program.moves_to_poses.append((line, f"{match[1]} {said[0][1][:40]}", goal))
     understood.update(at for at, _ in said[:count])
     return True
 
 
-def _goal(program: Program, text: str, move: str, at: int, said: str, poses: Poses) -> PoseTarget | None:
+def _goal(
+    program: Program, text: str, move: str, at: int, said: str, poses: Poses, computed: Computed
+) -> PoseTarget | None:
     said = re.sub(r"\\\s*ID\s*:=.*", "", said).strip()
+    if CALL.fullmatch(said):
+        return computed.take(at, said)
     if not WRITTEN.fullmatch(said):
-        for pose in poses.get(said.partition("{")[0].strip().lower(), ()):
+        for pose in poses.get(said.partition("{")[0].strip().lower(), {}).values():
             pose.problem = pose.problem or "a move to it has a computed index"
         return None
     if said[0] == "[":
         written = TARGET.match(text, at)
         return program.add_pose(pose_of(program, move, written), counted=False) if written else None
-    name, _, index = said.rstrip("} \t\r\n").partition("{")
-    found = poses.get(name.strip().lower(), [])
-    k = int(index or 1) - 1
-    return found[k] if 0 <= k < len(found) and (index or len(found) == 1) else None
+    return _declared(said, poses)
+
+
+def _declared(said: str, poses: Poses) -> PoseTarget | None:
+    """The declared robtarget of this name, or element of an array."""
+    said = "".join(said.lower().split())
+    return poses.get(said.partition("{")[0], {}).get(said)
 
 
 def _note_problems(text: str, program: Program, poses: Poses) -> None:
@@ -137,7 +161,7 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
         for pose in program.cartesian:
             pose.problem = pose.problem or "the program displaces it (PDisp, EOffs)"
     for match in changed(text):
-        for pose in poses.get(match[1].lower(), ()):
+        for pose in poses.get(match[1].lower(), {}).values():
             pose.problem = pose.problem or "the program changes it"
     off = {match[1].upper() == "L" for match in CONFIGURATION_OFF.finditer(text)}
     for pose in program.cartesian:
@@ -151,7 +175,7 @@ def _note_other_uses(
     """Name what uses targets otherwise than as the goals of moves; ``left`` are moves that are named already."""
     for match in declared_again(text, poses.keys() | known.keys()):
         program.leave(match.start(), f"{match[1]}: declared several times")
-        for pose in poses.get(match[1].lower(), ()):
+        for pose in poses.get(match[1].lower(), {}).values():
             pose.problem = SEVERAL_TIMES
     for match in changed(text):
         if match[1].lower() in known and not EXTERNAL.search(match[0]):
@@ -164,7 +188,7 @@ def _note_other_uses(
                 use.at, f"{use.name}: used{f' by {by}' if by else ''} otherwise than as the goal of a known move"
             )
         if by and name not in constant and not TO_POSES.fullmatch(by):
-            for pose in poses.get(name, ()):
+            for pose in poses.get(name, {}).values():
                 pose.problem = pose.problem or f"{by} may change it"
     own = Spans([match.span() for match in HOLDS_TARGETS.finditer(text)])
     for written in (*TARGET.finditer(text), *PAIR.finditer(text)):
@@ -180,14 +204,13 @@ def _follow(program: Program, text: str, match: re.Match[str], known: Known, und
     at += match.start(2)
     written = PAIR.match(text, at) if joints else None
     goal = GOAL.fullmatch(said)
-    targets = known.get(goal[1].lower(), []) if joints and goal is not None else []
+    targets = known.get(goal[1].lower(), {}) if joints and goal is not None else {}
     if written is not None:
         program.moves.append(_take(program, match[1], written))
     elif goal is not None and targets:
-        index = int(goal[2]) - 1 if goal[2] else 0 if "{" not in said else -1
-        program.moves.append(targets[index] if 0 <= index < len(targets) else None)
+        program.moves.append(targets.get("".join(f"{goal[1]}{goal[2] or ''}".lower().split())))
     else:
-        program.leave(match.start(), f"{match[1]} {match[2].split(',')[0].strip()[:40]}: no target of this file")
+        program.leave(match.start(), f"{match[1]} {said[:40]}: no target of this file")
         program.moves += [None] if joints else []
         return False
     understood.add(at)
@@ -205,7 +228,7 @@ def _take(program: Program, name: str, pair: re.Match[str]) -> JointTarget:
 DIALECT = Dialect(
     "RAPID",
     (".mod",),
-    sign(r"\bjointtarget\b|\bMoveAbsJ\b|\brobtarget\b\s+\w+\s*(?:\{[\d,\s]*\})?\s*:="),
+    sign(r"\bjointtarget\b|\bMoveAbsJ\b|\brobtarget\b\s+\w+\s*(?:\{[\w,\s]*\})?\s*:="),
     find,
     "Store jointtargets: CJointT() reads the joints where the arm stands",
     (r"^\s*MODULE\b", r"^\s*ENDMODULE\b", "ENDMODULE"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"
-DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*\{{[\d,*\s]*\}})?\s*(:=)?", re.I)
+DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*\{{[\w,*\s]*\}})?\s*(:=)?", re.I)
 ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=")
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
 OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
@@ -24,6 +26,18 @@ class Use:
     at: int
     name: str
     handed_to: str
+
+
+def elements(name: str, size: str | None, count: int) -> list[str]:
+    """Return the names of the elements of an array as it is written, by row, or its own where it is none."""
+    if not size and count == 1:
+        return [name]
+    said = re.findall(r"\w+", size or "")
+    lengths = [int(length) for length in said] if all(length.isdigit() for length in said) else []
+    if math.prod(lengths) != count or not lengths:  # a constant of the program says how many
+        lengths = [count]
+    indices = itertools.product(*(range(1, length + 1) for length in lengths))
+    return [f"{name}{{{','.join(map(str, index))}}}" for index in indices]
 
 
 def changed(text: str) -> Iterator[re.Match[str]]:

@@ -56,7 +56,7 @@ def visited(programs: Sequence[Program]) -> list[tuple[Program, JointTarget | Po
         owners += [(program, target) for target in program.targets]
         owners += [(program, pose) for pose in program.cartesian]
     if len(programs) == 1:
-        return sorted(owners, key=lambda one: one[1].spans[0] if one[1].spans else (0, 0))
+        return sorted(owners, key=lambda one: one[1].first)
     first: dict[int, int] = {}
     for program in programs:
         for target in program.visits:

@@ -74,6 +74,7 @@ def find(program: Program) -> None:
         if any(at in taken for at, _ in declared.get(match[1], [])):
             program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
     _name_calls(program, text, declared)
+    poses.leave_beside_targets()
     if near:
         program.warnings.append(
             f"{near} moves to a pose count with the joints of their qnear: where the waypoint was taught"

@@ -92,28 +92,33 @@ class Correction:
             return f"version {stored.version_id} is for {stored.program.n_joints} joints, not {self.joints}"
         return ""
 
-    def step(self, q: Sequence[float] | None, cycles: int = 1) -> tuple[float, ...]:
-        """Return the offsets (n,) rad for wanted joints (n,) rad, ``cycles`` after the last ones; None: they are not known."""
-        offset = self._next(q, cycles)
+    def step(self, q: Sequence[float] | None, cycles: int = 1, taken: bool = True) -> tuple[float, ...]:
+        """Return the offsets (n,) rad for wanted joints (n,) rad, ``cycles`` after the last ones; None: they are not known.
+
+        ``taken``: the controller surely carries the last offsets out.
+        """
+        offset = self._next(q, cycles, taken)
         self._largest_rad = max(self._largest_rad, max(map(abs, offset)))
         return offset
 
-    def _next(self, q: Sequence[float] | None, cycles: int) -> tuple[float, ...]:
+    def _next(self, q: Sequence[float] | None, cycles: int, taken: bool) -> tuple[float, ...]:
         self._since_s += cycles * self._cycle_s
         passed = cycles if self._makes_up else 1
         if self.off:
-            return self._guard.follow(None, passed)
+            return self._guard.follow(None, passed, taken)
         if q is None:
             self._note("BAD_FRAME")
-            return self._guard.follow(None, passed)
+            return self._guard.follow(None, passed, taken)
         status = self._track.step(np.array(q, dtype=np.float64), 1, self._since_s)
         if status != layout.OK:
             self._note(REFUSED.get(status, str(status)))
             if status == layout.RATE_LIMIT:  # its past is the reason: begin anew, at the guard's pace
                 self._track.restart(settled=True)
-            return self._guard.follow(None, passed)
+            return self._guard.follow(None, passed, taken)
         self._since_s, self.last = 0.0, "OK"
-        return self._guard.follow([new - old for new, old in zip(self._track.out.tolist(), q, strict=True)], passed)
+        return self._guard.follow(
+            [new - old for new, old in zip(self._track.out.tolist(), q, strict=True)], passed, taken
+        )
 
     def _note(self, status: str) -> None:
         self.last = status

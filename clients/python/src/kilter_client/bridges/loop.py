@@ -111,6 +111,7 @@ class Loop:
         self._leaving = False
         self.counts: Counter[str] = Counter()
         self._missed: int | None = None
+        self._was_late = False  # the last answer
         self._times_s: deque[float] = deque(maxlen=SHOWN_TIMES)
         self._longest_s = 0.0
 
@@ -175,19 +176,27 @@ class Loop:
         cycles = 1 if fresh else self._passed(request.stamp, began_s)
         self.counts["lost"] += max(0, cycles - 1 - self._passed_over)  # no request of these cycles came
         self._passed_over = 0
+        taken = fresh or self._was_taken(request.missed, cycles)
         self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
         wanted = self._wire.wanted(request, cycles, fresh)
         if not request.moving:
             self._correction.begin()
-        offset = self._correction.step(wanted, cycles) if request.moving else self._correction.offset
+        offset = self._correction.step(wanted, cycles, taken) if request.moving else self._correction.offset
         answer = self._wire.answer(request, offset)
         if answer:
             self._port.sendto(answer, sender)
         took_s = time.monotonic() - began_s
         self.counts["answered"] += 1
-        self.counts["late"] += waited_s + took_s > self._cycle_s
+        self._was_late = waited_s + took_s > self._cycle_s
+        self.counts["late"] += self._was_late
         self._times_s.append(took_s)
         self._longest_s = max(self._longest_s, took_s)
+
+    def _was_taken(self, missed: int | None, cycles: int) -> bool:
+        """Whether the controller had the last answer in time: by its count, which has cycles without one too, else by ours."""
+        if missed is not None and self._missed is not None:
+            return missed - self._missed < cycles
+        return not self._was_late
 
     def _passed(self, stamp: int, now_s: float) -> int:
         """Cycles since the last request: by the controller's stamps, which do not jitter, else by the time that has passed."""

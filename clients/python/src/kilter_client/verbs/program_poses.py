@@ -178,12 +178,13 @@ def rewritten(
         for base in bases:
             placed = base.pose().inverse().then(placed)
         numbers = pose.notation.near(placed, pose.numbers)
+        moved = [pose.notation.moved(k, old, numbers[k]) for k, old in enumerate(pose.numbers)]
         decimals = pose.notation.decimals
         new = {
             span: files_found.written(program.text[slice(*span)], numbers[k], decimals[k])
             for k, span in enumerate(pose.spans)
-            if pose.notation.moved(k, pose.numbers[k], numbers[k])
+            if moved[k] or (pose.computed is not None and any(moved))
         }
-        stated = pose.configuration
-        out.append(new | dict(stated.restated(joints.of_program(q)) if stated is not None else {}))
+        new |= dict(pose.configuration.restated(joints.of_program(q))) if pose.configuration is not None else {}
+        out.append(new if pose.computed is None or not new else pose.computed.edits(new))
     return out

@@ -40,7 +40,7 @@ class InForce:
 
     def at(self, place: int) -> tuple[bool, object]:
         """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
-        number = self._owner(place)
+        number = self.owner(place)
         part = self._parts.get(number) or self._parts.setdefault(number, self._part(number))
         k = bisect_left(part.places, place) - 1
         if k < 0:
@@ -50,15 +50,16 @@ class InForce:
     def joined(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
         between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
-        return not between and self._owner(first) == self._owner(second)
+        return not between and self.owner(first) == self.owner(second)
 
-    def _owner(self, place: int) -> int:
+    def owner(self, place: int) -> int:
+        """Return the number of the subprogram in which a place is."""
         k = bisect_right(self.starts, place)
         return self.owners[k - 1] if k and self.owners else k
 
     def _part(self, number: int) -> _Part:
-        control = [(at, way) for at, way in self.control if self._owner(at) == number]
-        inside = [(at, value) for at, value in self.settings if self._owner(at) == number]
+        control = [(at, way) for at, way in self.control if self.owner(at) == number]
+        inside = [(at, value) for at, value in self.settings if self.owner(at) == number]
         jumps = any(way is None for _, way in control)
         depth, steps = 0, iter([*control, (math.inf, 0)])
         step = next(steps)

@@ -10,14 +10,21 @@ from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import StatusTurn
 
-NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
+INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants, of an array of up to three dimensions
+NAME = rf"\w{{1,64}}(?:{INDEX})?"
 POSE = re.compile(
     rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?"
     r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}",
     re.I,
 )
 PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
+COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*\[[ \t\d,]*[^ \t\d,\]]")
 EXTERNAL = "an external axis may move its base"
+
+
+def key(name: str) -> str:
+    """Return the name of a variable, or of an element of an array, as names are compared."""
+    return "".join(name.split()).upper()
 
 
 def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
@@ -42,12 +49,20 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
     if "S" in parts and "T" in parts:
         status, (turn, span) = parts["S"][0], parts["T"]
         stated = StatusTurn(int(_value(status)), int(_value(turn)), turn, span)
-    name = match[2] or "a move"
+    name = "".join(match[2].split()) if match[2] else "a move"
     return PoseTarget(name, line_at(program.text, match.start()), KRL, numbers, spans, stated, problem=problem)
 
 
 def _value(text: str) -> float:
     return float(int(text.strip("'")[1:], 2)) if text.startswith("'") else float(text)
+
+
+def note_computed(said: str, poses: Mapping[str, PoseTarget]) -> None:
+    """Note poses of arrays to one of which a move goes that computes which."""
+    bases = {match[1].upper() for match in COMPUTED_INDEX.finditer(said)}
+    for name, pose in poses.items() if bases else ():
+        if name.partition("[")[0] in bases:
+            pose.problem = pose.problem or "a move to it has a computed index"
 
 
 def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from kilter_files.formats.programs.found import NUMBER, Program, blanked
 from kilter_files.formats.programs.notations import KRL, Frame
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own
+from kilter_files.formats.programs.poses.krl import NAME, key
 
 NULL = Frame(KRL, (0.0,) * 6)
-NAME = r"\w{1,64}(?:\[\d{1,4}\])?"
 BRACES = r"\{([^{}\r\n]{0,500})\}"
 FRAME = re.compile(
     rf"(\$(?:BASE|TOOL)|(?:BASE|TOOL)_DATA\[\d{{1,4}}\]|\bFRAME\s{{1,9}}{NAME})\s{{0,9}}=\s{{0,9}}{BRACES}", re.I
@@ -73,7 +73,7 @@ class KrlFrames:
                 several = name in self._frames and self._frames[name] != new
                 self._frames[name] = f"{match[1]} is set several times" if several else new
         for match in FDAT.finditer(text):
-            self._data[match[1].upper()] = match[2]
+            self._data[key(match[1])] = match[2]
 
     def _set(self, match: re.Match[str]) -> None:
         at = match.start()
@@ -114,7 +114,7 @@ class KrlFrames:
         return self._numbered(which, number) if number else f"{name} is not in this program, which says base and tool"
 
     def _fields(self, name: str) -> dict[str, str]:
-        found = re.findall(r"(\w+)\s+([^,\s]+)", self._data.get(name.upper(), ""))
+        found = re.findall(r"(\w+)\s+([^,\s]+)", self._data.get(key(name), ""))
         return {field.upper(): value for field, value in found}
 
     def _numbered(self, which: str, number: str | None) -> Frame | str:

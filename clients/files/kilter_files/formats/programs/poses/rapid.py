@@ -21,7 +21,7 @@ def _list(count: int) -> str:
 
 POSE = rf"{_list(3)}\s*,\s*{_list(4)}"
 TARGET = re.compile(rf"\[\s*{POSE}\s*,\s*{_list(4)}\s*,\s*{_list(6)}\s*\]")
-DECLARED = re.compile(r"\brobtarget\s+(\w+)\s*(?:\{[\d,\s]*\})?\s*:=([^;]{0,200000})", re.I)
+DECLARED = re.compile(r"\brobtarget\s+(\w+)\s*(\{[\w,\s]*\})?\s*:=([^;]{0,200000})", re.I)
 TOOL = re.compile(rf"\btooldata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*\[\s*{POSE}\s*\]", re.I)
 OBJECT = re.compile(
     rf"\bwobjdata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*(TRUE|FALSE)\s*,[^,\[\]]{{0,80}},\s*\[\s*{POSE}\s*\]\s*,\s*\[\s*{POSE}\s*\]",
@@ -44,6 +44,7 @@ def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
         problem = problem or "an external axis may move its base"
     spans = tuple(match.span(k) for k in range(1, 8))
     pose = PoseTarget(name, line_at(program.text, match.start()), RAPID, tuple(values[:7]), spans, problem=problem)
+    pose.whole = match.span()
     if len(quadrants) == 4:
         one, four, six, branch = quadrants
         pose.configuration = ConfData((one, four, six), branch, (match.span(8), match.span(9), match.span(10)))

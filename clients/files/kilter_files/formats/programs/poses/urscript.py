@@ -1,4 +1,4 @@
-"""URScript's poses, in place or by a variable: the tool that is set, and the target before each, which says the joints."""
+"""URScript's poses, in place or by a variable: frame, tool, and the target before each, which says the joints."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from kilter_files.formats.programs.poses.rapid import arguments
 NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]")
 INVERSE = re.compile(r"get_inverse_kin\s?\(")
+IN_FRAME = re.compile(r"pose_trans\s?\(")
 CALL = re.compile(r"\b(move[jlpc])\s?\(")
 SET_TCP = re.compile(r"\bset_tcp\s?\(")
 CONTROL = re.compile(
@@ -36,6 +37,7 @@ class Poses:
         """Read the tools that a program sets; ``text`` has its comments blanked, ``declared`` are values by name."""
         self._program, self._text, self._declared = program, text, declared
         self._taken: dict[int, PoseTarget] = {}
+        self._framed: list[tuple[PoseTarget, str]] = []
         self._changed = {match[1] for match in CHANGED.finditer(text)}
         ways = (1, -1, 0)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
@@ -73,13 +75,14 @@ class Poses:
         if call is None:
             return False
         said = [(call.end() + at, one) for at, one in arguments(inside(self._text, call.end()))]
-        goals = [self._pose(*_unnamed(at, one)) for at, one in said[: 2 if call[1] == "movec" else 1]]
+        goals = [self._goal(*_unnamed(at, one)) for at, one in said[: 2 if call[1] == "movec" else 1]]
         if None in goals or not goals:
             return False
-        for pose in goals:
-            assert pose is not None
+        for goal in goals:
+            assert goal is not None
+            pose, base = goal
             near = hint or self.before(match.start())
-            pose.uses.append(Use((NULL,), self._held(match.start()), near, call[1] != "movej"))
+            pose.uses.append(Use(base, self._held(match.start()), near, call[1] != "movej"))
             what = f"{call[1]}({said[0][1][:40]}"
             self._program.moves_to_poses.append((line_at(self._text, match.start()), what, pose))
             self.last = (match.start(), pose)
@@ -98,11 +101,52 @@ class Poses:
         stated = self._program.stated.tools.get("")
         return Frame(URSCRIPT, stated) if stated else "no set_tcp is before it: state the tool, --tool x,y,z,rx,ry,rz"
 
-    def _pose(self, at: int, said: str) -> PoseTarget | None:
+    def _goal(self, at: int, said: str) -> tuple[PoseTarget, tuple[Frame, ...] | str] | None:
+        """The pose that a move says, and the frames in which it is given: those of pose_trans, from the base on."""
         inverse = INVERSE.match(said)
         if inverse is not None:
             inner = next(arguments(inside(said, inverse.end())), (0, ""))
             at, said = at + inverse.end() + inner[0], inner[1]
+        call = IN_FRAME.match(said)
+        if call is None:
+            pose = self._pose(at, said)
+            return None if pose is None else (pose, (NULL,))
+        parts = [*arguments(inside(said, call.end()))]
+        frame = self._reference(at, parts[0][1]) if len(parts) == 2 else None
+        goal = self._goal(at + call.end() + parts[1][0], parts[1][1]) if frame is not None else None
+        if frame is None or goal is None:
+            return None
+        pose, base = goal
+        self._framed.append((pose, parts[0][1]))
+        if isinstance(base, str):
+            return pose, base
+        return pose, frame if isinstance(frame, str) else (frame, *base)
+
+    def leave_beside_targets(self) -> None:
+        """Leave the poses whose frame is a target too: its numbers are rewritten, and what is beside it moves with it."""
+        for pose, frame in self._framed:
+            if any(place in self._taken for place, _ in self._declared.get(frame, [])):
+                pose.problem = pose.problem or f"its frame {frame} is a target itself"
+
+    def _reference(self, at: int, said: str) -> Frame | str | None:
+        """The frame that pose_trans names at a place, or why it is not known; None where the program computes it."""
+        places = self._declared.get(said, []) or [(at, said)]
+        values = [(place, SIX.fullmatch(written)) for place, written in places]
+        if any(whole is None for _, whole in values) or said in self._changed:
+            return None
+        frames = [(place, Frame(URSCRIPT, tuple(map(float, whole.groups())))) for place, whole in values if whole]
+        if len({frame for _, frame in frames}) == 1:
+            return frames[0][1]
+        force = InForce(self._tool.control, self._tool.starts, self._tool.owners)
+        for place, frame in frames:
+            force.set(place, frame)
+        known, found = force.at(at)
+        alone = len({force.owner(place) for place in (at, *(place for place, _ in frames))}) == 1
+        if known and alone and isinstance(found, Frame):
+            return found
+        return f"its frame {said} depends on the way that the program took"
+
+    def _pose(self, at: int, said: str) -> PoseTarget | None:
         places = self._declared.get(said, []) or ([(at, said)] if said.startswith("p") else [])
         whole = [SIX.match(self._text, place) for place, _ in places]
         if not whole or any(one is None for one in whole) or (len(whole) > 1):
