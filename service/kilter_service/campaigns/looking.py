@@ -55,10 +55,13 @@ def columns(database: Database, campaign_id: str) -> tuple[Column, ...]:
     return read_columns(uploads[0].columns, [joint.kind for joint in robot.joints]) if uploads else ()
 
 
-def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Rows, str, Judged | None]:
+def of_file(
+    database: Database, robot: str, path: Path, media: str, conditions: dict[str, Any] | None = None
+) -> tuple[Rows, str, Judged | None]:
     """Return the rows of a file, what an upload would refuse it for (empty: it would be taken), and whether they belong.
 
-    The last is None where the upload was refused before that was asked.
+    The last is None where the upload was refused before that was asked. ``conditions`` are those of the campaign it would go
+    to; without them cameras and boards are not known, and may have any name.
 
     Raises:
         ObservationError: columns that mean nothing, or cells that are not numbers.
@@ -71,11 +74,11 @@ def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Row
     columns = read_columns(names, [joint.kind for joint in core.joints])
     refusal, belong = "", None
     try:
-        belong = Judged(None, service.checked_chunks(path, media, names, core)[1])
+        belong = Judged(None, service.checked_chunks(path, media, names, core, conditions)[1])
     except ObservationError as error:
         refusal, belong = error.message, Judged(error) if error.code in MIXED_UP else None
-    table = pa.concat_tables(list(reading.tables(path, media, Names.stated(None)))).select(names)
-    return Rows(table, columns, core, {}), refusal, belong
+    table = pa.concat_tables(list(reading.tables(path, media, Names.stated(conditions)))).select(names)
+    return Rows(table, columns, core, conditions or {}), refusal, belong
 
 
 def spans(database: Database, campaign_id: str) -> dict[int, tuple[float, float]]:

@@ -14,7 +14,8 @@ from typing import Any
 from pyarrow import parquet
 
 from kilter_files import prepare
-from kilter_files.formats.registry import readers
+from kilter_files.formats.reader import Head
+from kilter_files.formats.registry import readers, refuse_stranger
 from kilter_files.formats.unknown.guess import Columns
 from kilter_files.formats.unknown.table_shape import shape_of
 from kilter_files.ground.errors import FileError, KilterError, MissingPackageError
@@ -65,6 +66,8 @@ def understood(path: Path, read_as: str) -> Document:
     chosen = Path("map.toml")
     if read_as == "map" and chosen.exists():
         return _described(path) | _mapped(path, chosen)
+    if path.stat().st_size:
+        refuse_stranger(Head(path))
     if read_as not in ("auto", "map"):
         return _prepared(path, read_as)
     seen = _looked(path)

@@ -28,7 +28,8 @@ _ODD = re.compile(r"[^\w.+() -]", re.ASCII)
 class Draft:
     """A dropped file: whose it is, how it is read, what was understood, and the campaign that it became.
 
-    ``job`` is the one that proposed its poses, where the browser said so.
+    ``job`` is the one that proposed its poses, where the browser said so. Of ``pixels``, ``rig`` has cameras and boards as the
+    conditions of a campaign do, from a file called ``rig_name``.
     """
 
     id: str
@@ -43,6 +44,9 @@ class Draft:
     refusal: str = ""
     campaign: str = ""
     job: str = ""
+    pixels: bool = False
+    rig: dict[str, Any] = field(default_factory=dict)
+    rig_name: str = ""
     used: float = field(default_factory=time.monotonic)
     turn: threading.Lock = field(default_factory=threading.Lock)
 

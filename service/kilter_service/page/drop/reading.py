@@ -11,6 +11,8 @@ from kilter_service.campaigns.facts import facts
 from kilter_service.ground.db import Database
 from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Ended, Limits
+from kilter_service.ground.tables.columns import has
+from kilter_service.page.drop import rig
 from kilter_service.page.drop.drafts import Draft
 
 CHILD = "kilter_service.page.drop.child"
@@ -28,7 +30,7 @@ ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits.
 def read(database: Database, draft: Draft) -> None:
     """Read a draft as it says; what is wrong with it is kept as its refusal."""
     with draft.turn:
-        draft.facts, draft.refusal = None, ""
+        draft.facts, draft.refusal, draft.pixels = None, "", False
         draft.understood = NOTHING | _understood(draft)
         draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
         if "sha256" in draft.understood and not draft.refusal:
@@ -63,9 +65,24 @@ def _why(ended: Ended) -> str:
     return "cannot be read: its reader ended before it was done. The file is damaged; export it again."
 
 
+def look_again(database: Database, draft: Draft) -> None:
+    """Look at the rows of a draft with the cameras and boards that were given since."""
+    with draft.turn:
+        if "sha256" in draft.understood:
+            _look(database, draft)
+
+
 def _look(database: Database, draft: Draft) -> None:
     try:
-        rows, draft.refusal, belong = looking.of_file(database, draft.robot, draft.rows, draft.understood["media"])
+        rows, refused, belong = looking.of_file(
+            database, draft.robot, draft.rows, draft.understood["media"], draft.rig or None
+        )
+    except CoreError as error:
+        draft.refusal = error.message
+        return
+    draft.pixels = has(rows.columns, "pixel_u")
+    draft.refusal = refused or (rig.MISSING if draft.pixels and not draft.rig else "")
+    try:
         draft.facts = facts(rows, belong)
     except CoreError as error:
         draft.refusal = error.message

@@ -11,8 +11,8 @@ from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.page.drop import reading, service
-from kilter_service.page.drop.drafts import Draft, Drafts
+from kilter_service.page.drop import reading, rig, service
+from kilter_service.page.drop.drafts import Draft, Drafts, plain_name
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
 from kilter_service.page.shared.measured import seen
@@ -20,7 +20,7 @@ from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.robots import service as robots
 from kilter_service.robots.instruments import service as instruments
 from kilter_service.web.auth.access import caller_of
-from kilter_service.web.bodies import spool_upload
+from kilter_service.web.bodies import parsed, read_document, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.logins import service as logins
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
@@ -100,6 +100,24 @@ async def written(
     return await _anew(request, database, found)
 
 
+@router.post("/robots/{robot}/campaigns/new/{draft}/rig", openapi_extra=BODY)
+async def cameras(
+    robot: str,
+    draft: str,
+    request: Request,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    name: str = "",
+    job: JobId = "",
+) -> Response:
+    """Take the description of the cameras and boards of a file's pixels, and look at its rows with it."""
+    found = _draft(request, robot, draft)
+    body = await parsed(await read_document(request, settings.max_document_mb))
+    await run_in_threadpool(rig.take, found, plain_name(name[:500]), body)
+    await compute(request, reading.look_again, database, found)
+    return JSONResponse({"address": f"{_place(request, found)}{_after(found)}"})
+
+
 @router.post("/robots/{robot}/campaigns/new/{draft}/read")
 async def otherwise(robot: str, draft: str, request: Request, database: DatabaseOfApp, way: Short) -> HTMLResponse:
     """Read the file in another way."""
@@ -119,7 +137,10 @@ async def store(
 ) -> Response:  # fmt: skip
     """Store the rows as a campaign."""
     found = _draft(request, robot, draft)
-    conditions: dict[str, object] = {**service.conditions(payload_kg=payload_kg, temperature_c=temperature_c)}
+    conditions: dict[str, object] = {
+        **found.rig,
+        **service.conditions(payload_kg=payload_kg, temperature_c=temperature_c),
+    }
     if payload_com_mm.strip():
         conditions["payload_com_mm"] = service.point(payload_com_mm)
     campaign: dict[str, object] = {
@@ -154,7 +175,8 @@ def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: st
     return render(
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
         instruments=instruments.list_instruments(database, Page()).instruments, problem=problem,
-        here=_place(request, draft), meant=service.meant_for(database, draft), **service.form_of(draft, kinds),
+        here=_place(request, draft), meant=service.meant_for(database, draft), rig=rig.said(draft.rig),
+        **service.form_of(draft, kinds),
     )  # fmt: skip
 
 

@@ -171,6 +171,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /robots/{robot}/campaigns/new/file": OPERATE,
     "POST /robots/{robot}/campaigns/new/{draft}/columns": OPERATE,
     "POST /robots/{robot}/campaigns/new/{draft}/map": OPERATE,
+    "POST /robots/{robot}/campaigns/new/{draft}/rig": OPERATE,
     "POST /robots/{robot}/campaigns/new/{draft}/read": OPERATE,
     "POST /robots/{robot}/campaigns/new/{draft}/store": OPERATE,
     "POST /robots/{robot}/campaigns/new/{draft}/discard": OPERATE,

@@ -1,0 +1,75 @@
+"""Cameras and boards of a dropped file of views: the JSON that `kilter see` writes beside it, dropped as well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from kilter_core.errors import CoreError
+from kilter_service.contract.campaigns import Board, Camera, Conditions
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.tables.views import rig_of
+from kilter_service.page.drop.drafts import Draft
+
+PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
+MISSING = (
+    "These rows have corners in pixels, and nothing says of which cameras and boards: give the JSON that `kilter see` wrote "
+    "beside them (Cameras and boards, below)."
+)
+REMEDY = "Give the JSON that `kilter see` writes beside its views."
+MOST_TOLD = 5
+
+
+def take(draft: Draft, name: str, document: Any) -> None:
+    """Take what a document says of cameras and boards; what else it holds is of whoever saw them.
+
+    Raises:
+        ServiceError: it describes none, or a field of one cannot be.
+        CoreError: what it describes cannot be a camera or a board.
+
+    """
+    given = document if isinstance(document, dict) else {}
+    rig = {what: [_own(one, kind) for one in _listed(given.get(what))] for what, kind in PARTS.items()}
+    lacking = [what for what, parts in rig.items() if not parts]
+    if len(lacking) == len(rig):
+        raise ServiceError(f"{name} describes no cameras and boards. {REMEDY}", code="cameras_missing")
+    if lacking:
+        remedy = "State the intrinsics when you run `kilter see` (--camera, or --intrinsics brown)."
+        raise ServiceError(
+            f"{name} names no {lacking[0]}. {remedy if lacking == ['cameras'] else REMEDY}", code="cameras_missing"
+        )
+    try:
+        rig_of(Conditions.model_validate(rig).model_dump(mode="json", exclude_none=True))
+    except ValidationError as error:
+        told = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:MOST_TOLD])
+        raise ServiceError(f"{name}: {told}. {REMEDY}", code="payload_invalid") from error
+    except CoreError as error:
+        raise ServiceError(f"{name}: {error.message}", code=error.code) from error
+    with draft.turn:
+        draft.rig, draft.rig_name = rig, name
+
+
+def said(rig: Mapping[str, Any]) -> list[str]:
+    """Return each camera and board in words."""
+    where = {"fixed": "in the room", "flange": "on the flange"}
+    cameras = [
+        f"camera {one['name']}, {where[one['mount']]}, {one['width_px']} × {one['height_px']} px"
+        for one in rig.get("cameras", ())
+    ]
+    boards = [
+        f"board {one['name']}, {where[one['mount']]}, {len(one['corners_mm'])} corners" for one in rig.get("boards", ())
+    ]
+    return cameras + boards
+
+
+def _listed(parts: Any) -> list[Any]:
+    return parts if isinstance(parts, list) else []
+
+
+def _own(one: Any, kind: type[Camera] | type[Board]) -> Any:
+    """The fields that a campaign has of it; anything but an object is left for the check to refuse."""
+    if not isinstance(one, dict):
+        return one
+    return {name: one[name] for name in kind.model_fields if one.get(name) is not None}
