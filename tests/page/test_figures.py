@@ -13,7 +13,7 @@ from playwright.sync_api import Browser
 
 from kilter_service.page.figures import room
 from kilter_service.page.figures.plot import LEFT, RIGHT, Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.scale import around, days_around, named
 
 from .conftest import opened
 from .made import Made, made
@@ -58,6 +58,22 @@ def test_names_that_have_room_are_level() -> None:
 def test_more_names_than_there_is_room_are_thinned() -> None:
     shown = re.findall(r'rotate\(-45\)" text-anchor="end">([^<]*)<', drawn([f"name_{k}" for k in range(200)]))
     assert 10 < len(shown) < (760 - LEFT - RIGHT) / 17
+
+
+@pytest.mark.parametrize("width", [480.0, 338.0, 260.0])
+def test_dates_along_an_axis_stay_within_the_picture_and_apart(width: float) -> None:
+    cut = 0
+    for last in range(2, 400):
+        plot = Plot("checks", days_around("", [20_698.0, 20_698.0 + last]), around("", [1.0]), width)
+        svg = str(plot.svg())
+        shown = re.findall(r'<text x="([\d.]+)" y="[\d.]+" text-anchor="middle">(\d{4}-\d\d-\d\d)<', svg)
+        places = [float(x) for x, _ in shown]
+        assert places, last
+        assert min(places) - 35 >= 0, last  # half of ten digits of a wide font
+        assert max(places) + 35 <= width, last
+        assert all(b - a >= 66 for a, b in pairwise(places)), (last, places)
+        cut += plot._px(max(x for x, _ in plot._x_ticks())) + 35 > width
+    assert cut  # dates that stood at their ticks would have been cut
 
 
 def widths(there: Made, path: str, told: str | None) -> set[float]:

@@ -93,6 +93,7 @@ def test_a_repair_to_come_of_no_robot_or_without_words_is_refused(client: httpx.
     later = (datetime.now(UTC) + timedelta(days=1)).isoformat()
     assert refused(post({"what": "gear", "at": later})) == (400, "repair_to_come")
     assert refused(post({"what": ""})) == (422, "payload_invalid")
+    assert refused(post({"what": "   "})) == (422, "payload_invalid")
     assert refused(post({"what": "gear", "at": "2026-09-01T07:00:00"})) == (422, "payload_invalid")  # in which zone?
     assert refused(post({"what": "gear"}, "nobody")) == (404, "robot_not_found")
     made = post({"what": "gear"}).raise_for_status().json()["id"]

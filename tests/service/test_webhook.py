@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
+from kilter_service.jobs.work.creeping import CreepingPosts
 from tests.core.watch.drifting import some_arm
 from tests.service.conftest import WorkerProcess, wait_for
 from tests.service.watched_robot import Until, Watched
@@ -178,3 +180,67 @@ def test_a_worker_posts_what_has_moved_and_a_failure_fails_no_job(
         assert message["campaigns"] == [watched.history()["last"]["campaign_id"]]
     assert watched.checked(arm.after("zero_3", 4e-3), 3, 2)["verdict"] == "moved"  # nobody takes it now
     until(lambda: posts_counted(client) == {"sent": 1.0, "failed": 1.0})
+
+
+def test_what_creeps_is_posted_once_when_it_begins_and_once_when_it_ends(
+    client: httpx.Client, worker: WorkerProcess, until: Until, database: Database, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Each check agrees and their sums do not; a second worker and a restart tell nothing again."""
+    secret = tmp_path / "webhook-secret"
+    secret.write_bytes(SECRET)
+    secret.chmod(0o600)
+    arm = some_arm(np.random.default_rng(3))
+    watched = Watched(client, until, arm, "arm")
+    version = watched.calibrated(database)
+    made = [watched.checked_here(database, arm, 100 + day, day) for day in range(25)]
+    size = np.median([one["value"] for said in made for one in said["smallest"] if one["name"] == "zero_2"])
+    moved = arm.after("zero_2", 0.5 * float(np.radians(size)))
+    for day in range(15):
+        watched.checked_here(database, moved, 200 + day, 25 + day)
+    assert watched.history()["state"] == "creeping"
+    with serving(Peer([200])) as peer:
+        monkeypatch.setenv("KILTER_WEBHOOK_URL", peer.url)
+        monkeypatch.setenv("KILTER_WEBHOOK_SECRET", str(secret))
+
+        def told() -> list[dict[str, Any]]:
+            return [one for one in map(json.loads, (body for _, _, body in peer.posts)) if one["event"] != "check"]
+
+        worker.start()
+        assert watched.checked(moved, 300, 40)["verdict"] == "ok"
+        began = watched.history()
+        assert began["state"] == "creeping"
+        until(lambda: len(told()) == 1)
+        (said,) = told()
+        _, headers, body = next(one for one in peer.posts if json.loads(one[2])["event"] == "creeping_began")
+        assert genuine(headers, body)
+        assert headers["Kilter-Delivery"] == f"{said['job_id']}-creeping_began"
+        assert (said["event"], said["robot"], said["version_id"]) == ("creeping_began", "arm", version)
+        assert (said["state"], said["sentence"]) == ("creeping", began["sentence"])
+        assert said["job_id"] == began["last"]["job_id"]
+        highest = max(
+            (one for one in began["charts"] if one["alarms"]), key=lambda one: max(one["up"][-1], one["down"][-1])
+        )
+        assert said["causes"][0] == {"name": highest["name"], "words": highest["words"]}
+        assert datetime.fromisoformat(said["since"]) == datetime.fromisoformat(highest["since"])
+        assert "kilter drift arm" in said["remedy"]
+
+        worker.stop()
+        worker.start()
+        mild = arm.after("zero_2", 0.25 * float(np.radians(size)))  # which by itself hardly alarms
+        assert watched.checked(mild, 301, 41)["verdict"] == "ok"
+        assert watched.history()["state"] == "creeping"  # still: a worker that was restarted knows that it was told
+        assert len(told()) == 1
+        client.post("/v1/robots/arm/repairs", json={"what": "mastered anew"}).raise_for_status()
+        webhook = Webhook(peer.url, SECRET, 5.0, ())
+        first, second = (CreepingPosts(database, webhook, clock=lambda: 1e9) for _ in range(2))
+        first.look()
+        second.look()
+        until(lambda: len(told()) == 2)
+        ended = told()[1]
+        assert (ended["event"], ended["job_id"], ended["state"]) == ("creeping_ended", said["job_id"], "never")
+        assert ended["sentence"].startswith("Not checked since the repair of ")
+        assert (ended["since"], ended["causes"], ended["remedy"]) == (None, [], "")
+        first.checked("arm")
+        webhook.settle(5.0)
+        assert len(told()) == 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, Field, StringConstraints
 
 from kilter_service.contract.jobs.drift import DriftVerdict
 from kilter_service.contract.units import Celsius, Strict
@@ -60,7 +60,7 @@ class DriftMark(Strict):
 class NewRepair(Strict):
     """What was done to an arm."""
 
-    what: Annotated[str, Field(min_length=1, max_length=200)] = Field(
+    what: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200)] = Field(
         description="What was done, as *gear of joint 3 replaced*."
     )
     at: AwareDatetime | None = Field(None, description="When; null: now.")

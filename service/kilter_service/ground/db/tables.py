@@ -336,6 +336,15 @@ class RepairRow(Row):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
+class CreepingRow(Row):
+    """A robot that the operator's address was told to be creeping, and by which check: it is told the end, too."""
+
+    __tablename__ = "creeping"
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), primary_key=True)
+    job_id: Mapped[str] = mapped_column(String(32))
+    told_at: Mapped[datetime] = mapped_column(default=now)
+
+
 class SealRow(Row):
     """What a row was stored as: a digest for each of its columns. It is written with the row (`db/sealed.py`)."""
 

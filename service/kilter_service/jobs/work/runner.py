@@ -33,6 +33,7 @@ from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.jobs.work.can_correct import with_ability_warning
 from kilter_service.jobs.work.certificates import with_certificate_warnings
+from kilter_service.jobs.work.creeping import CreepingPosts
 from kilter_service.jobs.work.verdicts import verdict_message
 from kilter_service.versions.objections import objections_of
 from kilter_service.web.observability import logs, tracing
@@ -70,6 +71,7 @@ class Runner:
         webhook: Webhook | None = None,
     ) -> None:
         self._database, self._webhook = database, webhook
+        self._creeping = None if webhook is None else CreepingPosts(database, webhook)
         self._each = each or fan_out(1)
         self._stop = stop or threading.Event()
 
@@ -114,11 +116,13 @@ class Runner:
         return Outcome(output, used, judged=judged)
 
     def _tell(self, job: JobRecord, outcome: Outcome) -> None:
-        """Post a verdict that is not well to the operator's address, where there is one."""
-        if self._webhook is not None and job.kind == "drift" and outcome.output is not None:
-            message = verdict_message(job.id, job.robot, outcome.used, outcome.output.result)
-            if message is not None:
-                self._webhook.tell(job.id, message)
+        """Post a verdict that is not well to the operator's address, where there is one, and whether the robot creeps."""
+        if self._webhook is None or self._creeping is None or job.kind != "drift" or outcome.output is None:
+            return
+        message = verdict_message(job.id, job.robot, outcome.used, outcome.output.result)
+        if message is not None:
+            self._webhook.tell(job.id, message)
+        self._creeping.checked(job.robot)
 
     def _record(self, claim: Claim) -> JobRecord:
         with self._database.reading() as session:

@@ -25,6 +25,7 @@ from kilter_service.jobs.lease.single_worker_lock import single_worker_lock
 from kilter_service.jobs.lease.watch import Watch
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
+from kilter_service.jobs.work.creeping import CreepingPosts
 from kilter_service.jobs.work.queue_consumer import QueueConsumer
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.web.health import store as health
@@ -75,10 +76,13 @@ def _execute(settings: Settings, database: Database, stop: threading.Event) -> i
         QueueConsumer(database, runner, member.id, kinds, stop).start(queue)
     log.info("worker %s takes jobs: %s", member.id, ", ".join(settings.worker_queues))
     retention = Retention(database, settings.keep_jobs_days)
+    creeping = None if webhook is None else CreepingPosts(database, webhook)
     try:
         while not stop.wait(BEAT_S):
             member.beat()
             retention.look()
+            if creeping is not None:
+                creeping.look()
     except ServiceError as error:
         log.error("worker %s ends: %s", member.id, error.message)
         return 1

@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from markupsafe import Markup, escape
 
@@ -218,7 +219,9 @@ class Plot:
     def _x_tick(self, x: float, text: str) -> str:
         bottom = self.height - BOTTOM
         if not self._below():
-            return f'<text x="{x}" y="{bottom + 17}" text-anchor="middle">{escape(text)}</text>'
+            return (
+                f'<text x="{self._level_place(x, text)}" y="{bottom + 17}" text-anchor="middle">{escape(text)}</text>'
+            )
         turned = f'transform="translate({x + 4} {bottom + 13}) rotate(-{SLANT_DEG})"'
         return f'<text {turned} text-anchor="end">{escape(text)}</text>'
 
@@ -226,10 +229,23 @@ class Plot:
         """Return the ticks along x; of names so many that they do not overlap, none longer than there is room."""
         ticks = self.x.ticks()
         if not self.x.names:
-            return ticks
+            return self._apart(ticks)
         letters = self._letters()
         short = [(place, text if len(text) <= letters else f"{text[: letters - 1]}…") for place, text in ticks]
         return short[:: math.ceil(LEGEND_LINE / self._room())]
+
+    def _apart(self, ticks: list[tuple[float, str]]) -> list[tuple[float, str]]:
+        """Return every tick, or every second and so on, that what is written at them does not overlap."""
+        for step in range(1, len(ticks)):
+            some = ticks[::step]
+            ends = [(self._level_place(self._px(x), text), _half(text)) for x, text in some]
+            if all(one + half <= other - its_half for (one, half), (other, its_half) in pairwise(ends)):
+                return some
+        return ticks[:1]
+
+    def _level_place(self, x: float, text: str) -> float:
+        """Return the middle of a level text at a tick: there, but for a text that the edge of the picture would cut."""
+        return round(min(max(x, _half(text)), self.width - _half(text)), 1)
 
     def _room(self) -> float:
         """Pixels of a name along x."""
@@ -245,6 +261,11 @@ class Plot:
         if not longest or LETTER * (longest + 1) <= self._room():
             return 0.0
         return DOWN * LETTER * min(longest, self._letters())
+
+
+def _half(text: str) -> float:
+    """Half the room of a level text, pixels: letters of some fonts are wider, by less than one of ten."""
+    return 0.5 * LETTER * (len(text) + 1)
 
 
 def _stroke(colour: str, dash: str, width: float = LINE) -> str:

@@ -23,8 +23,8 @@ def add(database: Database, robot: str, new: NewRepair, actor: str) -> Repair:
     at = new.at or now
     if at > now:
         raise ServiceError(
-            f"The repair is dated {at:%Y-%m-%d %H:%M} UTC, and it is {now:%Y-%m-%d %H:%M}: say when it was done (--at), or "
-            "leave that out for now.",
+            f"The repair is dated {at:%Y-%m-%d %H:%M} UTC, and it is {now:%Y-%m-%d %H:%M}: say when it was done, or leave "
+            "the date out for now.",
             code="repair_to_come",
             at=at.isoformat(),
         )

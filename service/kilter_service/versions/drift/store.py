@@ -9,7 +9,16 @@ from typing import Any
 from sqlalchemy import func, select
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
+from kilter_service.ground.db.tables import (
+    ActivationRow,
+    CampaignRow,
+    CreepingRow,
+    JobRow,
+    RobotRow,
+    UploadRow,
+    VersionRow,
+)
+from kilter_service.robots import store as robots
 from kilter_service.versions.drift.records import Activated, StoredCheck
 from kilter_service.versions.store import REZEROED
 
@@ -90,6 +99,30 @@ def activations(session: Session, of: Collection[int]) -> dict[int, list[Activat
     for robot, version, at, action, campaign in session.execute(query):
         out.setdefault(robot, []).append(Activated(version, at, action, campaign is not None))
     return out
+
+
+def told_creeping(session: Session) -> list[str]:
+    """Return the robots that the operator's address was told to be creeping, by name."""
+    query = select(RobotRow.name).join(CreepingRow, CreepingRow.robot_id == RobotRow.id).order_by(RobotRow.name)
+    return list(session.execute(query).scalars())
+
+
+def note_creeping(session: Session, robot: str, job: str) -> bool:
+    """Note that it is told that a robot creeps since a check; False: that was told already."""
+    key = robots.get(session, robot).id
+    if session.get(CreepingRow, key) is not None:
+        return False
+    session.add(CreepingRow(robot_id=key, job_id=job))
+    return True
+
+
+def forget_creeping(session: Session, robot: str) -> str | None:
+    """Note that it is told that a robot no longer creeps; returns the check since which it did, None where none was told."""
+    row = session.get(CreepingRow, robots.get(session, robot).id)
+    if row is None:
+        return None
+    session.delete(row)
+    return str(row.job_id)
 
 
 def of_all_causes(result: dict[str, Any]) -> bool:
