@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
@@ -135,6 +135,7 @@ class Effect(ABC):
     sided: ClassVar[bool] = False
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
+    alone: ClassVar[bool] = True  # whether each configuration that is tried at a joint is a candidate by itself
 
     joints: tuple[int, ...] | None = option(None, "Joints it acts on, from 1; null: all that it can act on.")
 
@@ -145,6 +146,16 @@ class Effect(ABC):
             raise OptionError(f"{self.id} does not act at joints: leave joints out.", effect=self.id)
         if not self.joints or len(set(self.joints)) < len(self.joints):
             raise OptionError(f"{self.id} needs different joints, or none named for all.", effect=self.id)
+
+    @classmethod
+    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+        """Configurations in which a search for missing effects tries it: the one that nothing is said of."""
+        return ({},)
+
+    @classmethod
+    def together(cls, tried: Sequence[Self]) -> Sequence[tuple[Self, ...]]:
+        """Of what is ``tried`` at one joint, which are one candidate together, beside each by itself; none."""
+        return ()
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

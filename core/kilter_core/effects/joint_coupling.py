@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
@@ -46,6 +47,11 @@ class JointCoupling(Effect):
             raise OptionError("joint_coupling needs one driver for each of the joints it names.", effect=self.id)
         if any(i == j for i, j in zip(self.joints or (), self.drivers or (), strict=False)):
             raise OptionError("joint_coupling cannot drive a joint by itself: that is encoder_scale.", effect=self.id)
+
+    @classmethod
+    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+        """Each joint by the one before it, and by the one two before it: J6 follows q4."""
+        return [{}, *({"joints": (j,), "drivers": (j - 2,)} for j in range(2, robot.n_joints))]
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Name the joints and their drivers."""

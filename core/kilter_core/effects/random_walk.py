@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -57,6 +58,11 @@ class RandomWalk(Effect):
             raise OptionError(f"random_walk has pieces {self.pieces}: give 1 to {MOST_PIECES}.", effect=self.id)
         if len(self.knots_s) == 1 or any(b <= a for a, b in pairwise(self.knots_s)):
             raise OptionError("random_walk needs two or more knots_s, each later than the one before.", effect=self.id)
+
+    @classmethod
+    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+        """In few pieces and in many."""
+        return [{"pieces": n} for n in (*FEW_PIECES, PIECES)]
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Put the knots where the rows are."""

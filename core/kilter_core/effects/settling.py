@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -46,6 +47,13 @@ class Settling(Effect):
         super().__post_init__()
         if self.tau_s is not None and not self.tau_s > 0.0:
             raise OptionError(f"settling has tau_s {self.tau_s!r}: give a time in s above 0.", effect=self.id)
+
+    @classmethod
+    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+        """At several paces, where rows have a time."""
+        if rows.t is None or not len(rows):
+            return super().tried(robot, rows)
+        return [{"tau_s": tau} for tau in time_constants(float(np.ptp(rows.t)))]
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Start at the earliest row, with a time constant in proportion to the rows' time."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -44,6 +45,18 @@ class UnknownJointCurve(Effect):
             raise OptionError("unknown_joint_curve needs a partner other than the joint itself.", effect=self.id)
         if not self.orders and self.partner is None:
             raise OptionError("unknown_joint_curve needs orders, a partner, or both.", effect=self.id)
+
+    @classmethod
+    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+        """Order by order, and each product with a partner."""
+        alone = [{"orders": (m,)} for m in cls().orders]
+        return [*alone, *({"orders": (), "partner": p} for p in range(robot.n_joints))]
+
+    @classmethod
+    def together(cls, tried: Sequence[Self]) -> Sequence[tuple[Self, ...]]:
+        """All orders at once."""
+        waves = tuple(one for one in tried if one.orders)
+        return [waves] if len(waves) > 1 else []
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints, the partner aside."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from kilter_core.effects.base import Local
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.over_range import OverRange
 from kilter_core.effects.physical import JOINT_CURVE
+from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -32,6 +35,17 @@ class UnknownSmoothCurve(OverRange):
     aliases = ("encoder_scale", "eccentricity", "second_harmonic", "gravity_spring")
     remedy = "sweep the joint alone in small steps over its whole range, best over more than one turn"
     empirical = True
+    alone = False
+
+    @classmethod
+    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+        """Order by order."""
+        return [{"orders": (m,)} for m in cls().orders]
+
+    @classmethod
+    def together(cls, tried: Sequence[Self]) -> Sequence[tuple[Self, ...]]:
+        """Orders 1 and 2, and so on up to all: the first alone is a scale error."""
+        return [tuple(tried[:most]) for most in range(2, len(tried) + 1)]
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Amplitudes a_m per joint, order by order, rad."""

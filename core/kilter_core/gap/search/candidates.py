@@ -6,15 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS, Effect
-from kilter_core.effects.joint_coupling import JointCoupling
-from kilter_core.effects.random_walk import FEW_PIECES, PIECES, RandomWalk
-from kilter_core.effects.settling import Settling, time_constants
-from kilter_core.effects.unknown_joint_curve import UnknownJointCurve
-from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.errors import OptionError
 from kilter_core.gap.search.requested import Asked, wanted
 from kilter_core.observations import CONDITIONS, Observations
@@ -137,22 +130,26 @@ class _Shelf:
             return
         if kind.event and is_trajectory(self.rows):
             return  # within a motion nothing is at rest between two rows
-        for config in _variants(kind, self.robot, self.rows):
+        at_joint: dict[int, list[Effect]] = {}
+        for config in kind.tried(self.robot, self.rows):
             try:
                 whole = kind(**config).on(self.robot, self.rows)
                 whole.parameters(self.robot)
             except OptionError as error:
                 self.refused.append(Untestable(kind.id, None, error.message, kind.remedy, OF_THE_ROBOT))
                 continue
-            self._add_variant(kind, whole, config)
-        self._add_whole_curves(kind)
+            for j, effect in self._add_variant(kind, whole, config).items():
+                at_joint.setdefault(j, []).append(effect)
+        for j, tried in sorted(at_joint.items()):
+            self.candidates += [self._candidate(parts, (j,), JOINT) for parts in kind.together(tried)]
 
-    def _add_variant(self, kind: type[Effect], whole: Effect, config: Mapping[str, Any]) -> None:
+    def _add_variant(self, kind: type[Effect], whole: Effect, config: Mapping[str, Any]) -> dict[int, Effect]:
+        """Add an effect in one configuration; what it is at each joint by itself."""
         if not kind.at_joints:
             if not self.started & {p.name for p in whole.parameters(self.robot)}:
                 self._put(whole)
                 self.candidates.append(self._candidate((whole,), None, WHOLE))
-            return
+            return {}
         single, named = {}, self.at.get(kind.id)
         for j in whole.acting(self.robot.n_joints):
             if named is not None and j not in named:
@@ -164,19 +161,20 @@ class _Shelf:
             if not self.started & {p.name for p in one.parameters(self.robot)}:
                 single[j] = one
         if not single:
-            return
+            return {}
         cut = len(single) < len(whole.acting(self.robot.n_joints))
         if kind.event:  # every joint has a time of its own
             for effect in single.values():
                 self._put(effect)
         else:
             self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
-        if kind is UnknownSmoothCurve:
-            return  # one order alone is not a smooth curve: the first is a scale error
+        if not kind.alone:
+            return single
         for j, effect in single.items():
             self.candidates.append(self._candidate((effect,), (j,), JOINT))
-        if len(single) > 1 and not kind.empirical and not kind.event and "drivers" not in config:
+        if len(single) > 1 and not kind.empirical and not kind.event:
             self.candidates.append(self._candidate(tuple(single.values()), tuple(single), FAMILY))
+        return single
 
     def _put(self, effect: Effect) -> None:
         self.effects.append(effect)
@@ -189,51 +187,6 @@ class _Shelf:
         return Candidate(
             first.id, joints, columns, level, first.empirical, first.signs == "positive", first.stage, effects
         )
-
-    def _add_whole_curves(self, kind: type[Effect]) -> None:
-        """The unknown curve of a joint in all its orders at once, beside order by order."""
-        if kind is UnknownSmoothCurve:
-            self._add_smooth_curves()
-        if kind is not UnknownJointCurve:
-            return
-        own = [c for c in self.candidates if c.id == kind.id and c.effects[0].orders]  # type: ignore[attr-defined]
-        for j in sorted({c.joints for c in own if c.joints}):
-            parts = tuple(e for c in own if c.joints == j for e in c.effects)
-            if len(parts) > 1:
-                self.candidates.append(self._candidate(parts, j, JOINT))
-
-    def _add_smooth_curves(self) -> None:
-        """Smooth curves of a joint from orders 1 and 2 up to all."""
-        orders = [e for e in self.effects if isinstance(e, UnknownSmoothCurve)]
-        for j in sorted({j for e in orders for j in e.joints or ()}):
-            parts = [_at_joint(e, j) for e in orders if j in (e.joints or ())]
-            for most in range(2, len(parts) + 1):
-                self.candidates.append(self._candidate(tuple(parts[:most]), (j,), JOINT))
-
-
-def _at_joint(effect: UnknownSmoothCurve, joint: int) -> UnknownSmoothCurve:
-    """The curve of one of its joints alone, on the same range."""
-    k = (effect.joints or ()).index(joint)
-    centres, halves = effect.centres or (), effect.halves or ()
-    return replace(effect, joints=(joint,), centres=(centres[k],), halves=(halves[k],))
-
-
-def _variants(kind: type[Effect], robot: Robot, rows: Observations) -> list[dict[str, Any]]:
-    """Configurations: the default, drivers two joints before, unknown curves order by order and in pairs, settling at
-    several paces, walks of few and of many pieces.
-    """
-    if kind is UnknownSmoothCurve:
-        return [{"orders": (m,)} for m in UnknownSmoothCurve().orders]
-    if kind is Settling and rows.t is not None and len(rows):
-        return [{"tau_s": tau} for tau in time_constants(float(np.ptp(rows.t)))]
-    if kind is RandomWalk:
-        return [{"pieces": n} for n in (*FEW_PIECES, PIECES)]
-    if kind is UnknownJointCurve:
-        alone = [{"orders": (m,)} for m in UnknownJointCurve().orders]
-        return alone + [{"orders": (), "partner": p} for p in range(robot.n_joints)]
-    if kind is JointCoupling:
-        return [{}] + [{"joints": (j,), "drivers": (j - 2,)} for j in range(2, robot.n_joints)]
-    return [{}]
 
 
 def with_testable(library: Library, testable: Bools) -> tuple[Candidate, ...]:
