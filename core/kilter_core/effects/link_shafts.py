@@ -1,4 +1,4 @@
-"""Links as straight shafts that give way under load: where each leads, and what it carries. Shared by effects; none itself."""
+"""Links as straight shafts that deflect under load: where each leads, and what it carries. Shared by effects; none itself."""
 
 from __future__ import annotations
 

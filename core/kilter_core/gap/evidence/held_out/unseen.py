@@ -83,14 +83,17 @@ def _shown_members(found: SearchResult, candidate: Candidate) -> list[Member]:
     members = len(left)
     while len(left) > 1:
         columns = sorted({*others, *_columns(left)})
-        apart = [n for n, (_, own) in enumerate(left) if not _taken_over(found, columns, own, left)]
+        apart = [
+            n for n, (_, own) in enumerate(left) if _nominal(found, own) or not _taken_over(found, columns, own, left)
+        ]
         if not apart:
             break
-        chances = [1.0 if _nominal(found, own) else shown(found, columns, own)[0] for _, own in left]
-        worst = max(apart, key=lambda m: chances[m])
+        chances = {n: 1.0 if _nominal(found, left[n][1]) else shown(found, columns, left[n][1])[0] for n in apart}
+        worst = max(apart, key=chances.__getitem__)
         # Each at 95 % by itself, one family of seven in three kept a joint that has nothing.
         together = [shown(found, found.columns, [*gone, *left[worst][1]])[0]]
-        if chances[worst] < 1.0 and (all_shown(chances, members) or all_shown(together, members - len(left) + 1)):
+        sure = all_shown(list(chances.values()), members) or all_shown(together, members - len(left) + 1)
+        if chances[worst] < 1.0 and sure:
             break
         gone += left.pop(worst)[1]
     return left
