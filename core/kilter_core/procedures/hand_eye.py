@@ -13,7 +13,7 @@ import numpy as np
 from kilter_core.measurement.camera.pixels import ToolErrors
 from kilter_core.measurement.camera.rig_fit import fit_rig, fit_rig_of_arm, placed_by
 from kilter_core.measurement.camera.view_scatter import ViewScatter
-from kilter_core.measurement.camera.views import Views, sight_and_slopes
+from kilter_core.measurement.camera.views import Views, sight_by_tool
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
@@ -70,6 +70,6 @@ def hand_eye(
 
 def _left(rig: PlacedRig, views: Views, pixels: Floats, used: float) -> tuple[Floats, ViewScatter]:
     """What is left of pixels (N, M, 2), and how far the flange is off by it."""
-    seen, slopes = sight_and_slopes(rig, views, pixels.shape[1])
+    seen, by_tool = sight_by_tool(rig, views, pixels.shape[1])
     r = pixels - seen
-    return r, ToolErrors.of(r, slopes.by_tool).scatter(used)
+    return r, ToolErrors.of(r, by_tool).scatter(used)

@@ -17,6 +17,7 @@ from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.camera_model import normalised, project
 from kilter_core.measurement.camera.hand_eye import solve_axxb, solve_axzb
+from kilter_core.measurement.camera.views import Views, carried_by, sight, sight_and_slopes, sight_by_tool
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -106,6 +107,44 @@ def test_a_right_model_leaves_nothing_and_its_jacobian_is_exact(scene: Scene) ->
         assert np.abs(np.nan_to_num(J[..., k]) * ~np.isnan(up) - slope).max() < 1e-6 * max(1.0, np.abs(slope).max()), (
             name
         )
+
+
+def test_views_follow_the_unknowns_of_their_own_camera_and_board_alone() -> None:
+    """One camera's lens is free, another's is not, and only one of two boards has a scale: each against differences."""
+    one = eye_to_hand({}, STIFF)
+    beside = replace(
+        one.eyes[0], name="side", pose=pin.SE3(pin.exp3(np.array([0.0, 0.1, 0.0])), np.array([0.1, 0.0, 0.0]))
+    )
+    beside = replace(beside, pose=one.eyes[0].pose * beside.pose)
+    other = replace(
+        one.sheets[0],
+        name="other",
+        corners=grid(5, 4),
+        pose=one.sheets[0].pose * pin.SE3(pin.exp3(np.zeros(3)), 0.01 * np.ones(3)),
+    )
+    scene = replace(one, eyes=(one.eyes[0], beside), sheets=(one.sheets[0], other))
+    cameras = scene.eyes[0].described(intrinsics="free"), scene.eyes[1].described()
+    rig = Rig(cameras, (scene.sheets[0].described(), scene.sheets[1].described(scale_sigma=1e-3)))
+    eyes, sheets = ({k: part.pose.homogeneous for k, part in enumerate(of)} for of in (scene.eyes, scene.sheets))
+    placed = PlacedRig.at_poses(rig, eyes, sheets)
+    q = scene.poses(4, np.random.default_rng(3))
+    camera, board = np.repeat([0, 0, 1, 1], 4), np.tile(np.repeat([0, 1], 4), 2)
+    views = Views(camera, board, *(np.tile(part, (4, *(1,) * (part.ndim - 1))) for part in scene.tools(q)))
+    pixels, slopes = sight_and_slopes(placed, views, 48)
+    assert slopes.by_own.shape[3] == 10  # nine of the lens and the scale
+    span, inner = slopes.spanned()
+    whole = span @ inner[:, None]
+    for k, parameter in enumerate(placed.parameters):
+        h = 1e-2 if parameter.unit == "px" else 1e-6
+        up, down = (sight(placed.at(placed.values + s * h * np.eye(len(placed.values))[k]), views, 48) for s in (1, -1))
+        slope = np.nan_to_num(up - down) / (2 * h)
+        assert np.abs(whole[..., k] - slope).max() < 1e-6 * max(1.0, np.abs(slope).max()), parameter.name
+    own = [k for k, (unknown, _) in enumerate(placed.unknowns) if unknown.what != "pose"]
+    np.testing.assert_array_equal(slopes.by_unknown(np.arange(16)), whole[..., own])
+    alone, by_tool = sight_by_tool(placed, views, 48)
+    np.testing.assert_array_equal(alone, pixels)
+    np.testing.assert_array_equal(by_tool, slopes.by_tool)
+    np.testing.assert_array_equal(carried_by(placed, views), slopes.carried)
 
 
 @pytest.mark.parametrize("scene", [eye_to_hand(), eye_in_hand()], ids=["to_hand", "in_hand"])

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.views.cameras import rig_of
-from kilter_core.measurement.camera.views import sight_and_slopes
+from kilter_core.measurement.camera.views import carried_by
 from kilter_core.observations.rig import Board, Camera
 from kilter_core.types import Floats, Ints
 
@@ -55,13 +55,12 @@ class ViewResiduals:
         prediction, J = problem.model.jacobian(
             problem.batch, fit.values, problem.free, problem.measurement.needs_turns, problem.measurement.reads_joints
         )
-        slopes = sight_and_slopes(views.placed(prediction), views.views(prediction), views.pixels.shape[1])[1]
-        carried, inner = slopes.carried, J[:, :6].copy()
+        carried, inner = carried_by(views.placed(prediction), views.views(prediction)), J[:, :6].copy()
         assert prediction.instrument is not None
         columns = prediction.instrument.columns
         fitted = np.flatnonzero(columns >= 0)
         inner[:, :, columns[fitted]] += carried[:, :, fitted]
-        root = np.linalg.cholesky(np.linalg.inv(told.covariance)).transpose(0, 2, 1) / told.scatter().sigma_px
+        root = np.linalg.cholesky(np.linalg.inv(told.covariance)).transpose(0, 2, 1) / told.sigma_px
         white = (root @ told.motion[:, :, None])[:, :, 0]
         unknowns = views.placed(prediction).unknowns
         parts = []

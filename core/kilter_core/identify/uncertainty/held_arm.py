@@ -18,7 +18,7 @@ from kilter_core.identify.uncertainty.clustered import products
 from kilter_core.identify.views.cameras import rig_at, unknown_rig
 from kilter_core.measurement import Block
 from kilter_core.measurement.camera.view_scatter import SMALLEST_M, SMALLEST_RAD, ViewScatter
-from kilter_core.measurement.camera.views import sight_and_slopes
+from kilter_core.measurement.camera.views import sight_by_tool
 from kilter_core.types import Floats
 
 ROUNDS = 8  # of finding what the arm is off by and fitting again
@@ -71,7 +71,7 @@ def _whitened(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
     here = problem.linearised(fit.values)
     A, r = problem.by_row(here)
     seen = views.views(problem.model.predict(problem.batch, fit.values))
-    by_tool = sight_and_slopes(rig, seen, views.pixels.shape[1])[1].by_tool
+    by_tool = sight_by_tool(rig, seen, views.pixels.shape[1])[1]
     by_tool = np.broadcast_to(views.weights, views.pixels.shape)[..., None] * np.nan_to_num(by_tool)
     (block,), (root,) = here.residual.blocks, problem.roots(here.residual)
     white = problem.over_sigma_slope(Block(block.group, block.r, by_tool))

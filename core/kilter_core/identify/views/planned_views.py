@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera.views import Views, pairs_of, sight_and_slopes
+from kilter_core.measurement.camera.views import Views, pairs_of, sight_by_tool
 from kilter_core.measurement.pose_weights import Scale, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
@@ -56,9 +56,9 @@ class PlannedViews:
         H = np.zeros((len(rows), 6, 6))
         for (c, b), side in zip(self.pairs, self.sides, strict=True):
             views = self._views(rows, c, b)
-            pixels, slopes = sight_and_slopes(self.rig, views, len(self.rig.rig.boards[b].corners))
+            pixels, by_tool = sight_by_tool(self.rig, views, len(self.rig.rig.boards[b].corners))
             seen = self._in_sight(pixels, c) & self._shown(self._cosines(views, c, b), side)
-            A = (slopes.by_tool * seen[:, None, None, None]).reshape(len(rows), -1, 6) / self.sigma_px
+            A = (by_tool * seen[:, None, None, None]).reshape(len(rows), -1, 6) / self.sigma_px
             H += A.transpose(0, 2, 1) @ A
         out = np.zeros_like(H)
         told = np.flatnonzero(H.any(axis=(1, 2)))

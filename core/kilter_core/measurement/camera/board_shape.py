@@ -56,7 +56,7 @@ def board_shapes(views: Pixels, prediction: Prediction, rig: PlacedRig) -> Itera
         if modes is None or len(np.unique(pose[rows])) < FEWEST_VIEWS:
             continue
         moves = _bent(rig, views.views(prediction).only(rows), b, modes, views.pixels.shape[1])
-        X = np.concatenate([moves, slopes.by_own[rows]], axis=-1) * w[rows][..., None]
+        X = np.concatenate([moves, slopes.by_unknown(rows)], axis=-1) * w[rows][..., None]
         T = slopes.by_tool[rows] * w[rows][..., None]
         yield _found(board.name, modes, _Left.of(left[rows], told[rows], T, X), pose[rows])
 

@@ -106,14 +106,14 @@ def _radial(a: Floats, b: Floats, d: Floats, *, by_distortion: bool = False) -> 
     if not by_distortion:
         return flat, by_ab, np.zeros((*a.shape, 2, 0))
     point = np.stack([a, b], -1)
-    powers = [s, s**2, None, None, s**3, -g * s, -g * s**2, -g * s**3]
-    by_d = np.empty((*a.shape, 2, 8))
-    for c, power in enumerate(powers):
-        if power is not None:
+    powers = {0: s, 1: s**2, 4: s**3} | ({5: -g * s, 6: -g * s**2, 7: -g * s**3} if len(d) > 5 else {})
+    by_d = np.empty((*a.shape, 2, len(d)))
+    for c, power in powers.items():
+        if c < len(d):
             by_d[..., c] = point * (power / below)[..., None]
     by_d[..., 2] = np.stack([2.0 * a * b, s + 2.0 * b * b], -1)
     by_d[..., 3] = np.stack([s + 2.0 * a * a, 2.0 * a * b], -1)
-    return flat, by_ab, by_d[..., : len(d)]
+    return flat, by_ab, by_d
 
 
 def _fisheye(a: Floats, b: Floats, d: Floats, *, by_distortion: bool = False) -> tuple[Floats, Floats, Floats]:

@@ -16,7 +16,7 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.rig_fit import fit_rig, placed_by, thinned
 from kilter_core.measurement.camera.view_scatter import ViewScatter, scatter_of, shrunk
-from kilter_core.measurement.camera.views import Views, pairs_of, sight, sight_and_slopes
+from kilter_core.measurement.camera.views import Views, pairs_of, sight, sight_and_slopes, sight_by_tool
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, anchor_of
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
@@ -52,6 +52,11 @@ class ToolErrors:
         e = C @ (A.transpose(0, 2, 1) @ flat)
         count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
         return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of a corner about the pose that fits its view, as :meth:`scatter` has it."""
+        return float(np.sqrt(self.rest / max(self.numbers, 1.0)))
 
     @cached_property
     def without_noise(self) -> Floats:
@@ -223,9 +228,9 @@ class Pixels(Kind):
                 return found
         prediction = calibration.predict(self.observations)
         rig = self._known(calibration, prediction)
-        seen, slopes = sight_and_slopes(rig, self.views(prediction), self.pixels.shape[1])
+        seen, by_tool = sight_by_tool(rig, self.views(prediction), self.pixels.shape[1])
         w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
-        made = ToolErrors.of(w * (self.pixels - seen), slopes.by_tool * w[..., None])
+        made = ToolErrors.of(w * (self.pixels - seen), by_tool * w[..., None])
         self._told.append((calibration, calibration.values.copy(), made))
         return made
 

@@ -10,7 +10,7 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.board_poses import FEWEST_IN_SPACE, board_poses
 from kilter_core.measurement.camera.hand_eye import HandEye, solve_axzb
-from kilter_core.measurement.camera.views import Slopes, Views, sight, sight_and_slopes
+from kilter_core.measurement.camera.views import Slopes, Views, sight_and_slopes
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.transforms import inverse, inverses
@@ -18,7 +18,9 @@ from kilter_core.types import Floats, Ints
 
 MOST_TO_START = 200  # views of each camera and board that a start is found from
 STEPS = 40
+WIDENING = 6  # steps at most in which the width of a corner's error follows the residuals
 SETTLED = 1e-8  # prior sigmas
+STEADY = 1e-6  # share of that width
 ROUNDING = 1e-13  # share of the loss below which what a step gains cannot be told
 WRONG_SIGMAS = 3.0  # of the median residual: beyond, a corner counts as Huber has it
 SMALLEST_OFF = (1e-7, 1e-7)  # m and rad that the tool of a view is off by
@@ -97,12 +99,14 @@ def _pair(
     known_tool = of_tool is not None
     known = of_tool if of_tool is not None else of_room
     assert known is not None
-    each = []
+    made = []
     for k in range(len(p)):
         T, M = np.eye(4), np.eye(4)
         T[:3, :3], T[:3, 3], M[:3, :3], M[:3, 3] = T_R[k], T_p[k], R[k], p[k]
-        each.append(T @ known @ inverse(M) if known_tool else inverse(T) @ known @ M)
-    other = each[int(np.argmin([np.median([np.linalg.norm(a - o) for o in each]) for a in each]))]
+        made.append(T @ known @ inverse(M) if known_tool else inverse(T) @ known @ M)
+    each = np.reshape(made, (-1, 16))
+    apart = np.linalg.norm(each[:, None] - each, axis=2)
+    other = made[int(np.argmin(np.median(apart, axis=1)))]
     zero = np.zeros(len(p))
     return HandEye(*((known, other) if known_tool else (other, known)), zero, zero)
 
@@ -116,27 +120,28 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
     prior = np.array([p.prior_sigma for p in rig.parameters])
     mean = np.array([p.value for p in rig.parameters])
     weight = 1.0 if sigma is None else np.sqrt(np.nanmean(sigma**2)) / sigma
-    values, damping = rig.values, 1e-6
-    seen = sight(rig.at(values), views, pixels.shape[1])
+    values, damping, width, corners = rig.values, 1e-6, np.inf, pixels.shape[1]
+    seen, slopes = sight_and_slopes(rig.at(values), views, corners)
     loss = np.inf
     for step in range(STEPS):
-        r = weight * (pixels - seen)
-        if step < 6:
+        r, before = weight * (pixels - seen), width
+        if step < WIDENING:
             width = max(_width(r), SMALLEST_PX)
             loss = _loss(r / width, (values - mean) / prior)
-        slopes = sight_and_slopes(rig.at(values), views, pixels.shape[1])[1]
         H, g = _equations(slopes, r, weight, width, prior, (values - mean) / prior)
         while True:
             move = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
-            there = sight(rig.at(values + move * prior), views, pixels.shape[1])
+            # Nearly every step is good, so its derivatives are taken at once.
+            there, ahead = sight_and_slopes(rig.at(values + move * prior), views, corners)
             new = _loss(weight * (pixels - there) / width, (values + move * prior - mean) / prior)
             if new <= loss or damping > 1e6 or float(move @ g) < ROUNDING * loss:
                 break
             damping *= 10.0
-        values, seen, damping = values + move * prior, there, max(0.1 * damping, 1e-9)
+        values, seen, slopes, damping = values + move * prior, there, ahead, max(0.1 * damping, 1e-9)
         loss = new
         rests = float(np.max(np.abs(move), initial=0.0)) < SETTLED or float(move @ g) < ROUNDING * loss
-        if step >= 6 and rests:
+        steady = step >= WIDENING or abs(width - before) <= STEADY * width
+        if steady and rests:
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
     return FittedRig(rig.at(values).settled(), covariance, float(width))
@@ -186,12 +191,12 @@ def _shared(A: Floats, r: Floats, root: Floats, known: Floats) -> Floats:
 def _equations(
     seen: Slopes, r: Floats, weight: float | Floats, width: float, prior: Floats, away: Floats
 ) -> tuple[Floats, Floats]:
-    root = np.nan_to_num(_root(r / width) * np.broadcast_to(weight, r.shape) / width)
+    told, root = ~np.isnan(r), _root(r / width) / width
     n, size = len(r), r[0].size
     span, inner = seen.spanned()
-    A = (span * (root * ~np.isnan(r))[..., None]).reshape(n, size, -1)
+    A = (span * np.where(told, root * weight, 0.0)[..., None]).reshape(n, size, -1)
     inner = inner * prior
-    scaled = np.nan_to_num(np.nan_to_num(r) * _root(r / width) / width).reshape(n, size, 1)
+    scaled = np.where(told, r * root, 0.0).reshape(n, size, 1)
     A_T = A.transpose(0, 2, 1)
     flat = inner.reshape(-1, len(prior))
     H = flat.T @ ((A_T @ A) @ inner).reshape(-1, len(prior))

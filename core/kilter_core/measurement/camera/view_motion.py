@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from kilter_core.measurement.camera.pixels import Pixels
-from kilter_core.measurement.camera.views import sight_and_slopes
+from kilter_core.measurement.camera.views import sight_by_tool
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -51,11 +51,11 @@ def timing(views: Pixels, calibration: Calibration) -> Timing | None:
         return None
     prediction = calibration.predict(rows)
     rig = views.placed(prediction)
-    seen, slopes = sight_and_slopes(rig, views.views(prediction), views.pixels.shape[1])
+    seen, by_tool = sight_by_tool(rig, views.views(prediction), views.pixels.shape[1])
     w = np.broadcast_to(views.weights, views.pixels.shape) / views.metres_per_px
     left = w * (views.pixels - seen)
     told = ~np.isnan(left)
-    by_time = np.einsum("nmic,nc->nmi", slopes.by_tool, _twists(calibration, rows, qd)) * told
+    by_time = np.einsum("nmic,nc->nmi", by_tool, _twists(calibration, rows, qd)) * told
     speed = np.sqrt(np.sum(by_time**2, axis=(1, 2)) / np.maximum(told.sum(axis=(1, 2)) / 2, 1))
     some = np.flatnonzero((speed > SPEED_PX_S) & (told.sum(axis=(1, 2)) >= 2 * FEWEST_VIEWS))
     if len(some) < FEWEST_VIEWS:
@@ -66,7 +66,7 @@ def timing(views: Pixels, calibration: Calibration) -> Timing | None:
     pose = rows.pose_groups()[some]
     late = (w * by_time)[some]
     by_line = np.nan_to_num(late * line[..., None])
-    rest = _unmoved(slopes.by_tool[some] * w[some][..., None], told[some], np.nan_to_num(left[some]), by_line)
+    rest = _unmoved(by_tool[some] * w[some][..., None], told[some], np.nan_to_num(left[some]), by_line)
     whole = np.nan_to_num(left[some]).reshape(len(some), -1), late.reshape(len(some), -1)
     return Timing(_delay(*whole, pose), _delay(*rest, pose), len(some))
 

@@ -15,6 +15,7 @@ import numpy as np
 from kilter_core.types import Floats
 
 ROUNDS = 80
+STILL = 1e-10  # share of a width that a round changes it by where it has ended
 MOST = 400  # views that widths are found from
 SMALLEST_M, SMALLEST_RAD = 1e-8, 1e-8
 GRID = 60
@@ -78,12 +79,15 @@ def _widths(e: Floats, noise: Floats) -> tuple[float, float]:
     pull = precision @ e[:, :, None]
     place, turn = (max(float(np.sqrt(np.mean(e[:, k : k + 3] ** 2))), 1e-6) for k in (0, 3))
     for _ in range(ROUNDS):
+        before = place, turn
         P = np.linalg.inv(precision + np.diag([place**-2.0] * 3 + [turn**-2.0] * 3))
         m = (P @ pull)[:, :, 0]
         second = m**2 + np.diagonal(P, axis1=1, axis2=2)
         place, turn = (
             max(float(np.sqrt(second[:, k : k + 3].mean())), least) for k, least in ((0, SMALLEST_M), (3, SMALLEST_RAD))
         )
+        if abs(place - before[0]) <= STILL * place and abs(turn - before[1]) <= STILL * turn:
+            break
     return place, turn
 
 

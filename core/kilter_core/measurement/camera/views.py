@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from kilter_core.measurement.camera.camera_model import project, project_held
 from kilter_core.model.placed_rig import Place, PlacedRig
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 
 def pairs_of(camera: Ints, board: Ints) -> list[tuple[int, int]]:
@@ -45,7 +46,8 @@ class Slopes:
 
     ``by_tool (N, M, 2, 6)`` are their derivatives by a motion of the tool in the axes of the measurements, about the tool
     point. A camera or board that moves is seen as the tool that moves by ``carried (N, 6, K)``, so only intrinsics and scales
-    have derivatives of their own: ``by_own (N, M, 2, O)``, of the unknowns ``own (O,)`` of the K.
+    have derivatives of their own: ``by_own (N, M, 2, O)``, of the unknowns ``own (N, O)`` of the K. A view follows those of its
+    own camera and board alone; where these are fewer than O, ``own`` is -1 and the derivative zero.
     """
 
     by_tool: Floats
@@ -55,11 +57,20 @@ class Slopes:
 
     def spanned(self) -> tuple[Floats, Floats]:
         """Derivatives (N, M, 2, 6 + O) by the few numbers that pixels follow, and those of these (N, 6 + O, K)."""
-        count = len(self.own)
-        inner = np.zeros((len(self.carried), 6 + count, self.carried.shape[2]))
+        inner = np.zeros((len(self.carried), 6 + self.own.shape[1], self.carried.shape[2]))
         inner[:, :6] = self.carried
-        inner[:, 6 + np.arange(count), self.own] = 1.0
+        view, place = np.nonzero(self.own >= 0)
+        inner[view, 6 + place, self.own[view, place]] = 1.0
         return np.concatenate([self.by_tool, self.by_own], axis=3), inner
+
+    def by_unknown(self, rows: Ints) -> Floats:
+        """Derivatives of some views (n, M, 2, U) by all the unknowns that any of them follows by itself."""
+        own = self.own[rows]
+        out = np.zeros((*self.by_own[rows].shape[:3], self.carried.shape[2]))
+        for place in range(own.shape[1]):
+            view = np.flatnonzero(own[:, place] >= 0)
+            out[view, :, :, own[view, place]] = self.by_own[rows[view], :, :, place]
+        return out[..., np.unique(own[own >= 0])]
 
 
 def sight(rig: PlacedRig, views: Views, corners: int) -> Floats:
@@ -74,15 +85,37 @@ def sight(rig: PlacedRig, views: Views, corners: int) -> Floats:
     return pixels
 
 
+def sight_by_tool(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats, Floats]:
+    """As :func:`sight`, and how the pixels follow the tool (N, M, 2, 6), as :class:`Slopes` has it."""
+    pixels = np.full((len(views.position), corners, 2), np.nan)
+    by_tool = np.zeros((*pixels.shape, 6))
+    for which, c, b in views.pairs():
+        seen = _Pair(rig, c, b, views.position[which], views.rotation[which])
+        m = seen.pixels.shape[1]
+        pixels[which, :m], by_tool[which, :m] = seen.pixels, seen.told(seen.by_tool())
+    return pixels, by_tool
+
+
+def carried_by(rig: PlacedRig, views: Views) -> Floats:
+    """How the tool would have to move (N, 6, K) to show what the unknowns of the rig do, as :class:`Slopes` has it."""
+    out = np.zeros((len(views.position), 6, len(rig.unknowns)))
+    for which, c, b in views.pairs():
+        pair = _Pair(rig, c, b, views.position[which], views.rotation[which])
+        for one in _parts_of(rig, c, b):
+            if one.what == "pose":
+                out[which, :, one.columns] = pair.carried(one.camera)
+    return out
+
+
 def sight_and_slopes(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats, Slopes]:
     """As :func:`sight`, and how the pixels follow."""
-    rows = len(views.position)
-    own = np.flatnonzero([unknown.what != "pose" for unknown, _ in rig.unknowns])
+    rows, pairs = len(views.position), [(which, c, b, _parts_of(rig, c, b)) for which, c, b in views.pairs()]
+    most = max((sum(one.width for one in parts if one.what != "pose") for _, _, _, parts in pairs), default=0)
     pixels, by_tool = np.full((rows, corners, 2), np.nan), np.zeros((rows, corners, 2, 6))
-    carried, by_own = np.zeros((rows, 6, len(rig.unknowns))), np.zeros((rows, corners, 2, len(own)))
-    for which, c, b in views.pairs():
-        parts = [one for one in _parts(rig) if one.place == (c if one.camera else b)]
-        lens = any(one.what == "intrinsics" for one in parts)
+    carried = np.zeros((rows, 6, len(rig.unknowns)))
+    by_own, own = np.zeros((rows, corners, 2, most)), np.full((rows, most), -1, dtype=np.int64)
+    for which, c, b, parts in pairs:
+        lens, place = any(one.what == "intrinsics" for one in parts), 0
         seen = _Pair(rig, c, b, views.position[which], views.rotation[which], lens=lens)
         m = seen.pixels.shape[1]
         pixels[which, :m] = seen.pixels
@@ -91,8 +124,10 @@ def sight_and_slopes(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats
             if one.what == "pose":
                 carried[which, :, one.columns] = seen.carried(one.camera)
                 continue
-            place = slice(*np.searchsorted(own, (one.columns.start, one.columns.stop)).tolist())
-            by_own[which, :m, :, place] = seen.told(seen.by_intrinsics if one.camera else seen.by_scale())
+            there = slice(place, place + one.width)
+            by_own[which, :m, :, there] = seen.told(seen.by_intrinsics if one.camera else seen.by_scale())
+            own[which, there] = np.arange(one.columns.start, one.columns.stop)
+            place = there.stop
     return pixels, Slopes(by_tool, carried, by_own, own)
 
 
@@ -103,6 +138,16 @@ class _Part(NamedTuple):
     place: int
     what: str
     columns: slice
+
+    @property
+    def width(self) -> int:
+        """How many numbers."""
+        return int(self.columns.stop - self.columns.start)
+
+
+def _parts_of(rig: PlacedRig, c: int, b: int) -> list[_Part]:
+    """The unknowns of one camera and one board."""
+    return [one for one in _parts(rig) if one.place == (c if one.camera else b)]
 
 
 def _parts(rig: PlacedRig) -> Iterator[_Part]:
@@ -128,31 +173,63 @@ class _Pair:
     def __init__(
         self, rig: PlacedRig, c: int, b: int, position: Floats, rotation: Floats, *, lens: bool = False
     ) -> None:
-        camera, board = rig.rig.cameras[c], rig.rig.boards[b]
+        self.camera, board = rig.rig.cameras[c], rig.rig.boards[b]
         self.lens: Place = rig.cameras[c]
         self.sheet: Place = rig.boards[b]
-        self.outside = camera.mount == "fixed"
-        self.X, Y = self.lens.pose, self.sheet.pose
+        self.free_lens, self.outside = lens, self.camera.mount == "fixed"
+        self.X, self.Y_whole = self.lens.pose, self.sheet.pose
         self.nominal = np.array(board.corners)
         self.corners = rig.corners(b)
-        self.Y, self.Y_whole = Y[:3, :3], Y
+        self.Y = self.Y_whole[:3, :3]
         self.position, self.rotation = position, rotation
-        on_part = self.corners @ Y[:3, :3].T + Y[:3, 3]
+
+    @cached_property
+    def arms(self) -> Floats:
+        """Corners (n, m, 3) m off the tool point, in the axes of the room."""
+        on_part = self.corners @ self.Y.T + self.Y_whole[:3, 3]
         if self.outside:  # the board goes with the tool
-            self.arms = on_part @ rotation.transpose(0, 2, 1)
-            there = self.arms + position[:, None]
-            self.turn = np.broadcast_to(self.X[:3, :3].T, rotation.shape)
-        else:  # the camera goes with the tool
-            self.arms = on_part - position[:, None]
-            there = self.arms @ rotation
-            self.turn = self.X[:3, :3].T @ rotation.transpose(0, 2, 1)
-        self.board_turn = self.turn @ rotation if self.outside else self.turn
-        self.points = (there - self.X[:3, 3]) @ self.X[:3, :3]
-        if lens:
-            self.pixels, self.by_point, self.by_intrinsics = project(camera.model, self.lens.values, self.points)
-        else:
-            self.pixels, self.by_point = project_held(camera.model, self.lens.values, self.points)
-        self.unseen = np.isnan(self.pixels[..., 0])
+            return np.asarray(on_part @ self.rotation.transpose(0, 2, 1))
+        return np.asarray(on_part - self.position[:, None])  # the camera goes with the tool
+
+    @cached_property
+    def turn(self) -> Floats:
+        """From the axes of the room to those of the camera (n, 3, 3)."""
+        X = self.X[:3, :3].T
+        return np.broadcast_to(X, self.rotation.shape) if self.outside else X @ self.rotation.transpose(0, 2, 1)
+
+    @property
+    def board_turn(self) -> Floats:
+        """From the axes of what the board is mounted on to those of the camera (n, 3, 3)."""
+        return self.turn @ self.rotation if self.outside else self.turn
+
+    @cached_property
+    def _seen(self) -> tuple[Floats, Floats, Floats | None]:
+        there = self.arms + self.position[:, None] if self.outside else self.arms @ self.rotation
+        points = (there - self.X[:3, 3]) @ self.X[:3, :3]
+        if self.free_lens:
+            return project(self.camera.model, self.lens.values, points)
+        return *project_held(self.camera.model, self.lens.values, points), None
+
+    @property
+    def pixels(self) -> Floats:
+        """Pixels (n, m, 2)."""
+        return self._seen[0]
+
+    @property
+    def by_point(self) -> Floats:
+        """Their derivatives (n, m, 2, 3) by the points before the camera."""
+        return self._seen[1]
+
+    @property
+    def by_intrinsics(self) -> Floats:
+        """Their derivatives (n, m, 2, K) by the intrinsics, of a lens that is free."""
+        assert self._seen[2] is not None
+        return self._seen[2]
+
+    @cached_property
+    def unseen(self) -> Bools:
+        """Corners (n, m) behind the camera."""
+        return np.asarray(np.isnan(self.pixels[..., 0]))
 
     def told(self, slopes: Floats) -> Floats:
         """Slopes (n, m, 2, K), zero of a corner behind the camera."""
@@ -186,8 +263,9 @@ class _Pair:
 
     def by_scale(self) -> Floats:
         """Derivative (n, m, 2, 1) by the scale of the board."""
-        own = _in_axes(self.by_point, self.board_turn) @ self.Y
-        return np.asarray(np.sum(own * self.nominal[:, None], axis=-1, keepdims=True))
+        moves = (self.nominal @ self.Y.T) @ self.board_turn.transpose(0, 2, 1)
+        along = sum(self.by_point[..., k] * moves[:, :, None, k] for k in range(3))
+        return np.asarray(along)[..., None]
 
 
 def cross(a: Floats, b: Floats) -> Floats:
