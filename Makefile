@@ -197,8 +197,8 @@ LEROBOT_PINS := tests/clients/lerobot/constraints.txt
 bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
 	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
 
-bench-drift: $(KERNELS) ## watch simulated arms day after day and print one page: false alarms, steps, causes, ramps, seasons (ROBOTS=1000 DAYS=250)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift --robots $(or $(ROBOTS),1000) --days $(or $(DAYS),250)
+bench-drift: $(KERNELS) ## watch simulated arms day after day and print one page: false alarms, steps, causes, ramps, seasons (ROBOTS=1000 DAYS=250 FIRST=0)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift --robots $(or $(ROBOTS),1000) --days $(or $(DAYS),250) --first $(or $(FIRST),0)
 
 bench-drift-sums: ## draw a million checks of arms that do not move and print how rarely the sums begin to alarm
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.drift_sums

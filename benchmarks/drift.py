@@ -15,7 +15,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from kilter_service.contract.drift import ControlChart
 from kilter_service.versions.drift import wire
 from kilter_service.versions.drift.charts import charts_of
 from kilter_service.versions.drift.records import StoredCheck
+from tests.blind.bounds import clopper_pearson
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 
 Floats = NDArray[np.float64]
@@ -178,17 +178,27 @@ def of_robot(seed: int, days: int) -> Counter[tuple[str, bool]]:
     return Counter(told for story in STORIES for told in story(one, days))
 
 
-def measured(robots: int, days: int, processes: int = 1) -> Counter[tuple[str, bool]]:
-    """The figures of many robots."""
+def measured(robots: int, days: int, processes: int = 1, first: int = 0) -> Counter[tuple[str, bool]]:
+    """The figures of many robots, the first of which has that seed."""
     total: Counter[tuple[str, bool]] = Counter()
+    seeds = range(first, first + robots)
     if processes == 1:
-        for seed in range(robots):
+        for seed in seeds:
             total += of_robot(seed, days)
         return total
     with ProcessPoolExecutor(processes) as pool:
-        for one in pool.map(partial(of_robot, days=days), range(robots)):
+        for one in pool.map(partial(of_robot, days=days), seeds):
             total += one
     return total
+
+
+def page(found: Counter[tuple[str, bool]]) -> Iterator[str]:
+    """The figures with their 95 % bounds by Clopper and Pearson, and their targets."""
+    for name, target in TARGETS.items():
+        hits, count = found[name, True], found[name, True] + found[name, False]
+        low, high = (100.0 * bound for bound in clopper_pearson(hits, max(count, 1)))
+        share = f"{100.0 * hits / max(count, 1):8.3f} % ({low:.3f} to {high:.3f})"
+        yield f"{name:48}{hits:8d} of {count:8d}  {share:30}   target {target}"
 
 
 def main() -> None:
@@ -197,14 +207,13 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=100)
     parser.add_argument("--days", type=int, default=50)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first robot: others give fresh ones")
     given = parser.parse_args()
-    found: Any = measured(given.robots, given.days, given.processes)
+    found = measured(given.robots, given.days, given.processes, given.first)
     print(
         f"{given.robots} robots, {given.days} days; {POSES} planned poses, {NOISE * 1e3:g} mm, fits of {FITTED} poses"
     )
-    for name, target in TARGETS.items():
-        hits, count = found[name, True], found[name, True] + found[name, False]
-        print(f"{name:48}{hits:8d} of {count:8d}  {100.0 * hits / max(count, 1):8.3f} %   target {target}")
+    print("\n".join(page(found)))
 
 
 if __name__ == "__main__":

@@ -143,7 +143,7 @@ def test_what_cannot_be_checked_is_refused_with_place_and_remedy(
     sent = k.upload(f"{calibrated}-other", foreign, name="theirs", progress=False)
     assert "is not of robot" in refused(calibrated, "--campaign", sent.campaign_id, code="campaigns_invalid")
     assert "no active version" in refused(f"{calibrated}-other", "--campaign", "theirs", code="option_invalid")
-    assert 'give [], ["base"]' in refused(calibrated, two, "--new-setup", "tool", code="option_invalid")
+    assert "give base, or base and tool" in refused(calibrated, two, "--new-setup", "tool", code="option_invalid")
 
 
 def test_what_is_stated_of_rows_counts_though_they_were_sent_before(

@@ -54,6 +54,18 @@ def test_every_route_that_a_refusal_names_has_its_command() -> None:
     assert named == set(ROUTES)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said", "typed"),
+    [
+        (["plan", "check", "arm"], "plan without that joint (`without_joints` 6).", "(--without-joints 6)"),
+        (["rezero", "arm"], "Find out by other means and name it (`causes`).", "name it (--cause)"),
+        (["check", "arm"], "say what was set up anew (`new_setup`: base).", "anew (--new-setup: base)"),
+    ],
+)
+def test_remedies_of_checks_name_options(arguments: list[str], said: str, typed: str) -> None:
+    assert typed in in_words(said, parameters_of(arguments))
+
+
 @pytest.fixture
 def campaign(robot: str, kilter: Kilter, write_campaign: Write) -> str:
     """A campaign whose name has a space and an umlaut."""

@@ -165,6 +165,50 @@ def test_a_date_of_years_ago_squeezes_nothing_and_is_said() -> None:
         assert svg.count(": ok</title>") == len(days)
 
 
+def test_the_form_of_a_repair_refuses_what_the_interface_does(server: httpx.Client) -> None:
+    def refused(what: str, at: str) -> str:
+        answer = server.post("/robots/fresh/repairs", data={"what": what, "at": at}, headers={"HX-Request": "true"})
+        assert answer.status_code >= 400, answer.text
+        return words(answer.text)
+
+    assert "Say what was done, as: gear of joint 3 replaced" in refused("  ", "")
+    assert "is not a date and a time: give it as 2026-11-18T14:30, in UTC, or leave it empty" in refused("gear", "noon")
+    tomorrow = datetime.now(UTC) + timedelta(days=1)
+    assert "say when it was done, or leave the date out for now" in refused("gear", f"{tomorrow:%Y-%m-%dT%H:%M}")
+    assert not [one for one in server.get("/v1/robots/fresh/drift").json()["marks"] if one["what"] == "repair"]
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_repair_is_recorded_and_taken_back_on_the_page(chromium: Browser, server: httpx.Client, width: int) -> None:
+    before = server.get("/v1/robots/crashed/drift").json()
+    with opened(chromium, server) as page:
+        page.set_viewport_size({"width": width, "height": 900})
+        page.goto("/robots/crashed")
+        page.get_by_role("link", name="It was repaired").click()  # opens the fold
+        form = page.locator("#repairs")
+        form.get_by_label("What was done").fill("gear of joint 3 replaced")
+        form.get_by_label("When, UTC").fill("2999-01-01T00:00")
+        form.get_by_role("button", name="Record the repair").click()
+        form.get_by_text("say when it was done").wait_for()
+        form.get_by_label("When, UTC").fill("2026-09-11T14:30")
+        with page.expect_navigation():
+            form.get_by_role("button", name="Record the repair").click()
+        row = form.get_by_role("row", name="gear of joint 3 replaced")
+        row.wait_for()  # the fold is open: nobody has checked since
+        assert "2026-09-11 14:30" in row.inner_text()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        found = Axe().run(page, context="#repairs")
+        assert found.violations_count == 0, found.generate_report()
+        told = server.get("/v1/robots/crashed/drift").json()
+        assert (told["state"], told["checks"]) == ("never", 0)
+        assert told["repaired_at"] == "2026-09-11T14:30:00Z"
+        page.on("dialog", lambda asked: asked.accept())
+        with page.expect_navigation():
+            form.get_by_role("button", name="Remove the repair gear of joint 3 replaced").click()
+    after = server.get("/v1/robots/crashed/drift").json()
+    assert (after["state"], after["marks"]) == ("moved", before["marks"])
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1440, 390])
 def test_the_chart_can_be_read(chromium: Browser, server: httpx.Client, theme: str, width: int) -> None:
@@ -179,6 +223,13 @@ def test_the_chart_can_be_read(chromium: Browser, server: httpx.Client, theme: s
         assert checks.evaluate("e => e.scrollWidth <= e.clientWidth")
         size = checks.locator("svg text").first.evaluate("e => e.getBoundingClientRect().height")
         assert size >= 9
+        cut = checks.locator("svg").evaluate_all(
+            "all => all.flatMap(svg => [...svg.querySelectorAll('text')].filter(one => {"
+            "  const text = one.getBoundingClientRect(), room = svg.getBoundingClientRect();"
+            "  return text.right > room.right + 0.5 || text.left < room.left - 0.5;"
+            "}).map(one => one.textContent))"
+        )
+        assert cut == []
         found = Axe().run(page, context="#checks")
         assert found.violations_count == 0, found.generate_report()
         page.goto("/")

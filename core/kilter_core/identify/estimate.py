@@ -65,7 +65,8 @@ def new_frames(frames: Sequence[str], option: str) -> tuple[Frame, ...]:
     """
     found = next((one for one in NEW_FRAMES if list(one) == list(frames)), None)
     if found is None:
-        raise OptionError(f'{option} is {list(frames)}: give [], ["base"] or ["base", "tool"].', option=option)
+        said = ", ".join(map(str, frames))
+        raise OptionError(f"{option} is {said}: give base, or base and tool, or leave it out.", option=option)
     return found
 
 

@@ -223,8 +223,8 @@ def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> Non
         raise ObservationError(
             f"The rows miss what the version predicts by {mm(misfit):.4g} mm (rms), and no one cause explains it: they "
             "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
-            'of this robot with the tool of its version, or say what was set up anew, new_setup ["base"] or '
-            '["base", "tool"].',
+            'of this robot with the tool of its version, or say what was set up anew (`new_setup`: base, or '
+            "base and tool).",
             code=ANOTHER_ARM, misfit_m=misfit,
         )  # fmt: skip
 

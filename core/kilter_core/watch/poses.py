@@ -231,7 +231,7 @@ def _refuse_on_axis(
             f"The measured point is {mm(levers[k]):.3g} mm off the axis of joint {k + 1}: {count} poses at "
             f"{mm(sigma):.3g} mm do not show that its zero changed by {degrees(COARSE):g} deg. Mount the reflector, "
             f"and state the tool, at least {mm(far):.3g} mm off that axis, {mm(far * COARSE / ZERO):.3g} mm for "
-            f"{degrees(ZERO):.2g} deg; or plan without that joint: without_joints [{k + 1}].",
+            f"{degrees(ZERO):.2g} deg; or plan without that joint (`without_joints` {k + 1}).",
             code="tool_on_axis", field="tool", joint=k + 1, lever_m=float(levers[k]), needed_m=far,
         )  # fmt: skip
 

@@ -108,7 +108,7 @@ def _chosen(found: Check, wanted: Sequence[str]) -> tuple[Cause, ...]:
         if len(found.causes) != 1:
             may = " or ".join(one.cause.name for one in found.causes) or "no single cause"
             raise CoreError(
-                f"The rows do not say what moved: it is {may}. Find out by other means and name it (causes), or measure a "
+                f"The rows do not say what moved: it is {may}. Find out by other means and name it (`causes`), or measure a "
                 "campaign and identify a version anew.",
                 code=CODE, causes=[one.cause.name for one in found.causes],
             )  # fmt: skip

@@ -26,7 +26,7 @@ Limits = AskedLimits | None
 
 def _base_first(frames: list[str]) -> list[str]:
     if frames == ["tool"]:
-        raise ValueError('give [], ["base"] or ["base", "tool"]')
+        raise ValueError("give base, or base and tool, or leave it out")
     return frames
 
 

@@ -42,6 +42,8 @@ DONE: Mapping[str, str] = {
     "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
     "POST /robots/{robot}/jobs": "asked for {job} of {robot}",
+    "POST /robots/{robot}/repairs": "recorded a repair of {robot}",
+    "POST /robots/{robot}/repairs/{repair}/remove": "removed a repair of {robot}",
     "POST /robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",
     "POST /robots/{robot}/meshes/{link}/remove": "removed the shape of link {link} of {robot}",
     "POST /robots/{robot}/rollback": "went back to {version} of {robot}",

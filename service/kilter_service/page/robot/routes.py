@@ -13,12 +13,14 @@ from kilter_service.contract.references import RobotChange
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.ground.limits import MAX_MESH_MB
 from kilter_service.page.robot import pose as asked_pose
+from kilter_service.page.robot import repairs as stated_repairs
 from kilter_service.page.robot import scene, service
 from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import is_part, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.meshes import service as meshes
+from kilter_service.robots.repairs import service as repairs
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
@@ -72,6 +74,24 @@ def compensation(
 ) -> Response:
     """Say whether the controller corrects by itself."""
     robots.change(database, robot, RobotChange(controller_compensation=compensation))
+    return Response(status_code=204, headers=ANEW)
+
+
+@router.post("/robots/{robot}/repairs")
+def add_repair(
+    robot: str, database: DatabaseOfApp, actor: Admin,
+    what: Annotated[str, Form(max_length=stated_repairs.LONGEST)] = "",
+    at: Annotated[str, Form(max_length=stated_repairs.LONGEST_DATE)] = "",
+) -> Response:  # fmt: skip
+    """Record what was done to an arm."""
+    repairs.add(database, robot, stated_repairs.stated(what, at), actor)
+    return Response(status_code=204, headers=ANEW)
+
+
+@router.post("/robots/{robot}/repairs/{repair}/remove")
+def remove_repair(robot: str, repair: str, database: DatabaseOfApp, _: Admin) -> Response:
+    """Take back a repair that was recorded by mistake."""
+    repairs.remove(database, robot, repair)
     return Response(status_code=204, headers=ANEW)
 
 

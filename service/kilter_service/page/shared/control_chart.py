@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
-from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftSummary, State
+from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary, State
 from kilter_service.ground.texts import plural
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
@@ -54,6 +54,11 @@ class Watched:
     def standing(self) -> str:
         """When the last check was."""
         return standing(self.found)
+
+    @property
+    def repairs(self) -> list[DriftMark]:
+        """What somebody recorded that was done to the arm, the newest first."""
+        return [one for one in reversed(self.found.marks) if one.what == "repair"]
 
 
 def standing(found: DriftSummary) -> str:

@@ -35,6 +35,10 @@ MOVED = (
     "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
     "corrects an arm that is no longer there."
 )
+ANEW = {
+    "base": "Where the instrument was set up anew, check again and say so (--new-setup base). Else: ",
+    "tool": "Where another tool was mounted, check again and say so (--new-setup base,tool). Else: ",
+}
 
 
 DATED_BEFORE = {
@@ -154,7 +158,7 @@ def remedy(found: Check) -> str | None:
     if found.verdict == "ok":
         return None
     if found.verdict == "moved":
-        return MOVED
+        return ANEW.get(found.causes[0].cause.kind, "") + MOVED
     if not found.causes:
         return SEARCH
     kinds = {one.cause.kind: one.cause for one in found.causes}

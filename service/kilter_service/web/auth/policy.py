@@ -143,6 +143,8 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/kit": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/settings": READ,
     "POST /robots/{robot}/remarks": ADMINISTER,
+    "POST /robots/{robot}/repairs": OPERATE,
+    "POST /robots/{robot}/repairs/{repair}/remove": OPERATE,
     "POST /robots/{robot}/compensation": ADMINISTER,
     "GET /robots/{robot}/state": READ,
     "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any
 
 from kilter_client.cli.terminal.output import say
@@ -43,7 +44,10 @@ def show_history(found: Mapping[str, Any]) -> None:
     say(f"{found['robot']}: {found['sentence']}")
     events = [(str(one["at"]), one["verdict"].replace("_", " "), one["sentence"]) for one in found["history"]]
     events += [(str(one["at"]), one["what"], _said_of_mark(one)) for one in found["marks"]]
-    show_rows(("when", "", ""), [(at[:16].replace("T", " "), what, said) for at, what, said in sorted(events)])
+    show_rows(
+        ("when", "", ""),
+        [(at[:16].replace("T", " "), what, said) for at, what, said in sorted(events, key=itemgetter(0))],
+    )
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
         (

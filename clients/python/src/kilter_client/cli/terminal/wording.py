@@ -30,6 +30,7 @@ OTHER_NAMES: Mapping[str, str] = {
     "payloads_kg": "payload_kg",
     "within": "anywhere",
     "campaigns": "campaign",
+    "causes": "cause",
     "format": "form",
     "remarks": "text",
     "notes": "text",
