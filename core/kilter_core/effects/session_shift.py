@@ -1,4 +1,4 @@
-"""Tool point that sits elsewhere in every session: markers or reflector mounted again."""
+"""Tool that sits elsewhere in every session: markers, reflector, camera or board mounted again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import TOOL, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import TOOL, TWIST, Derivative, Effect, Local, linear, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import TOOL_SHIFT
 from kilter_core.errors import OptionError
@@ -16,16 +16,18 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
+WIDTHS = {"m": (1e-3, -0.01, 0.01), "rad": (1e-2, -0.1, 0.1)}  # prior sigma and plausible range, by unit
+
 
 @dataclass(frozen=True)
 class SessionShift(Effect):
-    """A constant translation of the tool point, in the tool frame, for each of the ``sessions`` after the first.
+    """A constant twist of the tool frame, in its own axes, for each of the ``sessions`` after the first.
 
-    The first session is the reference, as is any session that is not named.
+    The first session is the reference, as is any session that is not named. Points of one reflector show no rotation.
     """
 
     id = "session_shift"
-    summary = "markers or reflector shifted between sessions"
+    summary = "markers or reflector mounted anew between sessions"
     physical = TOOL_SHIFT
     source = "marker misplacement: constant in the tool frame per session"
     needs = frozenset({"session"})
@@ -51,7 +53,7 @@ class SessionShift(Effect):
         return replace(self, sessions=tuple(np.unique(rows.session).tolist()))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Shift along x, y, z of the tool frame per later session, m.
+        """Shift along x, y, z of the tool frame per later session, m, then rotation about them, rad.
 
         Raises:
             OptionError: no sessions are known.
@@ -63,13 +65,13 @@ class SessionShift(Effect):
                 effect=self.id,
             )
         return tuple(
-            Parameter(f"session_{code}_{k}", "m", 0.0, 1e-3, -0.01, 0.01, f"shift of the tool in session {code}, {k}")
+            Parameter(f"session_{code}_{k}", unit, 0.0, *WIDTHS[unit], f"how the tool moved to session {code}: its {k}")
             for code in self.sessions[1:]
-            for k in "xyz"
+            for k, unit in TWIST
         )
 
     def local(self, batch: Batch, values: Floats) -> Local:
-        """Twist of the tool and its derivatives by the shifts."""
+        """Twist of the tool and its derivatives by how it moved."""
         session = self.column(batch, "session")
-        shifts = [axis * (session == code)[:, None] for code in self.sessions[1:] for axis in np.eye(6)[:3]]
+        shifts = [axis * (session == code)[:, None] for code in self.sessions[1:] for axis in np.eye(6)]
         return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(shifts)])

@@ -30,7 +30,7 @@ class GapOptions:
     ``tool`` are "free" or "fixed", and ``reference`` says in which frames a correction works, as there ("auto",
     "robot", "registration"). ``next_poses`` is how many poses to propose. ``matters_um`` is the movement of the
     tool below which a misfit or an effect is said to be too small to matter, unless the instrument promises less
-    than that. ``refit`` ("tool",) gives every session a tool point of its own. ``budget_s`` is how many seconds a search
+    than that. ``refit`` ("tool",) gives every session a tool of its own. ``budget_s`` is how many seconds a search
     may take: it then ends with the best that it has.
     """
 

@@ -79,8 +79,9 @@ class Check:
     ``causes`` are those that explain it and that the rows do not refute, best first; empty where all is well, and where no
     single cause explains the rows. ``p_value`` is the chance of so much from an arm that has not moved. ``smallest`` are the
     changes seen with 95 %, by name of the cause: of a frame a shift (m) in the direction that shows least. ``unseen``: no
-    change of these moves what was measured. ``noise`` m of a coordinate counted as such. ``joint_log``: nobody
-    measured a place, and rows were compared with each other in their sockets.
+    change of these moves what was measured. ``misfit`` m is how far measured and predicted are apart (rms), and ``noise`` m of
+    a coordinate counted as such; ``by_views`` both are lengths beside the tool's rotation. ``joint_log``: nobody measured a
+    place, and rows were compared with each other in their sockets.
     """
 
     verdict: Verdict
@@ -96,6 +97,7 @@ class Check:
     unseen: tuple[Cause, ...]
     new_setup: tuple[Frame, ...]
     joint_log: bool = False
+    by_views: bool = False
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,7 @@ def check(
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
         innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew, counts.alone,
+        rows.pose_weight is not None,
     )  # fmt: skip
 
 

@@ -61,7 +61,7 @@ class MeasurementScaleEffect(_Whole):
 
 
 class SessionShiftEffect(_Whole):
-    """Markers or reflector shifted between sessions."""
+    """Markers or reflector mounted anew between sessions."""
 
     id: Literal["session_shift"] = Field(description="Id of the effect.")
     sessions: list[int] = Field(

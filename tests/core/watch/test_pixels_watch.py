@@ -89,6 +89,7 @@ def test_a_stated_noise_takes_views_as_places() -> None:
     assert (own.numbers, stated.numbers) == (6 * 8, 3 * 8)
     assert stated.noise == 5e-4
     assert own.noise < 2e-4
+    assert (own.by_views, stated.by_views) == (True, False)  # which lengths they are
 
 
 def test_a_version_by_views_judges_a_tracker_by_its_own_noise() -> None:

@@ -1,4 +1,4 @@
-"""The model that a search begins with: that of the start, and a tool point for each session where that is asked for."""
+"""The model that a search begins with: that of the start, and a tool for each session where that is asked for."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def beginning(robot: Robot, start: Calibration | None, rows: Observations, optio
 
 
 def _remounted(begin: Calibration, rows: Observations, options: GapOptions) -> Calibration:
-    """Every session after the first has a tool point of its own from the start, so that no step need be named for it."""
+    """Every session after the first has a tool of its own from the start, so that no step need be named for it."""
     if not options.refit or any(effect.id == SHIFT for effect in begin.model.effects):
         return begin
     if rows.session is None or len(set(rows.session.tolist())) < 2:

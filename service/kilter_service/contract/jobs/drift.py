@@ -81,8 +81,17 @@ class DriftResult(Stored):
     chi_square: float | None = Field(None, description="Squared whitened innovation.")
     numbers: int | None = Field(None, description="Numbers that it sums over.")
     poses: int | None = Field(None, description="Distinct poses that counted.")
-    misfit_mm: Mm | None = Field(None, description="Root mean square of measured minus predicted, mm.")
-    noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate that counted as noise, mm.")
+    lengths: Literal["at_tool", "by_views"] | None = Field(
+        None,
+        description="Where `misfit_mm` and `noise_mm` are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical "
+        "view.",
+    )
+    misfit_mm: Mm | None = Field(
+        None, description="Root mean square distance of measured and predicted points, mm (see `lengths`)."
+    )
+    noise_mm: Mm | None = Field(
+        None, description="Standard deviation of a coordinate that counted as noise, mm (see `lengths`)."
+    )
     expected_mm: Mm | None = Field(
         None, description="Standard deviation of a coordinate, mm, by which the fit missed beyond that."
     )

@@ -64,7 +64,7 @@ class GapOptions(Asked):
     reference: ReferenceFrames = Field("auto", description=REFERENCE)
     refit: Annotated[list[Literal["tool"]], Field(max_length=1)] = Field(
         [],
-        description='["tool"]: every campaign and session has a tool point of its own (a remounted marker); '
+        description='["tool"]: every campaign and session has a tool of its own (a remounted marker); '
         "[]: all rows share one.",
     )
     prior: PriorName = Field(None, description=PRIOR)

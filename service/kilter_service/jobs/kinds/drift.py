@@ -122,7 +122,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "remedy": wire.remedy(found), "causes": [documents[one.cause.name] for one in found.causes],
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
-        "misfit_mm": to_mm(found.misfit),
+        "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
         "noise_mm": to_mm(found.noise),
         "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
         "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,

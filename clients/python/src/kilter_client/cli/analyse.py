@@ -44,7 +44,7 @@ Refit = Annotated[
         help="base, tool: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
     ),
 ]
-OWN_TOOL = "tool: a tool point for each campaign and session; left out: one for all."
+OWN_TOOL = "tool: a tool for each campaign and session; left out: one for all."
 Figures = Annotated[
     Path | None,
     typer.Option(

@@ -67,16 +67,18 @@ class DriftResult(ShownDrift, Record):
     """Lowest and highest temperature, degrees Celsius, of the rows of the fit; None: not known."""
     joint_log: bool | None
     """Whether nobody measured a place, and rows were compared with each other, in their sockets."""
+    lengths: str | None
+    """Where `misfit_mm` and `noise_mm` are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view."""
     looked_at: Records[DriftCause]
     """All causes that these rows show, best first."""
     metrics: Mapping[str, StageErrors]
     """Errors of the version on the rows, `identified`, by campaign, as an evaluation gives them."""
     misfit_mm: float | None
-    """Root mean square of measured minus predicted, mm."""
+    """Root mean square distance of measured and predicted points, mm (see `lengths`)."""
     new_setup: tuple[str, ...]
     """Frames that were set up anew."""
     noise_mm: float | None
-    """Standard deviation of a coordinate that counted as noise, mm."""
+    """Standard deviation of a coordinate that counted as noise, mm (see `lengths`)."""
     numbers: int | None
     """Numbers that it sums over."""
     p_value: float | None

@@ -64,7 +64,7 @@ class GapOptions(TypedDict, total=False):
     reference: Literal["auto", "robot", "registration"]
     """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
     refit: Sequence[Literal["tool"]]
-    """["tool"]: every campaign and session has a tool point of its own (a remounted marker); []: all rows share one."""
+    """["tool"]: every campaign and session has a tool of its own (a remounted marker); []: all rows share one."""
     resamples: int
     """Resamples of poses on which a name must return, 1 to 10000."""
     seed: int

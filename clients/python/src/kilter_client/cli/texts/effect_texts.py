@@ -128,7 +128,7 @@ EFFECTS: list[dict[str, str]] = [
         "id": "session_shift",
         "acts_on": "instrument",
         "needs": "session",
-        "summary": "markers or reflector shifted between sessions",
+        "summary": "markers or reflector mounted anew between sessions",
     },
     {"id": "zero_drift", "acts_on": "joints", "needs": "t_s", "summary": "zero of a joint moves with time"},
     {

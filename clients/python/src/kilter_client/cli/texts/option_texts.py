@@ -38,7 +38,7 @@ GAP = {
     "base": "Whether the base is fitted.",
     "tool": "Whether the tool is fitted.",
     "reference": "Frames that corrections work in: the robot's own, those of the registration, or auto: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it.",
-    "refit": '["tool"]: every campaign and session has a tool point of its own (a remounted marker); []: all rows share one.',
+    "refit": '["tool"]: every campaign and session has a tool of its own (a remounted marker); []: all rows share one.',
     "prior": "fleet: add what versions of at least five other robots of this type say before the rows; left out: none of them is asked.",
     "max_effects": "Most effects to name, 1 to 50; an effect at several joints is one.",
     "bootstraps": "Resamples behind the p-value of an effect, 1 to 20000.",
