@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from kilter_service.contract.fits import Metrics, NullDirection, Parameter
+from kilter_service.contract.fits import (
+    Metrics,
+    NullDirection,
+    Parameter,
+    metrics_with_earlier_names,
+    with_earlier_names,
+)
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import Details
 from kilter_service.contract.written import as_written
@@ -14,6 +20,20 @@ from kilter_service.contract.written import as_written
 def test_only_what_was_written_is_shown() -> None:
     document = {"train": {"n": 3, "nominal": {"mean_mm": 1.5}}}
     assert as_written(Metrics, document).model_dump(mode="json") == document
+
+
+def test_what_an_earlier_release_called_by_another_name_is_read() -> None:
+    """One name, `geometry_only`, for two things: it stays as it was written, and beside the names of today."""
+    block = {"n": 3, "geometry_only": {"mean_mm": 0.4}}
+    read = as_written(Metrics, {"validation": block})
+    assert read.model_dump() == {"validation": block}
+    assert read.validation is not None
+    assert read.validation.best_rigid == read.validation.geometry_only
+    now = metrics_with_earlier_names({"train": {"n": 9}, "validation": {"geometry_fitted": {"mean_mm": 0.4}}})
+    assert now["train"] == {"n": 9}
+    assert now["validation"]["geometry_only"] == now["validation"]["geometry_fitted"] == {"mean_mm": 0.4}
+    assert with_earlier_names({"without_effects": {"mean_mm": 0.4}})["geometry_only"] == {"mean_mm": 0.4}
+    assert metrics_with_earlier_names({"train": {"n": 9}, "validation": None})["validation"] is None
 
 
 def test_unknown_parts_are_left_out() -> None:

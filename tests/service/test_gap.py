@@ -88,6 +88,12 @@ def test_a_hidden_effect_is_named_stored_and_gone_afterwards(
     assert (version["parent_id"], version["effects"], version["active"]) == (None, ["backlash"], False)
     metrics = version["metrics"]
     assert metrics["validation"]["identified"]["rms_mm"] < metrics["validation"]["registration_only"]["rms_mm"]
+    best_rigid = metrics["validation"]["geometry_fitted"]["mean_mm"]
+    assert metrics["validation"]["identified"]["mean_mm"] < 0.7 * best_rigid
+    assert best_rigid < metrics["validation"]["registration_only"]["mean_mm"]
+    assert metrics["validation"]["geometry_only"] == metrics["validation"]["geometry_fitted"]
+    twin = client.get(f"/v1/versions/{version['id']}/export", params={"format": "mjcf"}).raise_for_status().text
+    assert f"rigid, calibrated {best_rigid:.4f} mm, with the effects" in twin
     named, matrix = version["covariance"]["names"], np.array(version["covariance"]["matrix"])
     assert [row["name"] for row in version["parameters"]] == named
     assert {"base_x", "tool_z", "a_2", "backlash_1"} <= set(named)

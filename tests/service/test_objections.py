@@ -68,7 +68,7 @@ def test_what_a_report_advises_is_what_objects(
     found = 1e-4 * rng.lognormal(0.0, spread, poses)
     stages = {"identified": found} | {
         name: found * share * rng.lognormal(0.0, 0.3, poses)
-        for name, share in (("registration_only", registration), ("geometry_only", geometry))
+        for name, share in (("registration_only", registration), ("geometry_fitted", geometry))
     }
     report = {"warnings": list(PoseErrors(stages).warnings())}
     advised = {w["code"] for w in report["warnings"] if ADVICE in w["message"]}

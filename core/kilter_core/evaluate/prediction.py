@@ -33,7 +33,8 @@ def evaluate(
     ``known`` of the calibration expects it, None without; ``within_u95`` is the share of the coordinates that are there.
 
     ``refit`` names the frames fitted anew to these observations: [], ["base"] or ["base", "tool"] (the tracker was set
-    up anew). ``registration_only`` fits both frames of the nominal robot, whatever ``refit`` says.
+    up anew). ``registration_only`` fits both frames of the nominal robot, whatever ``refit`` says. ``without_effects`` is the
+    calibration with its effects left out and nothing else fitted anew, there where it has effects.
 
     Raises:
         OptionError: another refit. TooFewPosesError: too few poses for it. ObservationError: nothing measured.
@@ -49,7 +50,7 @@ def evaluate(
     }
     rigid = calibration.with_effects([one for one in calibration.model.effects if one.stage == "measurement"])
     if len(rigid.model.effects) < len(calibration.model.effects):
-        stages["geometry_only"] = refitted(rigid, measurement, anew)
+        stages["without_effects"] = refitted(rigid, measurement, anew)
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))

@@ -85,7 +85,7 @@ def held_of(fold: Fold, progress: Progress) -> Held:
         "identified": Calibration(fit.problem.model, fit.values, fold.shape),
     }
     geometry = geometry_alone(model, shown, fold.options)
-    compared = stages if geometry is None else {**stages, "geometry_only": geometry}
+    compared = stages if geometry is None else {**stages, "geometry_fitted": geometry}
     return Held(
         errors={name: Errors.of(stage, unseen) for name, stage in compared.items()},
         poses=PoseErrors.of(compared, unseen),

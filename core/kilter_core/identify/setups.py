@@ -289,10 +289,10 @@ def held_out(
     came from them.
 
     What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
-    nominal robot. The ``geometry`` alone, where there is one, is a stage too (``geometry_only``), of errors and of poses.
+    nominal robot. The ``geometry`` alone, where there is one, is a stage too (``geometry_fitted``), of errors and of poses.
     """
     new = _new_codes(frames, rows)
-    compared = dict(stages) if geometry is None else {**stages, "geometry_only": geometry}
+    compared = dict(stages) if geometry is None else {**stages, "geometry_fitted": geometry}
     own: list[OwnFrame] = []
     parts: dict[str, list[Errors]] = {name: [] for name in compared}
     poses: list[PoseErrors] = []

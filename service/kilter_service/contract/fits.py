@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from pydantic import Field
 
@@ -32,6 +33,19 @@ class Errors(Stored):
     )
 
 
+EARLIER_NAMES = {"geometry_fitted": "geometry_only", "without_effects": "geometry_only"}
+
+
+def with_earlier_names(errors: dict[str, Any]) -> dict[str, Any]:
+    """Return errors of several models with those that were renamed by their earlier name too, which scripts may read."""
+    return errors | {old: errors[name] for name, old in EARLIER_NAMES.items() if name in errors}
+
+
+def metrics_with_earlier_names(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the errors of a fit, those fitted and those held out, so; the latter are None where nothing was held out."""
+    return {rows: errors and with_earlier_names(errors) for rows, errors in metrics.items()}
+
+
 class StageErrors(Stored):
     """Errors of several models on the same rows."""
 
@@ -45,15 +59,30 @@ class StageErrors(Stored):
     )
     nominal: Errors | None = Field(None, description="The nominal robot, in its own base and tool.")
     registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
+    geometry_fitted: Errors | None = Field(
+        None,
+        description="Of a version, on rows held out: the geometry fitted to the same rows without effects, the best rigid arm; "
+        "null: no effects, nothing held out, or not computed.",
+    )
+    without_effects: Errors | None = Field(
+        None,
+        description="Of an evaluation: the version with its effects left out and its geometry as it is, as a file of geometry "
+        "alone has it; null: no effects, or not computed.",
+    )
     geometry_only: Errors | None = Field(
         None,
-        description="The geometry without effects: of an identification fitted alone to the same rows, of an evaluation that "
-        "of the version; null: no effects, or not computed.",
+        description="Earlier name, of two things: of an identification the same as `geometry_fitted`, of an evaluation as "
+        "`without_effects`.",
     )
     identified: Errors | None = Field(None, description="The model that was identified.")
     budget: Budget | None = Field(
         None, description="What is not known of these rows, with the expanded uncertainty; null: not computed."
     )
+
+    @property
+    def best_rigid(self) -> Errors | None:
+        """Of a version the geometry fitted without effects, as earlier releases stored it too."""
+        return self.geometry_fitted or self.geometry_only
 
     @property
     def place_mm(self) -> float | None:

@@ -30,7 +30,8 @@ ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
 )  # as in kilter_core.identify.comparison.model_comparison: standard errors, and of the simpler model's error
 SIMPLER = {
     "registration_only": "base and tool alone",
-    "geometry_only": "the geometry alone",
+    "geometry_fitted": "the geometry alone",
+    "geometry_only": "the geometry alone",  # as earlier releases stored it
     "nominal": "the nominal robot",
 }
 OF_REACH = 0.005  # what real arms leave, at most, before anything is identified

@@ -88,9 +88,9 @@ def test_the_geometry_alone_is_what_a_fit_without_effects_leaves(folds: bool) ->
         identified(30, 5e-4, options, wrong=True, folds=folds).metrics["validation"]
         for options in (HARMONICS, replace(HARMONICS, effects=()))
     )
-    assert found["geometry_only"]["mean_mm"] == pytest.approx(plain["identified"]["mean_mm"], rel=1e-6)
-    assert found["geometry_only"]["mean_mm"] != pytest.approx(found["identified"]["mean_mm"], rel=1e-3)
-    assert "geometry_only" not in plain
+    assert found["geometry_fitted"]["mean_mm"] == pytest.approx(plain["identified"]["mean_mm"], rel=1e-6)
+    assert found["geometry_fitted"]["mean_mm"] != pytest.approx(found["identified"]["mean_mm"], rel=1e-3)
+    assert "geometry_fitted" not in plain
 
 
 def test_enough_poses_and_no_such_warning() -> None:
@@ -111,6 +111,31 @@ def test_a_hunt_whose_effect_is_gone_from_the_held_out_poses() -> None:
     assert "worse_than_geometry" in codes(report)
     again = find_gap(robot, train, QUICK, validation=0.25)
     assert not WORSE & codes(again)
+
+
+@pytest.mark.parametrize("measured", ["position", "markers"])
+def test_a_hunt_stores_what_an_identification_without_effects_leaves_beside_its_own(measured: str) -> None:
+    """The rigid arm on the poses that the search never saw; and none where nothing was named, or nothing held out."""
+    robot, backlash = katana(), [("backlash", (1,), (2e-3,))]
+    rows = campaign(robot, backlash, poses=100, measured=measured)
+    assert rows.pose_id is not None
+    train, held = rows.select(rows.pose_id < 70), rows.select(rows.pose_id >= 70)
+    report = find_gap(robot, train, QUICK, validation=held)
+    assert [j.evidence.candidate.id for j in report.effects] == ["backlash"]
+    found = report.stored.metrics(train, held, report.spikes)
+    alone = identify(robot, train, held, IdentifyOptions(loss="huber")).metrics["validation"]["identified"]["mean_mm"]
+    assert found["validation"]["geometry_fitted"]["mean_mm"] == pytest.approx(alone, rel=0.01)
+    assert found["validation"]["geometry_fitted"]["mean_mm"] > 2.0 * found["validation"]["identified"]["mean_mm"]
+    assert "geometry_fitted" not in found["train"]
+    none = find_gap(robot, train, QUICK, validation=0).stored
+    assert none.geometry is None
+    clean = campaign(robot, poses=100)
+    assert (
+        find_gap(
+            robot, clean.select(rows.pose_id < 70), QUICK, validation=clean.select(rows.pose_id >= 70)
+        ).stored.geometry
+        is None
+    )
 
 
 def test_a_hunt_says_which_effects_it_could_not_look_for_without_masses() -> None:

@@ -330,7 +330,10 @@ def test_an_arm_of_servos_settles_where_its_own_weight_leaves_it(step_s: float) 
 def test_the_head_says_how_good_the_twin_is_where_it_was_not_fitted() -> None:
     file = exportable(preset_document("ur10"), Calibration.nominal(robot_from_document(preset_document("ur10"))))
     errors = StageErrors(
-        n=30, registration_only=Errors(mean_mm=1.5), geometry_only=Errors(mean_mm=0.4), identified=Errors(mean_mm=0.125)
+        n=30,
+        registration_only=Errors(mean_mm=1.5),
+        geometry_fitted=Errors(mean_mm=0.4),
+        identified=Errors(mean_mm=0.125),
     )
     version = file.version.model_copy(update={"metrics": Metrics(validation=errors)})
     text = str(export("mjcf", dataclasses.replace(file, version=version)).text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,8 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
+from kilter_core.gap.search.start_model import SHIFT
+from kilter_core.identify.comparison.model_comparison import geometry_alone
 from kilter_core.identify.fleet.said import resting_on
 from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
 from kilter_core.identify.identifiable.load_model import load_rows
@@ -34,7 +36,8 @@ from kilter_core.types import Ints
 class Stored:
     """A version made by a search. ``registered`` is the nominal robot in fitted frames, None where no tool was measured.
 
-    ``shown`` are the rows that were searched and ``held`` those held out, views as poses of the tool.
+    ``shown`` are the rows that were searched and ``held`` those held out, views as poses of the tool. ``geometry`` is the
+    geometry fitted to the former without effects; None where nothing is held out to compare it on, or no effect was found.
     """
 
     calibration: Calibration
@@ -42,6 +45,7 @@ class Stored:
     shown: Observations
     registered: Calibration | None = None
     held: Observations | None = None
+    geometry: Calibration | None = None
 
     def parameters(self) -> list[dict[str, Any]]:
         """Rows of the free parameters, as an identification has them."""
@@ -99,15 +103,19 @@ class Stored:
             "identified": self.calibration,
         }
 
-        def errors(rows: Observations | None, anchor: Measurement | None = None) -> dict[str, Errors]:
+        compared = stages if self.geometry is None else {**stages, "geometry_fitted": self.geometry}
+
+        def errors(
+            rows: Observations | None, of: Mapping[str, Calibration], anchor: Measurement | None = None
+        ) -> dict[str, Errors]:
             if rows is None or (rows.position is None and rows.markers is None and not held_rows(rows)):
                 return {}
             measurement = Measurement.of(rows, self.calibration.marker_points, held=True, anchor=anchor)
-            return {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+            return {name: Errors.of(stage, measurement) for name, stage in of.items()}
 
         if held is not None and len(spikes):
             held = held.select(np.setdiff1d(np.arange(len(held)), spikes))
-        return metrics_document(errors(train), errors(held, _anchor(train)), len(spikes))
+        return metrics_document(errors(train, stages), errors(held, compared, _anchor(train)), len(spikes))
 
     def reference(self) -> dict[str, str]:
         """Where the frames a correction works in come from."""
@@ -132,10 +140,14 @@ def stored(
     if shown is None:
         return Stored(calibration, wide, source.observations)
     nominal = registered(begin, shown)
-    asked = IdentifyOptions(base=options.base, tool=options.tool, reference=options.reference)
+    asked = IdentifyOptions(
+        base=options.base, tool=options.tool, reference=options.reference, free=options.free, fix=options.fix,
+        loss="huber",
+    )  # fmt: skip
     base, tool = wanted_frames(begin, nominal, shown, asked)
     calibration = replace(calibration, wanted_base=base, wanted_tool=tool)
-    return Stored(calibration, wide, shown.observations, nominal, held)
+    geometry = None if held is None else geometry_alone(calibration, shown, asked, (SHIFT,))
+    return Stored(calibration, wide, shown.observations, nominal, held, geometry)
 
 
 def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:

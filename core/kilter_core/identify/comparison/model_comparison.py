@@ -72,7 +72,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry_only".
+    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry_fitted".
 
     ``remarks`` are warnings of them beside the comparison.
     """
@@ -98,7 +98,7 @@ class PoseErrors:
         yield from self.remarks
         after = self.stages["identified"]
         simpler = (("registration_only", "base and tool alone", WORSE_THAN_REGISTRATION),
-                   ("geometry_only", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
+                   ("geometry_fitted", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
         for stage, words, code in simpler:
             before = self.stages.get(stage)
             told = None if before is None else grown(before, after)
@@ -135,9 +135,14 @@ def _apart(*values: float) -> tuple[str, ...]:
     return next((words for words in said if len(set(words)) == len(words)), said[-1])
 
 
-def geometry_alone(begin: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration | None:
-    """The same rows fitted without effects, to compare with; None where there are none, or no such fit."""
-    plain = begin.with_effects([e for e in begin.model.effects if e.instrument is not None])
+def geometry_alone(
+    begin: Calibration, measurement: Measurement, options: IdentifyOptions, frames: Sequence[str] = ()
+) -> Calibration | None:
+    """The same rows fitted without effects, to compare with; None where there are none, or no such fit.
+
+    Effects with these ids stay: ``frames`` say where a tool was mounted in each session, and nothing of the arm.
+    """
+    plain = begin.with_effects([e for e in begin.model.effects if e.instrument is not None or e.id in frames])
     if len(plain.model.effects) == len(begin.model.effects):
         return None
     free, fix = (tuple(p for p in patterns if _some(p, plain.names)) for patterns in (options.free, options.fix))

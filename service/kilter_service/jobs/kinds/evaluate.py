@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
+from kilter_service.contract.fits import with_earlier_names
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
 from kilter_service.ground.core import compare, core_evaluate, core_model, iso9283, predictive
 from kilter_service.jobs.budgets import budget_of
@@ -40,7 +41,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
         calibration = _calibration(job, campaign)
-        metrics[campaign] = core_evaluate.evaluate(calibration, seen, options.refit, known)
+        metrics[campaign] = with_earlier_names(core_evaluate.evaluate(calibration, seen, options.refit, known))
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
         metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)

@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import numbered
+from kilter_service.contract.fits import metrics_with_earlier_names
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
@@ -174,7 +175,7 @@ def _version(
     """
     stored = report.stored
     document = {
-        "metrics": stored.metrics(train, held, report.spikes),
+        "metrics": metrics_with_earlier_names(stored.metrics(train, held, report.spikes)),
         "parameters": stored.parameters(),
         "null_directions": found["null_directions"],
         "noise_mm": report.gap.get("noise_mm"),

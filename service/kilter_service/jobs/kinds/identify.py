@@ -10,6 +10,7 @@ import numpy as np
 from kilter_core.observations import Observations
 from kilter_core.types import one_by_one
 from kilter_service.campaigns.store import numbered
+from kilter_service.contract.fits import metrics_with_earlier_names
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import (
@@ -63,6 +64,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     apart = validation if isinstance(validation, Observations) else None
     held = tuple(job.validation) if isinstance(job.validation, dict) else ()
     add_to_metrics(report["metrics"], found, train, apart, job.instruments, tuple(job.campaigns), held)
+    report["metrics"] = metrics_with_earlier_names(report["metrics"])
     counts = {name: len(rows) for name, rows in job.campaigns.items()}
     report["set_aside"] = by_campaign(report["set_aside"], counts)
     report["warnings"] += [*setups.warnings(report), *remarks]

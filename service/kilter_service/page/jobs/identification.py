@@ -66,9 +66,9 @@ def held_out(job: IdentifyJob) -> list[str]:
 
 def gain_of_effects(errors: StageErrors | None) -> float | None:
     """Return what the effects take off the mean error beyond the geometry, mm; None: there are none."""
-    if errors is None or errors.geometry_only is None or errors.identified is None:
+    if errors is None or errors.best_rigid is None or errors.identified is None:
         return None
-    return errors.geometry_only.mean_mm - errors.identified.mean_mm
+    return errors.best_rigid.mean_mm - errors.identified.mean_mm
 
 
 def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> HeatMap | None:

@@ -12,18 +12,23 @@ from kilter_service.page.words import in_columns, in_one_unit
 STAGES = (
     ("nominal", "Before"),
     ("registration_only", "Registration only"),
-    ("geometry_only", "Geometry only"),
+    ("geometry_fitted", "Geometry alone"),
+    ("without_effects", "Without its effects"),
     ("identified", "After"),
 )
 BARS = (("mean_mm", "mean", -0.27), ("rms_mm", "rms", 0.0), ("p95_mm", "95 % are below", 0.27))
 CURVES = {"before, nominal": "Before", "registration only": "Registration only", "identified": "After"}
 PLACED = "Nominal, mostly where instrument, base and tool are"
+ALONE = {"Geometry alone", "Without its effects"}
+EARLIER = "Geometry only"  # either of them, as an earlier release stored it
 NO_OTHER: Mapping[str, str] = {}
 MEANING = {
     "Before": "the nominal robot, where it is said to stand",
     PLACED: "no version takes this away, and it is not an error of the arm",
     "Registration only": "the nominal robot, base and tool fitted to the rows: what comes from the set-up alone is gone",
-    "Geometry only": "the geometry without effects",
+    "Geometry alone": "the geometry fitted to the same rows without effects: the best rigid arm",
+    "Without its effects": "its geometry as it is, what bends and gives left out, as in a file of geometry alone",
+    EARLIER: "the geometry without effects",
     "After": "the model that was identified",
 }
 
@@ -33,6 +38,8 @@ def there(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> li
     placed = errors is not None and errors.place_mm is not None
     named = [(name, PLACED if placed and name == "nominal" else other.get(title, title)) for name, title in STAGES]
     found = [(title, getattr(errors, name, None)) for name, title in named]
+    if not {title for title, one in found if one is not None} & ALONE:
+        found.insert(-1, (EARLIER, getattr(errors, "geometry_only", None)))
     return [(title, one) for title, one in found if one is not None]
 
 

@@ -11,13 +11,15 @@ from kilter_service.page.figures.scale import lengths, named
 
 INK, HEIGHT = "#141414", 230.0
 SHADES = ("#c8c8c8", "#828282", INK)
+OF_MODELS = ("#dedede", "#adadad", "#6e6e6e", INK)
 STAGES = (
     ("nominal", "nominal robot"),
     ("registration_only", "base and tool fitted only"),
+    ("geometry_fitted", "geometry alone, without effects"),
     ("identified", "calibrated"),
 )
 PLACE = "nominal robot, mostly where instrument, base and tool are: not an error of the arm"
-CURVES = {"before, nominal": STAGES[0][1], "registration only": STAGES[1][1], "identified": STAGES[2][1]}
+CURVES = {"before, nominal": STAGES[0][1], "registration only": STAGES[1][1], "identified": STAGES[-1][1]}
 SIZES = (("mean_mm", "mean"), ("rms_mm", "rms"), ("p95_mm", "95 %"), ("max_mm", "largest"))
 
 
@@ -33,7 +35,7 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
     axis = lengths("error on a logarithmic scale", values, log=True)
     plot = Plot(title, named("", [label for _, label in SIZES]), axis, width=620, height=HEIGHT, description=title)
     width = 0.8 / len(found)
-    shades = SHADES[-len(found) :]
+    shades = OF_MODELS[-len(found) :]
     for k, (label, one) in enumerate(found):
         sizes = [getattr(one, size) for size, _ in SIZES]
         there = [(place, value) for place, value in enumerate(sizes) if value is not None]

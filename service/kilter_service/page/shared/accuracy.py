@@ -29,6 +29,7 @@ class Accuracy:
     widest: float  # the largest of the errors that stand beside the mean: its unit is that of all
     place: float | None = None  # of the nominal error, what is where instrument, base and tool are
     left_out: int | None = None  # rows that the errors leave out
+    geometry: float | None = None  # what the geometry fitted without effects leaves
     unused: bool = False  # of rows that no fit used, and not of those that its own job held out
 
     @property
@@ -69,7 +70,7 @@ def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
     low, high = ends or (None, None)
     return Accuracy(
         held_out, block.n, found.mean_mm, low, high, found.p95_mm, found.max_mm, _mean(block.nominal),
-        _mean(block.registration_only), widest(found, block.n), block.place_mm, block.left_out,
+        _mean(block.registration_only), widest(found, block.n), block.place_mm, block.left_out, _mean(block.best_rigid),
     )  # fmt: skip
 
 

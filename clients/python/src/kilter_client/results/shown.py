@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 MODELS = {
     "nominal": "nominal",
     "registration_only": "registration only",
-    "geometry_only": "geometry only",
+    "geometry_fitted": "geometry alone",
+    "without_effects": "without its effects",
     "identified": "identified",
 }
 PLACED = "nominal, mostly where instrument, base and tool are"

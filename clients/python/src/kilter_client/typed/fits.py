@@ -41,8 +41,10 @@ class StageErrors(Record):
     """What is not known of these rows, with the expanded uncertainty; None: not computed."""
     fitted: int | None
     """Of an evaluation: rows that the version was fitted to, in whatever file; None: not looked for."""
+    geometry_fitted: Errors | None
+    """Of a version, on rows held out: the geometry fitted to the same rows without effects, the best rigid arm; None: no effects, nothing held out, or not computed."""
     geometry_only: Errors | None
-    """The geometry without effects: of an identification fitted alone to the same rows, of an evaluation that of the version; None: no effects, or not computed."""
+    """Earlier name, of two things: of an identification the same as `geometry_fitted`, of an evaluation as `without_effects`."""
     identified: Errors | None
     """The model that was identified."""
     left_out: int | None
@@ -53,6 +55,8 @@ class StageErrors(Record):
     """The nominal robot, in its own base and tool."""
     registration_only: Errors | None
     """The nominal robot, base and tool fitted."""
+    without_effects: Errors | None
+    """Of an evaluation: the version with its effects left out and its geometry as it is, as a file of geometry alone has it; None: no effects, or not computed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

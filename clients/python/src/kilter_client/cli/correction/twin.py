@@ -19,6 +19,7 @@ from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import OfRobot, resolved, resolved_options
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
+from kilter_client.results.shown import MODELS as STAGES
 from kilter_client.twin.drives import read_drives
 from kilter_client.twin.onto import lay_onto
 from kilter_client.twin.settled import Settings, errors_of, loaded, rows_of
@@ -32,7 +33,9 @@ if TYPE_CHECKING:
 group = typer.Typer(
     help="Score a simulator's model on measured poses, and calibrate it.", rich_markup_mode=None, no_args_is_help=True
 )  # fmt: skip
-MODELS = {"nominal": "registration_only", "rigid": "geometry_only", "identified": "identified"}
+MODELS = {"nominal": "registration_only", "without_effects": "without_effects", "identified": "identified"}
+WORDS = {"without_effects": STAGES["without_effects"]}
+EARLIER = "rigid"  # what `without_effects` was called; scripts may read it
 Model = Annotated[
     Path, typer.Argument(help="An MJCF file.", metavar="MODEL", show_default=False, exists=True, dir_okay=False)
 ]
@@ -67,7 +70,7 @@ def compare(
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
-    """Score a model on measured poses, settled, beside the nominal, rigid and identified arm; base and tool fitted for each."""
+    """Score a model on measured poses, settled, beside the nominal arm and a version; base and tool fitted for each."""
     found = loaded(model)
     with Kilter() as kilter:
         used = resolved(kilter, "campaign", campaign, robot, as_json)
@@ -202,6 +205,8 @@ def _document(
     others = {
         name: {key: errors[stage].get(key) for key in MEASURES} for name, stage in MODELS.items() if errors.get(stage)
     }
+    if "without_effects" in others:
+        others[EARLIER] = others["without_effects"]
     return {
         "campaign_id": campaign, "version_id": result["version_id"], "model": str(model), "rows": len(mm),
         "errors": others | {str(model): own}, "warnings": result.get("warnings") or [],
@@ -226,4 +231,5 @@ def _show(document: Mapping[str, Any]) -> None:
 
 def _lines(errors: Mapping[str, Mapping[str, float | None]]) -> Iterator[tuple[str, ...]]:
     for name, own in errors.items():
-        yield (name, *("" if own[key] is None else f"{own[key]:.4f}" for key in MEASURES))
+        if name != EARLIER:
+            yield (WORDS.get(name, name), *("" if own[key] is None else f"{own[key]:.4f}" for key in MEASURES))

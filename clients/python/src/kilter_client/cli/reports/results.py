@@ -13,7 +13,7 @@ from kilter_client.cli.terminal.output import say
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
-STAGES = ("nominal", "registration_only", "identified")
+STAGES = tuple(MODELS)
 MEASURES = (
     ("mean_mm", "mean mm"),
     ("rms_mm", "rms mm"),
