@@ -169,7 +169,8 @@ def test_without_a_corrector_it_holds_and_fades_without_a_step(
     said = ended(running)
     assert (said.status[:200] == 0).sum() >= SOME
     delta = said.sent - said.wanted
-    gone = int(np.flatnonzero(said.status == 0)[-1])
+    first, gone = (int(np.flatnonzero(said.status == 0)[k]) for k in (0, -1))
+    assert np.abs(delta[first]).max() < 0.02 * np.abs(delta).max()  # it comes in as it goes out
     assert len(delta) - gone > HOLD + FADE
     assert np.allclose(delta[gone + 1 : gone + 1 + HOLD], delta[gone], rtol=0, atol=1e-12)
     assert np.abs(delta[gone + HOLD + FADE :]).max() < 1e-12

@@ -154,6 +154,23 @@ def test_setpoints_are_followed_at_their_speed_and_none_that_is_far() -> None:
     assert steps[:, 1].max() < 0.1
 
 
+@pytest.mark.parametrize("lost", [1, 10, 100])
+def test_after_lost_cycles_the_arm_goes_on_from_where_it_stands(lost: int) -> None:
+    wire = EgmWire([1.0, 1.0, 1.0], setpoints([[0.01 * k, 0.0, 0.0] for k in range(40)]))
+    where, sequence = [], 0
+    for k in range(200):
+        request = wire.read(robot_message([0.0, 0.0, 0.0], sequence))
+        assert request is not None
+        cycles = 1 + lost * (k == 100)
+        at = wire.wanted(request, cycles, k == 0)
+        assert at is not None
+        where.append(at)
+        sequence += cycles
+    steps = np.abs(np.diff(where, axis=0)).max(axis=1)
+    assert np.ptp(steps[-60:]) < 1e-9  # at the plan's own speed, through the gap and behind it
+    assert steps[-1] == pytest.approx(0.1 * 0.004)
+
+
 def test_a_planner_that_sends_old_or_other_messages_is_not_followed() -> None:
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port,

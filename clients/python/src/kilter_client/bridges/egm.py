@@ -55,8 +55,11 @@ class EgmWire:
         return stamps
 
     def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
-        """Return the setpoint: of the plan, and where the arm stands when the controller begins."""
-        return self._setpoints.begin(request.joints) if fresh else self._setpoints.step(cycles)
+        """Return the setpoint: of the plan, and where the arm stands when the controller begins.
+
+        The arm stands while cycles are lost, so that none of them has passed for the plan: it would have to jump.
+        """
+        return self._setpoints.begin(request.joints) if fresh else self._setpoints.step(1)
 
     def answer(self, request: Request, offset: Sequence[float]) -> bytes:
         """Return the answer; nothing before it is known where the arm stands."""
