@@ -26,9 +26,10 @@
 #define MOST_BYTES 4096
 #define ANSWERS 16            /* that may wait; older ones are dropped */
 #define HOLD_CYCLES 20        /* the last good difference is held for so many cycles, */
-#define FADE_CYCLES 200       /* then released over so many, and comes in again over as many */
+#define FADE_CYCLES 200       /* then released over so many */
 #define SILENT_CYCLES 20      /* without any answer, before the session is greeted anew */
 #define LARGEST_RAD 0.0349    /* the controller's own ceiling: no correction is larger than 2 degrees (or 35 mm) */
+#define RATE_RAD_S 0.0873     /* and none changes faster than 5 degrees (or 87 mm) a second, as it comes in too */
 #define PI 3.14159265358979323846
 
 static kilter_session session;
@@ -217,9 +218,7 @@ static struct {
     int joints, greeted, silent, reset, gaps;
     double now[KILTER_MAX_JOINTS];  /* difference of what was sent last and wanted */
     double last[KILTER_MAX_JOINTS]; /* the same at the last good answer */
-    double gap[KILTER_MAX_JOINTS];  /* what a difference that comes in again lacks at its first answer */
-    int since;                      /* cycles since the last good answer */
-    int followed;                   /* good answers since it comes in, FADE_CYCLES at most */
+    int since;                      /* cycles since then */
 } loop;
 
 static void put(const z_loaned_publisher_t *way, const uint8_t *data, size_t length) {
@@ -285,35 +284,29 @@ static int correct(const z_loaned_publisher_t *way, const double *wanted, double
     return -1;
 }
 
-/* What is left after so many cycles of something that fades: 1 at first, 0 after FADE_CYCLES. */
-static double left_after(int cycles) {
-    const double part = (double)cycles / FADE_CYCLES;
-    return part <= 0.0 ? 1.0 : part >= 1.0 ? 0.0 : 1.0 - part * part * (3.0 - 2.0 * part);
-}
-
 /* Wanted joints plus what is left of the last difference. */
 static void bypass(const double *wanted, double *out) {
+    double share = 1.0;
     loop.since++;
-    const double share = left_after(loop.since - HOLD_CYCLES);
+    if (loop.since > HOLD_CYCLES) {
+        const double part = (double)(loop.since - HOLD_CYCLES) / FADE_CYCLES;
+        share = part >= 1.0 ? 0.0 : 1.0 - part * part * (3.0 - 2.0 * part);
+    }
     for (int i = 0; i < loop.joints; i++) {
         loop.now[i] = share * loop.last[i];
         out[i] = wanted[i] + loop.now[i];
     }
 }
 
-/* A good answer. At the start, and where the difference was being released, it comes in from where it is: no step. */
-static void follow(const double *wanted, double *out) {
-    if (loop.since > HOLD_CYCLES) {
-        for (int i = 0; i < loop.joints; i++) loop.gap[i] = loop.now[i] - (out[i] - wanted[i]);
-        loop.followed = 0;
-    }
-    loop.since = 0;
-    const double share = left_after(loop.followed);
-    loop.followed += loop.followed < FADE_CYCLES;
+/* A good answer: the difference goes there from where it is by at most so much, by one share of all joints. */
+static void follow(const double *wanted, double *out, double most) {
+    double farthest = 0.0;
+    for (int i = 0; i < loop.joints; i++) farthest = fmax(farthest, fabs(out[i] - wanted[i] - loop.now[i]));
     for (int i = 0; i < loop.joints; i++) {
-        if (share > 0.0) out[i] += share * loop.gap[i];
+        if (farthest > most) out[i] = wanted[i] + loop.now[i] + most / farthest * (out[i] - wanted[i] - loop.now[i]);
         loop.now[i] = loop.last[i] = out[i] - wanted[i];
     }
+    loop.since = 0;
 }
 
 static void run(const z_loaned_publisher_t *way, long cycles, uint64_t cycle_ns) {
@@ -326,7 +319,7 @@ static void run(const z_loaned_publisher_t *way, long cycles, uint64_t cycle_ns)
         int status = -1;
         if (!loop.greeted) greet(way, deadline);
         else status = correct(way, wanted, out, deadline);
-        if (status == KILTER_OK) follow(wanted, out);
+        if (status == KILTER_OK) follow(wanted, out, RATE_RAD_S * (double)cycle_ns * 1e-9);
         else bypass(wanted, out);
         printf("%ld %d %d", cycle, status, loop.since);
         for (int i = 0; i < loop.joints; i++) printf(" %.17g %.17g", wanted[i], out[i]);

@@ -77,7 +77,7 @@ def find(program: Program) -> None:
         and not _follow(program, text, match, known, goals)
     ]
     goals |= computed.named
-    # one from which moves only compute others is no goal itself
+    # one from which moves only compute others is not a goal itself
     origins = {one.computed.of for one in program.cartesian if one.computed is not None}
     program.cartesian = [pose for pose in program.cartesian if pose.uses or pose not in origins]
     _note_problems(text, program, poses)
