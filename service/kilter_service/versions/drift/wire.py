@@ -100,8 +100,8 @@ def sentence(found: Check, agreed_at: datetime | None = None) -> str:
     if found.verdict == "ok":
         return (
             f"ok: {found.poses} poses agree with the version; measured and predicted are {to_mm(found.misfit):.3g} "
-            f"{'mm by views' if found.by_views else 'mm'} apart (rms). An arm that has not moved shows as much with a chance of "
-            f"{chance_words(found.p_value, 2)}."
+            f"{'mm by views' if found.by_views else 'mm'} apart (rms). An arm that has not moved shows as much with a chance "
+            f"of {chance_words(found.p_value, 2)}."
         )
     after = "" if agreed_at is None else f" since {agreed_at:%Y-%m-%d}"
     chance = f" An arm that has not moved shows as much with a chance of {chance_words(found.p_value)}."
