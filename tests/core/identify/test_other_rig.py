@@ -14,7 +14,7 @@ from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.plausibility.views import refuse_unrelated_views
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.core.pixel_scene import BROWN, Eye, Scene, eye_in_hand, eye_to_hand, grid, looking
+from tests.core.pixel_scene import BROWN, Eye, Scene, eye_in_hand, eye_to_hand, grid, looking, soft
 
 STIFF = np.zeros(6)
 SCENES = pytest.mark.parametrize("scene", [eye_to_hand(yielding=STIFF), eye_in_hand(yielding=STIFF)], ids=["to", "in"])
@@ -87,3 +87,14 @@ def test_the_second_of_two_cameras_is_named() -> None:
     with pytest.raises(ObservationError, match="camera 'door'") as refused:
         refuse_unrelated_views(begin, replace(rows, rig=replace(rows.rig, cameras=cameras)))
     assert refused.value.code == "intrinsics_differ"
+
+
+def test_an_arm_that_is_far_off_is_not_another_camera() -> None:
+    """Intrinsics of its views' own more than halve what is left of this arm, and bend its boards."""
+    rng, drawn = np.random.default_rng([57, 77]), soft()
+    names = {step.name for step in drawn.steps}
+    sizes = (("theta_offset", 0.03), ("alpha", 0.015), ("a", 6e-3), ("d", 6e-3))
+    errors = {f"{of}_{k}": rng.normal(0, s) for of, s in sizes for k in range(1, 7) if f"{of}_{k}" in names}
+    scene = eye_to_hand(errors, STIFF)
+    begin = Calibration.nominal(robot_from_document(scene.drawn.document()))
+    refuse_unrelated_views(begin, scene.observed(scene.poses(30, rng), rng, 0.3))

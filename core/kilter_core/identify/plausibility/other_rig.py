@@ -18,6 +18,7 @@ from kilter_core.measurement.camera.views import Views, pairs_of
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.rig import Camera, Rig
+from kilter_core.types import Floats
 
 MOST_VIEWS = 60  # of each camera and board
 MISPLACED = 0.05  # of how far a view's corners spread, beyond which no lens bends them
@@ -83,9 +84,10 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
         if not np.isfinite(values).all() or values[:2].min() <= 0.0:
             break
         now = replace(now, focal=(values[0], values[1]), centre=(values[2], values[3]), distortion=tuple(values[4:]))
-    if freed.sigma_px > EXPLAINED * held.sigma_px:
+    own = freed.rig.cameras[camera].values
+    if freed.sigma_px > EXPLAINED * held.sigma_px or not _better_within(rows, rig, camera, _freed(stated), own):
         return
-    fx, fy, cx, cy = freed.rig.cameras[camera].values[:4]
+    fx, fy, cx, cy = own[:4]
     given = f"{stated.focal[0]:.4g}, {stated.focal[1]:.4g}; {stated.centre[0]:.4g}, {stated.centre[1]:.4g} px"
     raise ObservationError(
         f"With the intrinsics that its own views ask for (focal lengths {fx:.4g} and {fy:.4g} px, centre {cx:.4g}, "
@@ -94,6 +96,19 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
         '(`kilter see --intrinsics brown`), or let the fit find them ("intrinsics": "free", with a lens).',
         code="intrinsics_differ", camera=stated.name, stated_px=held.sigma_px, own_px=freed.sigma_px,
     )  # fmt: skip
+
+
+def _better_within(rows: Observations, rig: Rig, place: int, freed: Camera, own: Floats) -> bool:
+    """Whether boards by themselves fit better with a camera's ``own`` intrinsics: an arm that is far off bends them, too."""
+    assert rows.board is not None
+    assert rows.pixels is not None
+    board, stated = rig.boards[int(rows.board[0])], rig.cameras[place]
+    pixels = rows.pixels[:, : len(board.corners)]
+    as_stated, as_own = (
+        board_poses(camera, values, board, pixels)[2]
+        for camera, values in ((stated, np.array(stated.values)), (freed, own))
+    )
+    return bool(np.nanmedian(as_own) < np.nanmedian(as_stated))
 
 
 def _freed(camera: Camera) -> Camera:
