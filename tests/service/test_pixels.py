@@ -14,7 +14,7 @@ from pyarrow import parquet
 
 from kilter_core.observations import Observations
 from tests.core.campaigns import held
-from tests.core.pixel_scene import HOME, Scene, eye_to_hand
+from tests.core.pixel_scene import HOME, Scene, eye_to_hand, grid
 
 MM = 1e3
 SCENE = eye_to_hand()
@@ -281,3 +281,29 @@ def test_a_search_by_views_becomes_a_version(client: httpx.Client, worker: Any, 
     shown = client.get(f"/jobs/{job}", headers={"accept": "text/html"}).text
     assert "mm by views</div>" in shown
     assert "how far an effect moves the tool is in mm at the tool" in shown
+
+
+@pytest.mark.parametrize(
+    ("part", "code", "said"),
+    [
+        ({"boards": [described(SCENE)["boards"][0] | {"corners_mm": (MM * grid(6, 8)).tolist()}]},
+         "corners_misplaced", "its columns and rows are swapped"),
+        ({"cameras": [described(SCENE)["cameras"][0] | {"fx_px": 1650.0, "fy_px": 1652.0}]},
+         "intrinsics_differ", "another camera, zoom, focus or picture size"),
+    ],
+)  # fmt: skip
+def test_a_job_says_which_description_is_of_something_else(
+    client: httpx.Client, worker: Any, until: Any, part: dict[str, Any], code: str, said: str
+) -> None:
+    """Its rows are kept: the campaign with the right description takes them."""
+    made = campaign(client, described(SCENE) | part)
+    send(client, made, csv(columns(seen(30)))).raise_for_status()
+    worker.start()
+    asked = {"kind": "identify", "robot": "watched", "campaigns": [made], "options": {}}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    error = client.get(f"/v1/jobs/{job}").json()["error"]
+    assert error["code"] == code
+    assert said in error["message"]
+    assert said in " ".join(client.get(f"/jobs/{job}", headers={"accept": "text/html"}).text.split())
+    assert client.get(f"/v1/campaigns/{made}").json()["rows"] == 30

@@ -18,6 +18,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "camera_unknown": (400, "A row names a camera that the campaign does not have"),
     "board_unknown": (400, "A row names a board that the campaign does not have"),
     "corner_unknown": (400, "A corner that the board does not have"),
+    "corners_misplaced": (400, "Corners that do not lie as their board is described"),
+    "intrinsics_differ": (400, "Intrinsics of another camera than the views'"),
     "outside_picture": (400, "A corner outside the picture"),
     "cameras_missing": (400, "Pixels without a description of their cameras"),
     "mounts_alike": (400, "Camera and board move together"),

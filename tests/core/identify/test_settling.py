@@ -52,3 +52,20 @@ def test_on_average_it_is_the_scatter_that_was_drawn() -> None:
         true = (lever * np.square([0.8, 0.2, 0.0])) @ lever.transpose(0, 2, 1) + 0.36 * np.eye(3)
         totals.append(np.trace(found(residual, lever).mean(axis=0)) / np.trace(true.mean(axis=0)))
     assert np.mean(totals) == pytest.approx(1.0, abs=0.06)
+
+
+def test_numbers_that_a_pose_lacks_say_nothing_of_its_scatter() -> None:
+    """A tracker saw a third of the poses, a camera the others: zeros for the rest would lend their scatter to the joints."""
+    totals = []
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 8])
+        tracked = np.arange(36) % 3 == 0
+        seen = np.concatenate([np.repeat(tracked[:, None], 3, axis=1), np.repeat(~tracked[:, None], 6, axis=1)], axis=1)
+        lever = rng.normal(size=(36, 9, 4)) * rng.uniform(0.1, 2.0, (36, 1, 1)) * seen[:, :, None]
+        residual = rng.normal(size=seen.shape) * seen
+        both = np.maximum(seen.T.astype(float) @ seen, 1.0)
+        each = scatter_of_poses(residual, lever, residual.T @ residual / both, np.zeros((36, 9, 9)), seen)
+        assert not each[~seen].any()
+        along = lever / np.linalg.norm(lever, axis=1, keepdims=True)
+        totals.append(np.mean(np.einsum("gij,gik,gkj->gj", along, each, along)))
+    assert np.mean(totals) == pytest.approx(1.0, abs=0.1)

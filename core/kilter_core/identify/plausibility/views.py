@@ -15,6 +15,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.astray_views import rows_off
+from kilter_core.identify.plausibility.other_rig import refuse_misplaced_corners, refuse_other_camera
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
 from kilter_core.measurement.camera.hand_eye import HandEye, grown, solve_axzb
@@ -41,6 +42,7 @@ MOST_FAR = 0.25  # share of the views above which it is not known which are wron
 SCALE = 0.01  # by which a board is larger or smaller, from which it is said before anything is fitted,
 EXPLAINED = 0.5  # if what is left without it is this share at most of what is left
 CLEAR = 5.0  # standard deviations
+ODD = 0.005  # of what shuffled rows leave, from which it is asked whether intrinsics are of another camera
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,17 @@ class _Sample:
 
 
 def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
-    """Refuse views whose joints are of other pictures or read the other way round, and a board of another size; warn of senses
-    that fit as well.
+    """Refuse views whose joints are of other pictures or read the other way round, and another board or camera than is
+    described; warn of senses that fit as well.
 
     Raises:
-        ObservationError: ``foreign_observations``, ``views_astray`` or ``board_scale_differs``.
+        ObservationError: ``corners_misplaced``, ``foreign_observations``, ``intrinsics_differ``, ``views_astray`` or
+            ``board_scale_differs``.
 
     """
+    views = Measurement.of(rows, begin.marker_points, held=True).pixels
+    if views is not None:
+        refuse_misplaced_corners(views)
     sample = _sample(begin, rows)
     if sample is None:
         return ()
@@ -105,6 +111,11 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
             code="foreign_observations",
             shuffled_mm=mm(shuffled),
         )
+    assert rows.camera is not None
+    for c in np.unique(rows.camera[rows.camera >= 0]):
+        of = sample if c == sample.camera else _sample(begin, rows.select(np.flatnonzero(rows.camera == c)))
+        if of is not None and of.left(of.rows.q) > ODD * shuffled:
+            refuse_other_camera(begin, of.rows, of.views.rig, int(c))
     _refuse_far(far_views(begin, rows), given)
     _refuse_scale(sample)
     return tuple(_alike(sample, reversed_, given))

@@ -23,6 +23,7 @@ from kilter_core.identify.fit.robust import Loss, tukey_limit
 from kilter_core.identify.fit.tukey import dimension_of, row_sizes
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.identify.uncertainty.settling import scatter_of_poses
+from kilter_core.measurement.kind import TURNS
 from kilter_core.types import QUANTILE, Floats, Ints
 
 FOLLOWED = 0.02  # share of the noise below which the fit follows a pose in a direction, so that no residual shows it
@@ -57,7 +58,7 @@ def clustered(fit: Fit) -> Fit:
     numbers = problem.measurement.numbers()
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     weighed = problem.measurement.observations.pose_weight is not None
-    shared = total if weighed else _shared(A, r, each.L, groups, numbers / left, _seen(fit, each.said))
+    shared = total if weighed else _shared(each, groups, _lost(fit, each, bend * bread, numbers / left))
     meat = mixed(shared, *scores_by_pose(A, r, groups, bread))
     around = sandwich(H, meat, H - bend * total, known)
     scale = as_normal(problem.prior_sigma, left)
@@ -110,36 +111,51 @@ def bend_of(fit: Fit) -> float:
     return float(np.mean(bend) / np.mean(weight))
 
 
-def _seen(fit: Fit, said: Floats) -> Floats | None:
-    """Root of the share of the rows (R,) that have each number, where several kinds were measured in some rows each."""
-    measurement = fit.problem.measurement
-    if len(measurement.kinds) == 1 and measurement.tool.measured().all():
-        return None
-    return np.asarray(np.sqrt(np.maximum(said, 1.0 / len(measurement.observations))))
+def _lost(fit: Fit, each: RowNumbers, bread: Floats, of_all: float) -> Floats:
+    """What makes up (R,) for what the parameters took of each number, of which ``of_all`` is the mean.
+
+    Where several kinds were measured each has its own: a dozen points give up a third of theirs, and thousands of corners
+    next to nothing.
+    """
+    measurement, out = fit.problem.measurement, np.full(len(each.group), of_all)
+    for kind in measurement.kinds if len(measurement.kinds) > 1 else ():
+        of = np.array([group in (kind.group, *((TURNS,) if kind is measurement.tool else ())) for group in each.group])
+        A = each.A[:, of]
+        if (kind is measurement.tool or kind.follows_tool) and of.any():
+            numbers = kind.numbers()
+            out[of] = numbers / max(numbers - float(np.trace(bread @ products(A, A))), 1.0)
+    return out
 
 
-def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float, seen: Floats | None = None) -> Floats:
+def _shared(each: RowNumbers, groups: Ints, lost: Floats) -> Floats:
     """Covariance (F, F) of the scores, had all poses the same scatter: shared by the rows of a pose, and each row's own.
 
-    ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses. Residuals
-    that are zero for want of a reading say nothing of the scatter: ``seen (R,)`` makes up for those.
+    ``lost (R,)`` makes up for what the parameters took from the poses. Numbers that a row has not say nothing of the scatter.
     """
-    if seen is not None:
-        r, L = r / seen, L / seen[:, None]
-    count = np.bincount(groups)
-    mean = np.stack([np.bincount(groups, weights=column) for column in r.T], axis=1) / count[:, None]
-    apart = r - mean[groups]
-    own = apart.T @ apart / max(len(r) - len(count), 1)
-    common = lost * mean.T @ mean / len(count)
-    if len(r) > len(count):
-        common = _bounded(common - own * float(np.mean(1.0 / count)), own, int(count.max()))
+    A, told = each.A, each.told.astype(np.float64)
+    count = _summed(told, groups)
+    seen, own_count = count > 0.0, np.maximum(count, 1.0)
+    mean = _summed(each.r, groups) / own_count
+    apart = (each.r - mean[groups]) * told
+    both = np.asarray(seen.T @ seen.astype(np.float64))
+    own = apart.T @ apart / np.maximum(told.T @ told - both, 1.0)
+    scaled = np.sqrt(lost) * mean
+    common = scaled.T @ scaled / np.maximum(both, 1.0)
+    if len(A) > len(count):
+        common = _bounded(common - own * float(np.mean(1.0 / own_count[seen])), own, int(count.max()))
     order = np.argsort(groups, kind="stable")
     start = np.searchsorted(groups[order], np.arange(len(count)))
     whole = np.add.reduceat(A[order], start)
-    lever = np.add.reduceat(L[order], start) / count[:, None, None]
+    lever = np.add.reduceat(each.L[order], start) / own_count[:, :, None]
     # The fit takes its share of the scatter; what rows have of their own is known already.
-    each = scatter_of_poses(np.sqrt(lost) * mean, lever, common, own / count[:, None, None])
-    return products(whole, each @ whole) + products(A, own @ A)
+    known = own / np.sqrt(own_count[:, :, None] * own_count[:, None, :])
+    of_poses = scatter_of_poses(scaled, lever, common, known, None if seen.all() else seen)
+    return products(whole, of_poses @ whole) + products(A, own @ A)
+
+
+def _summed(values: Floats, groups: Ints) -> Floats:
+    """Sums (G, R) of values (N, R) over the rows of each pose."""
+    return np.stack([np.bincount(groups, weights=column) for column in values.T], axis=1)
 
 
 def products(a: Floats, b: Floats) -> Floats:

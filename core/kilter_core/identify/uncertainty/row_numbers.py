@@ -14,19 +14,20 @@ import numpy as np
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.uncertainty.settling import levers
 from kilter_core.measurement.kind import Spanned
-from kilter_core.types import Floats
+from kilter_core.types import Bools, Floats
 
 
 @dataclass(frozen=True)
 class RowNumbers:
     """Derivatives ``A (N, R, F)`` in prior sigmas, residuals ``r (N, R)`` and levers of the joints ``L (N, R, n)``, whitened;
-    ``said (R,)`` is the share of the rows that have each number.
+    ``told (N, R)`` says which numbers each row has, and ``group`` (R) of which noise group they are.
     """
 
     A: Floats
     r: Floats
     L: Floats
-    said: Floats
+    told: Bools
+    group: tuple[str, ...]
 
     @staticmethod
     def of(fit: Fit) -> RowNumbers:
@@ -40,13 +41,14 @@ class RowNumbers:
             own = slice(start, start + each)
             start += each
             told = ~np.isnan(block.r).reshape(rows, -1)
-            part = RowNumbers(A[:, own], r[:, own], L[:, own], told.mean(axis=0))
+            part = RowNumbers(A[:, own], r[:, own], L[:, own], told[:, :each], (block.group,) * each)
             if isinstance(block.slopes, Spanned) and each == told.shape[1]:  # not shortened yet
                 part = part.followed(block.slopes.span, root, told)
             parts.append(part)
         return RowNumbers(
             np.concatenate([p.A for p in parts], axis=1), np.concatenate([p.r for p in parts], axis=1),
-            np.concatenate([p.L for p in parts], axis=1), np.concatenate([p.said for p in parts]),
+            np.concatenate([p.L for p in parts], axis=1), np.concatenate([p.told for p in parts], axis=1),
+            tuple(group for p in parts for group in p.group),
         )  # fmt: skip
 
     def followed(self, span: Floats, root: Floats | None, told: Floats) -> RowNumbers:
@@ -56,5 +58,6 @@ class RowNumbers:
         )
         weight = weight * told
         Q = np.linalg.qr(span * weight[:, :, None])[0].transpose(0, 2, 1)
-        said = np.full(Q.shape[1], told.any(axis=1).mean())
-        return RowNumbers(Q @ self.A, (Q @ self.r[:, :, None])[:, :, 0], Q @ (weight[:, :, None] * self.L), said)
+        some = np.repeat(told.any(axis=1, keepdims=True), Q.shape[1], axis=1)
+        A, r, L = Q @ self.A, (Q @ self.r[:, :, None])[:, :, 0], Q @ (weight[:, :, None] * self.L)
+        return RowNumbers(A, r, L, some, self.group[:1] * Q.shape[1])

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.optimize
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.types import Floats
+from kilter_core.types import Bools, Floats
 
 ROUNDS = 10  # of scoring, each half a step
 LEAST = 0.003  # share of what is the same at every pose: without any, poses would be taken as exact across their levers
@@ -27,14 +27,18 @@ def levers(fit: Fit) -> Floats:
     return whole if problem.weights.rows is None else whole * np.sqrt(problem.weights.rows)[:, None, None]
 
 
-def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats) -> Floats:
+def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats, seen: Bools | None = None) -> Floats:
     """Covariance (G, R, R) of what the rows of each pose share, by scoring of variance components.
 
     ``mean (G, R)`` are the residuals of the poses, ``lever (G, R, n)`` what the joints move there. A share of ``common
     (R, R)``, the same at every pose, and of each joint's settling adds to what is ``known (G, R, R)`` of the rows' own.
+    Numbers that a pose lacks, by ``seen (G, R)``, take no part there: zeros would say that it scatters less.
     """
-    G, _, n = lever.shape
+    G, R, n = lever.shape
     flat = np.broadcast_to(common, (G, *common.shape))
+    if seen is not None:
+        flat = flat * (seen[:, :, None] & seen[:, None, :])
+        known = np.where(seen[:, :, None] & seen[:, None, :], known, np.eye(R))
     if POSES_PER_SHARE * (n + 1) > G or np.linalg.eigvalsh(common)[0] <= 0.0:
         return flat
     size = np.einsum("gij,gij->j", lever, lever) / np.trace(common) / G
@@ -42,7 +46,7 @@ def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats)
     share = np.concatenate([[1.0], np.zeros(n)])
     for _ in range(ROUNDS):
         inverse = np.asarray(np.linalg.inv(_together(share, flat, scaled) + known), dtype=np.float64)
-        share = 0.5 * (share + _scored(inverse, mean, scaled, common))
+        share = 0.5 * (share + _scored(inverse, mean, scaled, flat))
         share[0] = max(share[0], LEAST)
     return _together(share, flat, scaled)
 
@@ -51,17 +55,17 @@ def _together(share: Floats, flat: Floats, scaled: Floats) -> Floats:
     return np.asarray(share[0] * flat + (scaled * share[1:]) @ scaled.transpose(0, 2, 1))
 
 
-def _scored(inverse: Floats, mean: Floats, scaled: Floats, common: Floats) -> Floats:
+def _scored(inverse: Floats, mean: Floats, scaled: Floats, flat: Floats) -> Floats:
     """Shares (1 + n,), none negative, that the residuals of the poses ask for under these inverse covariances."""
     n = scaled.shape[2]
     scaled_inverse = inverse @ scaled
-    through = inverse @ common
+    through = inverse @ flat
     M = np.empty((n + 1, n + 1))
     M[0, 0] = np.einsum("gij,gji->", through, through)
-    M[0, 1:] = M[1:, 0] = np.einsum("gij,ik,gkj->j", scaled_inverse, common, scaled_inverse)
+    M[0, 1:] = M[1:, 0] = np.einsum("gij,gij->j", scaled_inverse, flat @ scaled_inverse)
     M[1:, 1:] = np.sum((scaled.transpose(0, 2, 1) @ scaled_inverse) ** 2, axis=0)
     weighed = np.einsum("gij,gj->gi", inverse, mean)
-    v = np.concatenate([[np.einsum("gi,ij,gj->", weighed, common, weighed)],
+    v = np.concatenate([[np.einsum("gi,gij,gj->", weighed, flat, weighed)],
                         np.sum(np.einsum("gij,gi->gj", scaled, weighed) ** 2, axis=0)])  # fmt: skip
     root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(n + 1))
     return np.asarray(scipy.optimize.nnls(root.T, np.linalg.solve(root, v))[0])

@@ -1,0 +1,126 @@
+"""Descriptions of another board or another camera: corners that do not lie as described, and intrinsics that are not theirs.
+
+Corners lie as described, or not, whatever arm and camera do: a view leaves pixels or the half of its board. A camera with other
+intrinsics leaves what an arm that is far off does, unless it may have those that its own views ask for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.measurement.camera.board_poses import board_poses
+from kilter_core.measurement.camera.pixels import Pixels
+from kilter_core.measurement.camera.rig_fit import FittedRig, fit_rig, placed_by
+from kilter_core.measurement.camera.views import Views, pairs_of
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.observations.rig import Camera, Rig
+from kilter_core.types import Floats
+
+MOST_VIEWS = 60  # of each camera and board
+MISPLACED = 0.05  # of how far a view's corners spread, beyond which no lens bends them
+EXPLAINED = 0.5  # of what is left with intrinsics as stated, below which others are the truth
+ROUNDS = 3  # of intrinsics, each from where camera and board stand by those found before
+BROWN = 5  # numbers of the lens that a camera without any may have
+
+
+def refuse_misplaced_corners(views: Pixels) -> None:
+    """Refuse a board whose corners do not lie as it is described.
+
+    Raises:
+        ObservationError: ``corners_misplaced``.
+
+    """
+    cameras, boards = views.observations.camera, views.observations.board
+    assert cameras is not None
+    assert boards is not None
+    for c, b in pairs_of(cameras, boards):
+        camera, board = views.rig.cameras[c], views.rig.boards[b]
+        mine = np.flatnonzero((cameras == c) & (boards == b) & views.measured())
+        pixels = views.pixels[mine[:: max(1, -(-len(mine) // MOST_VIEWS))]][:, : len(board.corners)]
+        rms = board_poses(camera, np.array(camera.values), board, pixels)[2]
+        seen = pixels[np.isfinite(rms)]
+        if not len(seen):
+            continue
+        off, spread = float(np.nanmedian(rms)), float(np.median(np.sqrt(np.nanvar(seen, axis=1).sum(axis=1))))
+        if off > MISPLACED * spread:
+            far = f"{off:.3g} px" if off < spread else "as much as they spread"
+            raise ObservationError(
+                f"Corners that camera {camera.name!r} saw of board {board.name!r} do not lie as `corners_mm` says: wherever "
+                f"the board stands they are off by {far} (median of {len(seen)} views, which spread over {spread:.3g} px). "
+                "It is the description of another board, its columns and rows are swapped, or corners are numbered otherwise: "
+                "give the corners in the order of u1_px, v1_px, ... as `kilter see` does.",
+                code="corners_misplaced", camera=camera.name, board=board.name, off_px=min(off, spread), spread_px=spread,
+            )  # fmt: skip
+
+
+def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera: int) -> None:
+    """Refuse intrinsics of another camera, zoom or size, by ``rows`` of one camera and board that tell poses.
+
+    Raises:
+        ObservationError: ``intrinsics_differ``.
+
+    """
+    stated = rig.cameras[camera]
+    assert rows.camera is not None
+    assert rows.board is not None
+    assert rows.pixels is not None
+    if stated.intrinsics == "free":
+        return
+    found = begin.predict(rows)
+    views = Views(rows.camera, rows.board, found.position, found.rotation)
+    held = freed = _fitted(rig.held(), views, rows)
+    now = _freed(stated)
+    for _ in range(ROUNDS):
+        try:
+            found_so = _fitted(_with(rig.held(), camera, now), views, rows)
+        except ObservationError:  # no board stands before a camera so far off
+            break
+        freed = min(freed, found_so, key=lambda fit: fit.sigma_px)
+        values = found_so.rig.cameras[camera].values
+        if not np.isfinite(values).all() or values[:2].min() <= 0.0:
+            break
+        now = replace(now, focal=(values[0], values[1]), centre=(values[2], values[3]), distortion=tuple(values[4:]))
+    own = freed.rig.cameras[camera].values
+    if freed.sigma_px > EXPLAINED * held.sigma_px or not _better_within(rows, rig, camera, _freed(stated), own):
+        return
+    fx, fy, cx, cy = own[:4]
+    given = f"{stated.focal[0]:.4g}, {stated.focal[1]:.4g}; {stated.centre[0]:.4g}, {stated.centre[1]:.4g} px"
+    raise ObservationError(
+        f"With the intrinsics that its own views ask for (focal lengths {fx:.4g} and {fy:.4g} px, centre {cx:.4g}, "
+        f"{cy:.4g} px) camera {stated.name!r} and the arm agree to {freed.sigma_px:.2g} px, with those stated ({given}, lens "
+        f"{stated.model}) to {held.sigma_px:.2g} px: these are of another camera, zoom, focus or picture size. Find them anew "
+        '(`kilter see --intrinsics brown`), or let the fit find them ("intrinsics": "free", with a lens).',
+        code="intrinsics_differ", camera=stated.name, stated_px=held.sigma_px, own_px=freed.sigma_px,
+    )  # fmt: skip
+
+
+def _better_within(rows: Observations, rig: Rig, place: int, freed: Camera, own: Floats) -> bool:
+    """Whether boards by themselves fit better with a camera's ``own`` intrinsics: an arm that is far off bends them, too."""
+    assert rows.board is not None
+    assert rows.pixels is not None
+    board, stated = rig.boards[int(rows.board[0])], rig.cameras[place]
+    pixels = rows.pixels[:, : len(board.corners)]
+    as_stated, as_own = (
+        board_poses(camera, values, board, pixels)[2]
+        for camera, values in ((stated, np.array(stated.values)), (freed, own))
+    )
+    return bool(np.nanmedian(as_own) < np.nanmedian(as_stated))
+
+
+def _freed(camera: Camera) -> Camera:
+    """The camera with unknown intrinsics; one without a lens may have Brown's."""
+    free = replace(camera, intrinsics="free", sigmas=None)
+    return replace(free, model="brown", distortion=(0.0,) * BROWN) if camera.model == "none" else free
+
+
+def _with(rig: Rig, place: int, camera: Camera) -> Rig:
+    return replace(rig, cameras=tuple(camera if k == place else one for k, one in enumerate(rig.cameras)))
+
+
+def _fitted(rig: Rig, views: Views, rows: Observations) -> FittedRig:
+    assert rows.pixels is not None
+    return fit_rig(placed_by(rig, views, rows.pixels), views, rows.pixels, rows.pixel_sigma)
