@@ -93,4 +93,6 @@ def test_a_set_in_another_order_is_not_looked_at_again() -> None:
 def test_one_tail_is_that_of_the_scan() -> None:
     gram, selector = world(4)
     scores = selector.scorer.scores(gram.given([2, 9]))
-    assert [selector.scorer.tail_of(gram.given([2, 9]), k) for k in range(len(SIZES))] == scores.p.tolist()
+    for given, beside in ((gram.given([2, 9]), ()), (gram, (2, 9))):
+        tails = [selector.scorer.tail_of(given, k, beside) for k in range(len(SIZES))]
+        np.testing.assert_allclose(tails, scores.p, rtol=1e-9)

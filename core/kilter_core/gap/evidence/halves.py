@@ -117,8 +117,7 @@ class _Searched:
         named = [candidates[k] for k in self.chosen if any(_same(candidates[k], one) for one in own)]
         if named:
             return named
-        given = self.gram.given(self.selector.columns(self.chosen))
-        there = self.selector.scorer.tail_of(given, place) < AGAIN
+        there = self.selector.scorer.tail_of(self.gram, place, self.selector.columns(self.chosen)) < AGAIN
         return [candidates[place]] if there else []
 
 

@@ -114,7 +114,7 @@ class CandidateSets:
         rest = self.columns([m for m in chosen if m != place])
         inverse, rank = gram.inverse(columns)
         if rank < len(columns):
-            return self.scorer.tail_of(gram.given(rest), place)
+            return self.scorer.tail_of(gram, place, rest)
         others = set(rest)
         own = [n for n, k in enumerate(columns) if k not in others]
         beta = inverse[own] @ gram.c[columns]

@@ -158,11 +158,18 @@ class Scorer:
             out[block.place] = new[block.columns].sum(axis=1)
         return out
 
-    def tail_of(self, gram: Gram, place: int) -> float:
-        """Tail probability of one candidate, as :meth:`scores` has it."""
-        among = np.zeros(len(self.candidates), dtype=bool)
-        among[place] = True
-        return float(self.scores(gram, among).p[place])
+    def tail_of(self, gram: Gram, place: int, beside: Sequence[int] = ()) -> float:
+        """Tail probability of one candidate beside some columns, as :meth:`scores` has it: of its own columns alone.
+
+        A set with nearly dependent columns asks for that of each member, tens of thousands of times.
+        """
+        own = self.candidates[place].columns
+        part, *factors = gram.part(own, beside)
+        S, d, starts = np.zeros(1), np.zeros(1, dtype=np.int64), np.array([0, len(own)])
+        alone = np.ones(1, dtype=bool), starts, np.arange(len(own))
+        reductions(part.whole, part.c, *factors, *alone, VISIBLE, SURELY / VISIBLE, S, d)
+        wrong = S[0] <= 0.0 or (self.one_sided[place] and part.c[0] < 0.0)
+        return 1.0 if wrong else self._tail(place, int(d[0]), float(S[0]), part.yy, part.nu)
 
     def scores(self, gram: Gram, among: Bools | None = None) -> Scores:
         """Scores of the data themselves, of all candidates or of those that are ``among`` them."""
@@ -204,10 +211,13 @@ class Scorer:
 
     def tail_of_ratio(self, place: int, d: int, without: float, within: float, nu: float) -> float:
         """Tail probability of a candidate of ``d`` directions by chi-square without and with it; ``nu`` free without."""
+        return self._tail(place, d, max(without - within, 0.0), without, nu)
+
+    def _tail(self, place: int, d: int, taken: float, yy: float, nu: float) -> float:
+        """The same by the chi-square ``taken`` of ``yy``."""
         if d == 0:
             return 1.0
-        S = np.array([[max(without - within, 0.0)]])
-        T = self.scaled(S, np.array([d]), np.array([without]), nu, np.ones(1))
+        T = self.scaled(np.array([[taken]]), np.array([d]), np.array([yy]), nu, np.ones(1))
         p = float(tail(T, np.array([d]), self.known(np.array([max(nu - d, 1.0)])))[0, 0])
         return min(1.0, (0.5 * p if self.one_sided[place] else p) * float(self.places[place]))
 

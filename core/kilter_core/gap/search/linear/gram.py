@@ -125,6 +125,19 @@ class Gram:
             taken=tuple(index), K=K, exchanges={},
         )  # fmt: skip
 
+    def part(self, own: Sequence[int], taken: Sequence[int]) -> tuple[Gram, Floats, Floats]:
+        """The columns ``own (d,)`` alone beside others, and what is projected off them: two factors (d, t), as
+        :attr:`projected`. One candidate is asked for where all of them are not.
+        """
+        if self.taken:
+            return Gram(self.A, self.c, self.yy, self.nu).part(own, taken)
+        mine, index = list(own), list(taken)
+        along = np.ascontiguousarray(self.whole[index][:, mine].T)
+        K = along @ self.inverse(index)[0]
+        whole = np.ascontiguousarray(self.whole[mine][:, mine])
+        yy, nu = self.yy - self.reduction(index), self.nu - self.rank(index)
+        return Gram(whole, self.c[mine] - K @ self.c[index], yy, nu), K, along
+
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""
         return replace(self, c=c, yy=yy, held=None, exchanges={})
