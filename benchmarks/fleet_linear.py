@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from tests.core.identify.fleet.simulated import ANGLE, LENGTH, PARALLEL, TOOL, Arm, poses, shifted
 
 Floats = NDArray[np.float64]
-NOISE, FITTED, UNSEEN, DRAWS = 5e-5, 60, 300, 200
+NOISE, FITTED, UNSEEN, BETWEEN, DRAWS = 5e-5, 60, 300, 200, 200
 WIDE = 30.0  # an ordinary prior, in spreads of the type
 ODD_SHARE, ODD_WIDTH = 0.02, 20.0  # each of fifty parameters, so many times as wide
 WORSE = 1.05
+MOST, WIDTHS = 0.26, np.geomspace(1.0, 30.0, 35)  # of the error expected without; how wide the type is taken
 MEAN_OF_UNIT = 4.0  # arms that the mean variance of a unit counts for
 ERRORS = [(k, c) for k in range(6) for c in range(5) if c < 4 or k == PARALLEL]
 SPREAD = np.array([(ANGLE, LENGTH, LENGTH, ANGLE, ANGLE)[c] for _, c in ERRORS])
@@ -83,16 +84,36 @@ class Station:
 
     seen: Floats
     unseen: Floats
+    between: Floats  # those at which a fit with its type is compared with one without
 
-    def error(self, y: Floats, x: Floats, prior: Prior) -> Floats:
-        """Squared error (D,) at unseen poses of an arm ``x (34,)`` from noisy rows ``y (3 N, D)``; linear, Gaussian prior."""
-        C = np.zeros((len(x), len(x)))
+    def fitted(self, y: Floats, prior: Prior) -> tuple[Floats, Floats]:
+        """Errors (34, D) from noisy rows ``y (3 N, D)``, and their covariance (34, 34); linear, Gaussian prior."""
+        C = np.zeros((self.seen.shape[1],) * 2)
         C[: len(SPREAD), : len(SPREAD)] = prior.covariance
         C[len(SPREAD) :, len(SPREAD) :] = np.diag(np.full(FRAMES, 1e6))
         mean = np.concatenate([prior.mean, np.zeros(FRAMES)])[:, None]
         gain = C @ self.seen.T @ np.linalg.inv(self.seen @ C @ self.seen.T + np.eye(len(y)))
-        found = mean + gain @ (y - self.seen @ mean)
-        return np.asarray(np.sum((self.unseen @ (found - x[:, None])) ** 2, axis=0))
+        return mean + gain @ (y - self.seen @ mean), C - gain @ self.seen @ C
+
+    def limited(self, y: Floats, prior: Prior, alone: Floats, covariance: Floats) -> Floats:
+        """Errors (34, D) with a prior that is taken wider, draw by draw, until it moves the tool by little enough.
+
+        That is ``MOST`` of the error that is expected of the fit ``alone``, at poses of their own.
+        """
+        most = MOST * np.sqrt(np.einsum("ij,jk,ik->", self.between, covariance, self.between))
+        found, left = alone.copy(), np.ones(y.shape[1], dtype=bool)
+        for width in WIDTHS:
+            some = self.fitted(y[:, left], Prior(prior.mean, prior.covariance * width**2))[0]
+            near = np.linalg.norm(self.between @ (some - alone[:, left]), axis=0) <= most
+            found[:, np.flatnonzero(left)[near]] = some[:, near]
+            left[np.flatnonzero(left)[near]] = False
+            if not left.any():
+                break
+        return found
+
+    def squares(self, found: Floats, x: Floats) -> float:
+        """Sum of the squared errors of all draws (34, D) at unseen poses of an arm ``x (34,)``."""
+        return float(np.sum((self.unseen @ (found - x[:, None])) ** 2))
 
     def odd(self, y: Floats, prior: Prior) -> Floats:
         """Which parameter of another make each draw of rows shows (D,); -1: none."""
@@ -121,25 +142,30 @@ class Case:
     others: int
 
 
-def ratio(station: Station, x: Floats, prior: Prior, rng: np.random.Generator) -> float:
+def ratio(station: Station, x: Floats, prior: Prior, rng: np.random.Generator, limit: bool) -> float:
     """How many times the rms error without the prior an arm has with it, over draws of the noise."""
     y = (station.seen @ x)[:, None] + rng.standard_normal((len(station.seen), DRAWS))
-    without = station.error(y, x, Prior(np.zeros(len(SPREAD)), WIDE**2 * np.eye(len(SPREAD))))
-    found, which = np.zeros(DRAWS), station.odd(y, prior)
+    without, covariance = station.fitted(y, Prior(np.zeros(len(SPREAD)), WIDE**2 * np.eye(len(SPREAD))))
+    found, which = np.zeros_like(without), station.odd(y, prior)
     for k in np.unique(which):
         C = prior.covariance.copy()
         if k >= 0:
             C[k, k] += (ODD_WIDTH**2 - 1.0) * C[k, k]
-        found[which == k] = station.error(y[:, which == k], x, Prior(prior.mean, C))
-    return float(np.sqrt(found.sum() / without.sum()))
+        some, own = which == k, Prior(prior.mean, C)
+        found[:, some] = (
+            station.limited(y[:, some], own, without[:, some], covariance)
+            if limit
+            else station.fitted(y[:, some], own)[0]
+        )
+    return float(np.sqrt(station.squares(found, x) / station.squares(without, x)))
 
 
-def ratios(arms: int, count: int, case: Case, rng: np.random.Generator) -> Iterator[float]:
+def ratios(arms: int, count: int, case: Case, rng: np.random.Generator, limit: bool) -> Iterator[float]:
     """The ratios of so many arms with ``count`` poses, each beside others of its type."""
     many = derivatives(poses(FITTED, rng)) / NOISE
     whole: Floats = np.linalg.inv(many.T @ many + np.eye(many.shape[1]) / WIDE**2).astype(np.float64)
     known = whole[: len(SPREAD), : len(SPREAD)]
-    unseen = derivatives(poses(UNSEEN, rng)) / NOISE
+    unseen, between = (_short(derivatives(poses(size, rng)) / NOISE) for size in (UNSEEN, BETWEEN))
     for _ in range(arms):
         kind = rng.standard_normal(len(SPREAD))
         versions = kind + rng.standard_normal((case.others, len(SPREAD)))
@@ -147,7 +173,13 @@ def ratios(arms: int, count: int, case: Case, rng: np.random.Generator) -> Itera
         x = np.concatenate([kind + rng.standard_normal(len(SPREAD)), np.zeros(FRAMES)])
         odd = x if case.whose == "own" else versions[0]
         odd[int(rng.choice(case.among))] += case.off * rng.choice([-1.0, 1.0])
-        yield ratio(Station(derivatives(poses(count, rng)) / NOISE, unseen), x, Prior.of(versions, known), rng)
+        station = Station(derivatives(poses(count, rng)) / NOISE, unseen, between)
+        yield ratio(station, x, Prior.of(versions, known), rng, limit)
+
+
+def _short(J: Floats) -> Floats:
+    """As many rows as columns with the same sums of squares."""
+    return np.asarray(np.linalg.qr(J, mode="r"))
 
 
 def cases(others: int, off: float) -> list[Case]:
@@ -169,6 +201,7 @@ def main() -> None:
     parser.add_argument("--others", type=int, default=11)
     parser.add_argument("--off", type=float, default=10.0)
     parser.add_argument("--poses", type=int, nargs="+", default=[12, 14, 20])
+    parser.add_argument("--whole", action="store_true", help="the prior as it is, whatever it moves")
     given = parser.parse_args()
     rng = np.random.default_rng(30)
     print(
@@ -178,7 +211,7 @@ def main() -> None:
     print("poses   arm                          mean   median   largest   above 1.05")
     for count in given.poses:
         for case in cases(given.others, given.off):
-            found = np.array(list(ratios(given.arms, count, case, rng)))
+            found = np.array(list(ratios(given.arms, count, case, rng, not given.whole)))
             share = 100.0 * float(np.mean(found > WORSE))
             told = f"{np.mean(found):6.3f}   {np.median(found):6.3f}   {found.max():7.3f}   {share:8.1f} %"
             print(f"{count:5d}   {case.words:25} {told}", flush=True)

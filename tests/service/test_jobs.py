@@ -196,7 +196,7 @@ def test_what_cannot_run_is_refused_at_once(client: httpx.Client, katana: Any) -
     for kind, option in (("evaluate", "refit"), ("drift", "new_setup")):
         job = {"kind": kind, "robot": "katana", "campaigns": [campaign], "options": {option: ["tool"]}}
         assert client.post("/v1/jobs", json=job).json()["detail"] == (
-            f"options.{option} is ['tool']: give [], " + f'["base"] or ["base", "tool"], for a job of kind {kind}.'
+            f"options.{option} is ['tool']: give base, or base and tool, or leave it out, for a job of kind {kind}."
         )
     assert client.get("/v1/jobs").json() == {"jobs": [], "next": None}
     assert client.get("/v1/jobs/job_none").json()["code"] == "job_not_found"

@@ -32,10 +32,15 @@ class PriorUsed(Stored):
     source: str | None = Field(None, description="`fleet`: versions of other robots of the type.")
     state: Literal["used", "widened", "dropped"] | None = Field(
         None,
-        description="`used` as it is; `widened`, since this arm is odder than most or `odd` in some parameters; `dropped`, "
-        "since it is not as its type.",
+        description="`used` as it is; `widened`, since this arm is odder than most, `odd` in some parameters, or moved by "
+        "the type farther than its rows allow; `dropped`, since it is not as its type.",
     )
     widened_by: float | None = Field(None, description="Factor of its standard deviations; null: dropped.")
+    limited_by: float | None = Field(
+        None,
+        description="Part of that factor, so that the type may move the tool by 0.26 of the error that is expected "
+        "without it, and no more; 1: none. Null: stored without.",
+    )
     chi_square: float | None = Field(None, description="Chi-square of the arm against its type.")
     compared: int | None = Field(None, description="Directions that were compared.")
     p_value: float | None = Field(None, description="Chance of as large a chi-square for a robot of the type.")

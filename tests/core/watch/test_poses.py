@@ -100,7 +100,7 @@ def test_a_reflector_on_the_last_axis_is_refused_with_the_distance_it_needs() ->
     robot = robot_from_document(replace(arm, tool=tool).document())
     near = Calibration.nominal(robot)
     with pytest.raises(
-        RobotError, match=r"2.24 mm off the axis of joint 6: 5 poses .* without_joints \[6\]"
+        RobotError, match=r"2.24 mm off the axis of joint 6: 5 poses .* \(`without_joints` 6\)"
     ) as refused:
         check_poses(near, EXACT, 5, Region.of(near))
     assert refused.value.code == "tool_on_axis"

@@ -9,6 +9,7 @@ from kilter_core.errors import CoreError, NotConvergedError, TooFewPosesError
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fit.prior_use import PriorUse
 from kilter_core.identify.fleet.conflict import LOOSE, judged
+from kilter_core.identify.fleet.limited import limited
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration
 from kilter_core.parameters import TypePrior
@@ -30,7 +31,15 @@ def believed(start: Calibration, options: IdentifyOptions, fitted: Callable[[Cal
     use = judged(alone, prior, options.noise_mm is not None)
     if use.widened_by is None:
         return replace(alone, prior_use=use)
+    use = _limited(use, limited(alone, _as_used(prior, use), use.noise))
     return replace(fitted(_with(start, _as_used(prior, use))), prior_use=use)
+
+
+def _limited(use: PriorUse, by: float) -> PriorUse:
+    """The use of a prior that is taken wider still, so that it moves the arm by little enough."""
+    if use.widened_by is None or by <= 1.0:
+        return use
+    return replace(use, state="widened", widened_by=use.widened_by * by, limited_by=by)
 
 
 def _alone(start: Calibration, fitted: Callable[[Calibration], Fit]) -> Fit | None:

@@ -98,8 +98,8 @@ def judged(fit: Fit, prior: TypePrior, noise_known: bool) -> PriorUse:
     if p < CONFLICT or width > TOO_ODD or len(odd) >= MOST_ODD * len(names):
         return PriorUse("dropped", None, square, count, p)
     if width < NOTICED and not odd:
-        return PriorUse("used", 1.0, square, count, p)
-    return PriorUse("widened", width, square, count, p, tuple(odd))
+        return PriorUse("used", 1.0, square, count, p, noise=float(noise))
+    return PriorUse("widened", width, square, count, p, tuple(odd), noise=float(noise))
 
 
 def _odd_ones(told: Told, prior: TypePrior, names: list[str], noises: Floats) -> list[str]:

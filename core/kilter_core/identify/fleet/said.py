@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.conflict import NOTICED
+from kilter_core.identify.fleet.limited import MOST
 from kilter_core.identify.fleet.prior import FleetPrior, said_left_out
 from kilter_core.identify.identifiable.identifiability import WEAK
 from kilter_core.parameters import TypePrior
@@ -73,10 +74,15 @@ def _sentence(fleet: FleetPrior, fit: Fit, names: list[str]) -> str:
     if use.odd:
         said += f"; {', '.join(use.odd)} {'is' if len(use.odd) == 1 else 'are'} not as in those, so there these rows alone say"
     if use.widened_by is not None and use.widened_by >= NOTICED:
-        odder = (
-            "this arm is odder than most, so " if use.p_value < ORDINARY else ""
-        )  # heavy tails widen an ordinary one too
+        own = use.widened_by / use.limited_by
+        # Heavy tails widen an ordinary arm's type too.
+        odder = "this arm is odder than most, so " if use.p_value < ORDINARY and own >= NOTICED else ""
         said += f"; {odder}the type's standard deviations count {use.widened_by:.2g} times"
+        if use.limited_by > 1.0:
+            said += (
+                f" ({use.limited_by:.2g} times for that the type may move the tool by {MOST:g} of the error that is expected "
+                "without it, and no more)"
+            )
     if names:
         verb = "rests" if len(names) == 1 else "rest"
         said += f". {', '.join(names)} {verb} on the prior, not on these rows"

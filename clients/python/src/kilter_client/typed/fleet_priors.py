@@ -45,6 +45,8 @@ class PriorUsed(Record):
     """how well the robots predict each other."""
     left_out: Records[FleetVersion]
     """Versions of another gauge, which it does without."""
+    limited_by: float | None
+    """Part of that factor, so that the type may move the tool by 0.26 of the error that is expected without it, and no more; 1: none. Null: stored without."""
     odd: tuple[str, ...]
     """Parameters in which the arm is not as its type: the rows alone say."""
     p_value: float | None
@@ -56,7 +58,7 @@ class PriorUsed(Record):
     source: str | None
     """`fleet`: versions of other robots of the type."""
     state: str | None
-    """`used` as it is; `widened`, since this arm is odder than most or `odd` in some parameters; `dropped`, since it is not as its type."""
+    """`used` as it is; `widened`, since this arm is odder than most, `odd` in some parameters, or moved by the type farther than its rows allow; `dropped`, since it is not as its type."""
     versions: Records[FleetVersion]
     """The versions it rests on."""
     widened_by: float | None
