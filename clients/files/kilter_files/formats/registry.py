@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.formats.reader import USES, Document, Head, Hints, Reader
+from kilter_files.formats.zipped import ZIP, of_zip
 from kilter_files.ground.faults import fault
 
 # modules of `kilter_files.formats.readers`: what first bytes show before what only columns show
@@ -32,11 +33,12 @@ READERS = (
     "text_table",
     "tracker_text",
 )
-PICTURE = "Export the numbers; a scanned pencil sheet is read with kilter sheet-read."
+PICTURE = (
+    "Export the numbers; pictures of a board are read with kilter see, a scanned pencil sheet with kilter sheet-read."
+)
 # first bytes of files that hold no measurements as they are
 STRANGERS: Mapping[bytes, tuple[str, str]] = {
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
-    b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "Unpack it; a spreadsheet is read as .xlsx or CSV."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
     b"%PDF": ("a PDF", PICTURE),
     b"\x89PNG": ("a picture", PICTURE),
@@ -78,8 +80,10 @@ def binary_reader(head: Head) -> Reader[Any] | None:
     """
     if not head.start and not head.path.is_dir():
         raise fault(head.path, "is empty", "Export it again.")
+    if head.start.startswith(ZIP) and not readers()["xlsx"].recognises(head):  # a workbook is a ZIP archive too
+        raise of_zip(head.path)
     for magic, (what, remedy) in STRANGERS.items():
-        if head.start.startswith(magic) and not readers()["xlsx"].recognises(head):  # a workbook is a ZIP archive too
+        if head.start.startswith(magic):
             raise fault(head.path, f"is {what}", remedy)
     return next((reader for reader in readers().values() if reader.is_a and reader.recognises(head)), None)
 
