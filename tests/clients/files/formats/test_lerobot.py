@@ -294,6 +294,8 @@ def test_half_written_data_sets_are_refused(tmp_path: Path, version: str) -> Non
     told = refusal(cut, asked)
     assert "is not a whole Parquet file. It is half written" in told
     assert file.name in told
+    with pytest.raises(FileError, match="is not a whole Parquet file"):
+        inspect(cut)
     file.unlink()
     assert "is missing. It is half written" in refusal(cut, asked)
 
@@ -301,6 +303,8 @@ def test_half_written_data_sets_are_refused(tmp_path: Path, version: str) -> Non
     file = sorted(short.glob("data/**/*.parquet"))[0]
     parquet.write_table(parquet.read_table(file).slice(0, 5), file)
     assert "has 5 rows, its episodes have" in refusal(short, asked)
+    with pytest.raises(FileError, match="has 5 rows, its episodes have"):
+        inspect(short)
 
     info = damaged("info")
     text = (info / "meta/info.json").read_text()
@@ -315,6 +319,8 @@ def test_half_written_data_sets_are_refused(tmp_path: Path, version: str) -> Non
     video = sorted(dark.glob("videos/**/*.mp4"))[-1]
     film(video, 4)
     assert "has 4 pictures, its rows in the data set are 7" in refusal(dark, asked)
+    with pytest.raises(FileError, match="has 4 pictures, its rows in the data set are 7"):
+        inspect(dark)
     video.write_bytes(video.read_bytes()[:200])
     assert "an MP4 file without an index" in refusal(dark, asked)
     video.unlink()

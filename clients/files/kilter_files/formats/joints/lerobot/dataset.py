@@ -94,6 +94,20 @@ def parquet_file(path: Path) -> parquet.ParquetFile:
         raise fault(path, "is not a whole Parquet file", FINISH) from error
 
 
+def refuse_unfinished(dataset: Dataset) -> None:
+    """Compare the rows of each file and the pictures of each video with the episodes; no row is read.
+
+    Raises:
+        FileError: a file is missing or cut, or has more or fewer than its episodes.
+
+    """
+    for name, expected in dataset.rows_of_files().items():
+        found = parquet_file(dataset.folder / name).metadata.num_rows
+        if found != expected:
+            raise fault(dataset.folder / name, f"has {found} rows, its episodes have {expected}", FINISH)
+    refuse_short_videos(dataset)
+
+
 def refuse_short_videos(dataset: Dataset) -> None:
     """Compare the pictures of each video with the rows that it belongs to.
 
