@@ -8,6 +8,7 @@ import html
 import io
 import json
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,16 @@ def shown_sha256(text: str) -> str:
     found = re.search(r'name="sha256" value="([0-9a-f]{64})"', text)
     assert found is not None, text
     return found[1]
+
+
+def zipped(folder: Path, only: str = "") -> bytes:
+    """The files of a folder, or one part of it, as an archive."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for file in sorted(folder.rglob("*")):
+            if file.relative_to(folder).as_posix().startswith(only):
+                archive.write(file, file.relative_to(folder))
+    return out.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -199,6 +210,8 @@ def test_what_has_no_rows_alone_says_where_it_belongs(server: httpx.Client, robo
         ("info.json", (made / "meta/info.json").read_bytes(), "Match the whole folder with a recording"),
         ("file-000.parquet", rows, "Match the whole folder with a recording"),
         ("cut.parquet", rows[: len(rows) // 2], "is not a Parquet file"),
+        ("set.zip", zipped(made), "is a ZIP archive of a LeRobot data set. Unpack it, and match its folder"),
+        ("my-arm.zip", zipped(servos.parent, "my_arm.json"), "a spreadsheet (my_arm.json). Unpack it"),
         (
             "so101.xml",
             b'<?xml version="1.0"?><mujoco><include file="so101.xml"/></mujoco>',
@@ -208,6 +221,32 @@ def test_what_has_no_rows_alone_says_where_it_belongs(server: httpx.Client, robo
         shown = html.unescape(server.get(dropped(server, robot, name, content)).text)
         assert said in " ".join(shown.split()), name
         assert str(tmp_path) not in shown
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_every_part_of_a_data_set_says_where_it_belongs(
+    server: httpx.Client, robot: str, tmp_path: Path, version: str
+) -> None:
+    made = dataset(tmp_path / "set", version, [np.zeros((8, 6))] * 2, SERVOS, video=True)
+    for part in sorted(path for path in made.rglob("*") if path.is_file()):
+        said = "a video has no rows" if part.suffix == ".mp4" else "Match the whole folder with a recording"
+        shown = html.unescape(server.get(dropped(server, robot, part.name, part.read_bytes())).text)
+        assert said in " ".join(shown.split()), part
+
+
+@pytest.mark.short_path
+def test_people_who_drop_a_zipped_data_set_read_what_to_do(
+    page: Page, server: httpx.Client, robot: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "my-set.zip"
+    file.write_bytes(zipped(dataset(tmp_path / "my-set", "v3.0", [np.zeros((8, 6))], SERVOS).parent, "my-set"))
+    page.goto(f"/robots/{robot}/campaigns/new")
+    page.locator("#file").set_input_files(file)
+    page.wait_for_url("**/campaigns/new/*")
+    told = page.get_by_role("alert")
+    expect(told).to_contain_text("my-set.zip: is a ZIP archive of a LeRobot data set. Unpack it")
+    expect(told).to_contain_text("kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE")
+    assert page.get_by_role("button", name="Store").count() == 0
 
 
 def test_names_of_files_are_shown_as_text_and_lead_nowhere(server: httpx.Client, robot: str) -> None:

@@ -175,6 +175,7 @@ def as_it_is(path: Path) -> Prepared:
     """Read a file that already has contract columns; its bytes, and so its content hash, stay what they are."""
     kind = TYPES.get(path.suffix.lower())
     if kind is None:
+        registry.binary_reader(reader.Head(path))  # what holds no rows at all, an archive or a picture, says so
         raise FileError(
             f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Send it with a column map "
             f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "

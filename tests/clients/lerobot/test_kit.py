@@ -53,6 +53,12 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     leader = calibration(tmp_path / "calibration/teleoperators/so101_leader")
     refused = command.json("kit", "so100", rows, "--cameras", rig, "--calibration", leader, code=1)
     assert "is of a leader" in refused["detail"]
+    narrow = calibration(tmp_path, "narrow.json", elbow_flex={"range_min": 1800, "range_max": 2200})
+    refused = command.json("kit", "so100", rows, "--cameras", rig, "--calibration", narrow, code=1)
+    assert re.search(
+        r"few.csv, row \d+, column 'q3_deg': .* deg is outside the range of narrow.json", refused["detail"]
+    )
+    assert "The rows are of another calibration" in refused["detail"]
     refused = command.json("kit", "lekiwi", rows, "--cameras", rig, "--calibration", servos, code=1)
     assert "has no servo 'arm_shoulder_pan'" in refused["detail"]
     assert "it is of another arm" in refused["detail"]

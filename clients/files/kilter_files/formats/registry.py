@@ -10,6 +10,7 @@ from typing import Any
 
 from kilter_files.formats.reader import USES, Document, Head, Hints, Reader
 from kilter_files.formats.strangers import stranger
+from kilter_files.formats.zipped import ZIP, of_zip
 from kilter_files.ground.faults import fault
 
 # modules of `kilter_files.formats.readers`: what first bytes show before what only columns show
@@ -80,8 +81,12 @@ def refuse_stranger(head: Head) -> None:
         FileError: it is one; the sentence says where it belongs.
 
     """
+    if head.start.startswith(ZIP):
+        if not readers()["xlsx"].recognises(head):
+            raise of_zip(head.path)
+        return
     found = stranger(head.start)
-    if found is not None and not readers()["xlsx"].recognises(head):
+    if found is not None:
         raise fault(head.path, f"is {found[0]}", found[1])
 
 

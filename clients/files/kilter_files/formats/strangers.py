@@ -11,7 +11,6 @@ PICTURE = f"{FIND}. A scanned pencil sheet is read with kilter sheet-read; of a 
 VIDEO = f"{FIND}."
 BY_BYTES: Mapping[bytes, tuple[str, str]] = {
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
-    b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "Unpack it; a spreadsheet is read as .xlsx or CSV."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
     b"%PDF": ("a PDF", f"{EXPORT} A scanned pencil sheet is read with kilter sheet-read."),
     b"\x1aE\xdf\xa3": ("a video", VIDEO),

@@ -1,4 +1,4 @@
-"""Zip archives, as workbooks are: how much one unpacks to, looked at before anything is unpacked."""
+"""Zip archives, as workbooks are: what is in one and how much it unpacks to, looked at before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -13,8 +13,22 @@ def unpacked_bytes(path: Path) -> int:
         ValueError: it cannot be read as one; its text says why.
 
     """
+    return sum(item.file_size for item in _listed(path))
+
+
+def names_in(path: Path) -> list[str]:
+    """Return the names in an archive; those of folders end in a slash.
+
+    Raises:
+        ValueError: it cannot be read as one; its text says why.
+
+    """
+    return [item.filename for item in _listed(path)]
+
+
+def _listed(path: Path) -> list[zipfile.ZipInfo]:
     try:
         with zipfile.ZipFile(path) as archive:
-            return sum(item.file_size for item in archive.infolist())
+            return archive.infolist()
     except (OSError, NotImplementedError, zipfile.BadZipFile) as error:  # a zip of a version nobody has yet
         raise ValueError(str(error)) from error

@@ -29,7 +29,9 @@ MOST_TEXT = 300
 MOST_LINES = 200_000  # of which the place in the file is told row by row
 FIRST = 3
 UNKNOWN = "table"  # what a file is that no reader takes
-BEGIN, STATE = 65536, "observation.state"  # bytes that are looked at; what LeRobot calls what its servos read
+BEGIN = 65536  # bytes that are looked at
+# names in the parts of a data set of LeRobot
+OF_LEROBOT = ("observation.state", "episode_index", "data/chunk_index", "task_index", "codebase_version")
 MOST_REMARKS = 50
 Document = dict[str, Any]
 
@@ -101,6 +103,8 @@ ALONE: Mapping[str, str] = {
     "lerobot": "a part of a LeRobot data set says where the servos were, and not where the tool was. Match the whole folder "
     "with a recording on the command line (`kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE`), and drop "
     "what comes out.",
+    "mp4": "a video has no rows. Find the board in it on the command line (`kilter see VIDEO --board BOARD.json --joints "
+    "JOINTS.csv`), and drop the views that come out.",
     "mjcf": "a model of MuJoCo has no rows. `kilter twin compare MODEL CAMPAIGN` scores it on a campaign, `kilter twin read "
     "MODEL` reads its drives.",
 }
@@ -110,14 +114,17 @@ def _kind(path: Path, seen: Document) -> str:
     """What a file is, be it one that says nothing alone: a part of a data set of LeRobot, a model of MuJoCo."""
     kind = str(seen["kind"])
     if kind == "parquet":
-        return "lerobot" if STATE in parquet.read_schema(path).names else kind
+        return "lerobot" if set(OF_LEROBOT) & set(parquet.read_schema(path).names) else kind
     if kind != UNKNOWN:
         return kind
     with path.open("rb") as file:
         begin = file.read(BEGIN)
     if b"<mujoco" in begin:
         return "mjcf"
-    return "lerobot" if begin.lstrip().startswith(b"{") and b'"codebase_version"' in begin else kind
+    if begin[4:8] == b"ftyp":
+        return "mp4"
+    is_part = begin.lstrip().startswith(b"{") and any(f'"{name}"'.encode() in begin for name in OF_LEROBOT)
+    return "lerobot" if is_part else kind
 
 
 def _looked(path: Path) -> Document:

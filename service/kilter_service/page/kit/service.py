@@ -59,7 +59,7 @@ class Found:
     version: Version
     lines: Sequence[str]
     warnings: Sequence[str]
-    off_by: str | None
+    off_by: str
 
 
 @dataclass(frozen=True)
@@ -136,8 +136,7 @@ def _said(
 ) -> Found:
     table = _tables.get(version.id, lambda: _table(database, version.id))
     told = words.told(version.model_dump(), joints, table, untold)
-    before, after = told["before_mm"], told["after_mm"]
-    off_by = None if before is None or after is None else words.off_by(before, after)
+    off_by = words.off_by(told["before_mm"], told["after_mm"])
     return Found(version, told["lines"] or [words.NOTHING], told["warnings"], off_by)
 
 

@@ -294,6 +294,8 @@ def test_half_written_data_sets_are_refused(tmp_path: Path, version: str) -> Non
     told = refusal(cut, asked)
     assert "is not a whole Parquet file. It is half written" in told
     assert file.name in told
+    with pytest.raises(FileError, match="is not a whole Parquet file"):
+        inspect(cut)
     file.unlink()
     assert "is missing. It is half written" in refusal(cut, asked)
 
@@ -301,6 +303,8 @@ def test_half_written_data_sets_are_refused(tmp_path: Path, version: str) -> Non
     file = sorted(short.glob("data/**/*.parquet"))[0]
     parquet.write_table(parquet.read_table(file).slice(0, 5), file)
     assert "has 5 rows, its episodes have" in refusal(short, asked)
+    with pytest.raises(FileError, match="has 5 rows, its episodes have"):
+        inspect(short)
 
     info = damaged("info")
     text = (info / "meta/info.json").read_text()
@@ -315,10 +319,32 @@ def test_half_written_data_sets_are_refused(tmp_path: Path, version: str) -> Non
     video = sorted(dark.glob("videos/**/*.mp4"))[-1]
     film(video, 4)
     assert "has 4 pictures, its rows in the data set are 7" in refusal(dark, asked)
+    with pytest.raises(FileError, match="has 4 pictures, its rows in the data set are 7"):
+        inspect(dark)
     video.write_bytes(video.read_bytes()[:200])
     assert "an MP4 file without an index" in refusal(dark, asked)
     video.unlink()
     assert f"{video.name}: is missing" in refusal(dark, asked)
+
+
+def test_a_zipped_data_set_is_told_to_be_unpacked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By whatever is asked of it; another archive says what it holds."""
+    dataset(tmp_path / "up/my-set", "v3.0", [recorded(ticks_of([12])[0], "DEGREES")])
+    archive = Path(shutil.make_archive(str(tmp_path / "my-set"), "zip", tmp_path / "up"))
+    said = f"{archive}: is a ZIP archive of a LeRobot data set. Unpack it, and match its folder with a recording"
+    command = Command(capsys)
+    for asked in (("inspect", archive), ("episodes", archive, "--norm-mode", "DEGREES"), ("upload", "nobody", archive)):
+        refused = command.json(*asked, code=1)
+        assert (refused["code"], refused["detail"][: len(said)]) == ("file_invalid", said)
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for k in range(3):
+        (photos / f"{k}.png").write_bytes(b"")
+    archive = Path(shutil.make_archive(str(tmp_path / "photos"), "zip", photos))
+    assert "is a ZIP archive of 3 pictures. Unpack it: kilter see" in command.json("inspect", archive, code=1)["detail"]
+    (tmp_path / "rows.csv").write_text("a\n")
+    refused = command.json("episodes", tmp_path / "rows.csv", "--norm-mode", "DEGREES", code=1)
+    assert "rows.csv: is not a LeRobot data set. Give the folder" in refused["detail"]
 
 
 def test_memory_is_that_of_a_block_however_long_the_data_set(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.lerobot.calibration import NORM_MODES, read_calibration
-from kilter_files.formats.joints.lerobot.dataset import open_dataset
+from kilter_files.formats.joints.lerobot.dataset import open_dataset, refuse_unfinished
 from kilter_files.formats.joints.lerobot.log import log_of_dataset
 from kilter_files.formats.reader import Document, LogHints
 
@@ -16,6 +16,7 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
     if hints.calibration is not None or hints.zero == "old":
         return describe_log(log_of_dataset(path, hints))
     dataset = open_dataset(path)
+    refuse_unfinished(dataset)
     notes = [
         dataset.told,
         f"joints {', '.join(dataset.names)}",

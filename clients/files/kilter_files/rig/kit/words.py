@@ -57,8 +57,12 @@ def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
     return f"{views} views of {poses} poses with {held or 'unknown payloads'}"
 
 
-def off_by(before_mm: float, after_mm: float) -> str:
-    """How far off the tool is, on views held out; 0.00 mm would be a perfect arm."""
+def off_by(before_mm: float | None, after_mm: float | None) -> str:
+    """How far off the tool is, on views held out; 0.00 mm would be a perfect arm. None: it is not known, and why."""
+    if before_mm is None or after_mm is None:
+        return (
+            "how far off the tool is elsewhere is not known: no view was held out (kilter kit holds out each pose once)"
+        )
     left = f"{after_mm:.{1 if after_mm >= 1.0 else 2}f} mm" if after_mm >= 0.005 else "less than 0.01 mm"
     return f"the tool is off by {before_mm:.1f} mm, corrected by {left} (views held out)"
 

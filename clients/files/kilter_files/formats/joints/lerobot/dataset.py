@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.formats.joints.lerobot.mp4_frames import frames_of
-from kilter_files.ground.faults import fault
+from kilter_files.formats.zipped import ZIP, of_zip
+from kilter_files.ground.faults import fault, head_of
 from kilter_files.ground.later import need, pa, parquet
 
 INFO, EPISODES_JSONL, EPISODES = "meta/info.json", "meta/episodes.jsonl", "meta/episodes"
 STATE = "observation.state"
 OLD, NEW = "v2.1", "v3.0"
 FINISH = "It is half written: finish the recording (lerobot-record ends it by itself), or copy it again."
+FOLDER = "Give the folder of a LeRobot data set, the one with meta/info.json."
 NAMES_OF_LISTS = ("motors", "axes")  # under which older data sets name the numbers of a column
 
 
@@ -55,9 +57,11 @@ def open_dataset(path: Path) -> Dataset:
     """Read what a data set says of itself; ``path`` is its folder or its info.json.
 
     Raises:
-        FileError: a version that is not known, no recorded joints, or parts that are not there.
+        FileError: another file, a version that is not known, no recorded joints, or parts that are not there.
 
     """
+    if path.is_file() and path.name != Path(INFO).name:
+        raise of_zip(path) if head_of(path, len(ZIP)) == ZIP else fault(path, "is not a LeRobot data set", FOLDER)
     folder = path if path.is_dir() else path.resolve().parent.parent
     info = _info(folder)
     version = str(info.get("codebase_version"))
@@ -88,6 +92,20 @@ def parquet_file(path: Path) -> parquet.ParquetFile:
         raise fault(path, "is missing", FINISH) from error
     except (pa.ArrowInvalid, OSError) as error:
         raise fault(path, "is not a whole Parquet file", FINISH) from error
+
+
+def refuse_unfinished(dataset: Dataset) -> None:
+    """Compare the rows of each file and the pictures of each video with the episodes; no row is read.
+
+    Raises:
+        FileError: a file is missing or cut, or has more or fewer than its episodes.
+
+    """
+    for name, expected in dataset.rows_of_files().items():
+        found = parquet_file(dataset.folder / name).metadata.num_rows
+        if found != expected:
+            raise fault(dataset.folder / name, f"has {found} rows, its episodes have {expected}", FINISH)
+    refuse_short_videos(dataset)
 
 
 def refuse_short_videos(dataset: Dataset) -> None:
@@ -122,7 +140,7 @@ def _info(folder: Path) -> dict[str, Any]:
     try:
         info = json.loads(path.read_bytes())
     except FileNotFoundError as error:
-        raise fault(folder, f"has no {INFO}", "Give the folder of a LeRobot data set.") from error
+        raise fault(folder, f"has no {INFO}", FOLDER) from error
     except ValueError as error:
         raise fault(path, f"is not JSON ({error})", FINISH) from error
     missing = [name for name in ("codebase_version", "fps", "features", "data_path") if not info.get(name)]

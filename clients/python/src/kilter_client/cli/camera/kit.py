@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.calibrated_rows import refuse_other_servos, servo_conditions
+from kilter_client.cli.files.calibrated_rows import refuse_other_servos, refuse_readings_outside, servo_conditions
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.terminal.arguments import Json
@@ -75,9 +75,11 @@ def kit(
             raise UsageError(
                 "Give --cameras, the JSON beside the views, and --calibration, LeRobot's JSON of the servos."
             )
-        refuse_other_servos(calibration, [joint["name"] for joint in arm["joints"]])
+        names = [joint["name"] for joint in arm["joints"]]
+        refuse_other_servos(calibration, names)
         rig = rig_conditions(cameras)
         seen = kit_coverage.captured(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig)
+        refuse_readings_outside(calibration, views, names)
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing), "loads": [asdict(one) for one in seen.pulled]}  # fmt: skip
         if not seen.missing or anyway:
@@ -137,8 +139,7 @@ def _show(document: Mapping[str, Any]) -> None:
         say(f"still missing: {line}")
     if "version_id" not in document:
         return
-    if document["before_mm"] is not None and document["after_mm"] is not None:
-        say(kit_words.off_by(document["before_mm"], document["after_mm"]))
+    say(kit_words.off_by(document["before_mm"], document["after_mm"]))
     for line in document["lines"] or [kit_words.NOTHING]:
         say(f"  {line}")
     for line in document["warnings"]:

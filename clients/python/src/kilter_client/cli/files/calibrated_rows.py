@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from csv import DictReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.errors import FileError
 from kilter_client.files import files_calibration
+from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
     from kilter_files.tables.joint_log import JointLog
@@ -38,6 +40,23 @@ def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
         )
     for joint in joints:
         files_calibration.servo_of(found, joint)
+
+
+def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Sequence[str]) -> None:
+    """Refuse views whose joints (``q1_deg`` ...) the servos of a calibration do not reach: they are of another one.
+
+    Raises:
+        FileError: an angle beyond the range, with file, row and column.
+
+    """
+    found = files_calibration.read_calibration(calibration)
+    for file in views:
+        with file.open(encoding="utf-8", newline="") as lines:
+            rows = list(DictReader(lines))
+        for j, joint in enumerate(joints, 1):
+            angles = np.array([float(row[f"q{j}_deg"]) for row in rows])
+            servo = files_calibration.servo_of(found, joint)
+            files_calibration.refuse_outside(found, file, f"q{j}_deg", servo, angles, 0)
 
 
 def servo_conditions(calibration: Path | None) -> dict[str, Any]:
