@@ -10,15 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera.pixels import ToolErrors
-from kilter_core.measurement.camera.rig_fit import fit_rig, fit_rig_of_arm, placed_by
-from kilter_core.measurement.camera.view_scatter import ViewScatter
+from kilter_core.measurement.camera.rig_fit import fit_rig_beside_arm, placed_by
+from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
 from kilter_core.measurement.camera.views import Views, sight_by_tool
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
-
-ROUNDS = 4  # of finding what the arm is off by and fitting again
 
 
 @dataclass(frozen=True)
@@ -57,12 +54,8 @@ def hand_eye(
     first = np.zeros(len(position), dtype=np.int64)
     views = Views(first if camera is None else camera, first if board is None else board, position, rotation)
     start = placed_by(rig, views, pixels)
-    fitted = fit_rig(start, views, pixels, sigma)
-    used = float(6 * (len(rig.cameras) + len(rig.boards)))
-    r, scatter = _left(fitted.rig, views, pixels, used)
-    for _ in range(ROUNDS):
-        fitted = fit_rig_of_arm(fitted, views, pixels, (scatter.place, scatter.turn), scatter.sigma_px)
-        r, scatter = _left(fitted.rig, views, pixels, used)
+    fitted = fit_rig_beside_arm(start, views, pixels, sigma)
+    r, scatter = _left(fitted.rig, views, pixels, float(6 * (len(rig.cameras) + len(rig.boards))))
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sqrt(np.nansum(r**2, axis=(1, 2)) / np.sum(~np.isnan(r), axis=(1, 2)))
     return HandEyeCalibration(fitted.rig, start, fitted.covariance, np.asarray(left), scatter)

@@ -114,7 +114,8 @@ def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_p
     document = command.json("kit", "so101", rows, "--cameras", rig, "--calibration", calibration(tmp_path))
     assert document["missing"] == []
     assert [one["wanted"] for one in document["loads"]] == [0, 0, 0]
-    assert document["before_mm"] > 12.0
+    off = [np.linalg.norm(view.tool[:3, 3] - tool_mm(view.reading)) for view in seen]
+    assert 0.4 * np.mean(off) < document["before_mm"] < np.mean(off)  # camera and board make up for some of it
     assert document["after_mm"] < 0.25
     assert any("joint 3 (elbow_flex) has " in line and "deg of backlash" in line for line in document["lines"])
     assert not any("deg of backlash" in line and "joint 3" not in line for line in document["lines"])

@@ -24,6 +24,7 @@ MOST_VIEWS = 60  # of each camera and board
 MISPLACED = 0.05  # of how far a view's corners spread, beyond which no lens bends them
 EXPLAINED = 0.5  # of what is left with intrinsics as stated, below which others are the truth
 ROUNDS = 3  # of intrinsics, each from where camera and board stand by those found before
+ZOOMS = (1.0, 1.4, 2.0, 0.7, 0.5)  # of the focal lengths as stated, from which others are looked for
 BROWN = 5  # numbers of the lens that a camera without any may have
 
 
@@ -73,17 +74,8 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
     found = begin.predict(rows)
     views = Views(rows.camera, rows.board, found.position, found.rotation)
     held = freed = _fitted(rig.held(), views, rows)
-    now = _freed(stated)
-    for _ in range(ROUNDS):
-        try:
-            found_so = _fitted(_with(rig.held(), camera, now), views, rows)
-        except ObservationError:  # no board stands before a camera so far off
-            break
-        freed = min(freed, found_so, key=lambda fit: fit.sigma_px)
-        values = found_so.rig.cameras[camera].values
-        if not np.isfinite(values).all() or values[:2].min() <= 0.0:
-            break
-        now = replace(now, focal=(values[0], values[1]), centre=(values[2], values[3]), distortion=tuple(values[4:]))
+    for zoom in ZOOMS:
+        freed = min(freed, _own_intrinsics(rig, camera, zoom, views, rows, held), key=lambda fit: fit.sigma_px)
     own = freed.rig.cameras[camera].values
     if freed.sigma_px > EXPLAINED * held.sigma_px or not _better_within(rows, rig, camera, _freed(stated), own):
         return
@@ -96,6 +88,23 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
         '(`kilter see --intrinsics brown`), or let the fit find them ("intrinsics": "free", with a lens).',
         code="intrinsics_differ", camera=stated.name, stated_px=held.sigma_px, own_px=freed.sigma_px,
     )  # fmt: skip
+
+
+def _own_intrinsics(rig: Rig, place: int, zoom: float, views: Views, rows: Observations, held: FittedRig) -> FittedRig:
+    """The best fit with intrinsics of a camera's own, begun with so much of the focal lengths as stated; else ``held``."""
+    now, best = _freed(rig.cameras[place]), held
+    now = replace(now, focal=(zoom * now.focal[0], zoom * now.focal[1]))
+    for _ in range(ROUNDS):
+        try:
+            found = _fitted(_with(rig.held(), place, now), views, rows)
+        except ObservationError:  # no board stands before a camera so far off
+            break
+        best = min(best, found, key=lambda fit: fit.sigma_px)
+        values = found.rig.cameras[place].values
+        if not np.isfinite(values).all() or values[:2].min() <= 0.0:
+            break
+        now = replace(now, focal=(values[0], values[1]), centre=(values[2], values[3]), distortion=tuple(values[4:]))
+    return best
 
 
 def _better_within(rows: Observations, rig: Rig, place: int, freed: Camera, own: Floats) -> bool:

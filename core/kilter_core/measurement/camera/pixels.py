@@ -14,8 +14,8 @@ from typing import cast
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.camera.rig_fit import fit_rig, placed_by, thinned
-from kilter_core.measurement.camera.view_scatter import ViewScatter, scatter_of, shrunk
+from kilter_core.measurement.camera.rig_fit import fit_rig, fit_rig_beside_arm, placed_by, thinned
+from kilter_core.measurement.camera.view_scatter import ToolErrors
 from kilter_core.measurement.camera.views import Views, pairs_of, sight, sight_and_slopes, sight_by_tool
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, anchor_of
 from kilter_core.model import Calibration, Prediction
@@ -25,57 +25,6 @@ from kilter_core.observations.rig import Rig
 from kilter_core.types import Bools, Floats, Ints
 
 MOST_TOLD = 4  # calibrations whose errors are kept
-FEWEST_CORNERS = 4  # of a view that tells a pose
-
-
-@dataclass(frozen=True)
-class ToolErrors:
-    """Motions ``motion (K, 6)`` m, rad that explain the views ``rows (K,)``, and their ``covariance`` for corners of 1 px.
-
-    ``rest`` px² is what they leave, in ``numbers`` beyond the poses.
-    """
-
-    rows: Ints
-    motion: Floats
-    covariance: Floats
-    rest: float
-    numbers: int
-
-    @staticmethod
-    def of(left: Floats, by_tool: Floats) -> ToolErrors:
-        """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``."""
-        told = ~np.isnan(left)
-        rows = np.flatnonzero(told.sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
-        A = (by_tool * told[..., None])[rows].reshape(len(rows), -1, 6)
-        flat = np.nan_to_num(left[rows]).reshape(len(rows), -1, 1)
-        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
-        e = C @ (A.transpose(0, 2, 1) @ flat)
-        count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
-        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
-
-    @property
-    def sigma_px(self) -> float:
-        """Standard deviation of a corner about the pose that fits its view, as :meth:`scatter` has it."""
-        return float(np.sqrt(self.rest / max(self.numbers, 1.0)))
-
-    @cached_property
-    def without_noise(self) -> Floats:
-        """The motions (K, 6) without what is noise in them, of a model that owes nothing to these views."""
-        return shrunk(self.motion, self.covariance, self.scatter())
-
-    def scatter(self, used: float = 0.0, within: float = 0.0) -> ViewScatter:
-        """How far off the tool is; ``used`` numbers between and ``within`` views went into a model fitted to them.
-
-        Raises:
-            ObservationError: no view that tells a pose.
-
-        """
-        if not len(self.rows) or self.numbers <= within:
-            raise ObservationError(
-                f"No view shows {FEWEST_CORNERS} corners or more: none tells a pose. Measure views that show more of a board.",
-                code="no_view",
-            )
-        return scatter_of(self.motion, self.covariance, self.rest, self.numbers - within, used)
 
 
 @dataclass(frozen=True)
@@ -172,9 +121,10 @@ class Pixels(Kind):
         return Views(*self._places, prediction.position, prediction.rotation)
 
     def fitted(self, prediction: Prediction) -> PlacedRig:
-        """The rig where it fits these rows best, the arm held as predicted."""
+        """The rig where it fits these rows best, the arm held as predicted, which need not be right."""
         views = self.views(prediction)
-        return fit_rig(placed_by(self.rig, views, self.pixels), views, self.pixels, self.observations.pixel_sigma).rig
+        start = placed_by(self.rig, views, self.pixels)
+        return fit_rig_beside_arm(start, views, self.pixels, self.observations.pixel_sigma).rig
 
     def started(self, prediction: Prediction) -> PlacedRig:
         """Where a fit begins: places as known or as they fit, intrinsics and scales as stated, for an arm not yet fitted

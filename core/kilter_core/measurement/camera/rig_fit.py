@@ -10,7 +10,8 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.board_poses import FEWEST_IN_SPACE, board_poses
 from kilter_core.measurement.camera.hand_eye import HandEye, solve_axzb
-from kilter_core.measurement.camera.views import Slopes, Views, sight_and_slopes
+from kilter_core.measurement.camera.view_scatter import ToolErrors
+from kilter_core.measurement.camera.views import Slopes, Views, sight_and_slopes, sight_by_tool
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.transforms import inverse, inverses
@@ -18,6 +19,7 @@ from kilter_core.types import Floats, Ints
 
 MOST_TO_START = 200  # views of each camera and board that a start is found from
 STEPS = 40
+ROUNDS = 4  # of finding what the arm is off by and fitting again
 WIDENING = 6  # steps at most in which the width of a corner's error follows the residuals
 SETTLED = 1e-8  # prior sigmas
 STEADY = 1e-6  # share of that width
@@ -119,7 +121,7 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
     rig = start.settled()
     prior = np.array([p.prior_sigma for p in rig.parameters])
     mean = np.array([p.value for p in rig.parameters])
-    weight = 1.0 if sigma is None else np.sqrt(np.nanmean(sigma**2)) / sigma
+    weight = _weight(sigma)
     values, damping, width, corners = rig.values, 1e-6, np.inf, pixels.shape[1]
     seen, slopes = sight_and_slopes(rig.at(values), views, corners)
     loss = np.inf
@@ -140,17 +142,53 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
         values, seen, slopes, damping = values + move * prior, there, ahead, max(0.1 * damping, 1e-9)
         loss = new
         rests = float(np.max(np.abs(move), initial=0.0)) < SETTLED or float(move @ g) < ROUNDING * loss
-        steady = step >= WIDENING or abs(width - before) <= STEADY * width
+        # A step that damping made small says nothing while the width may still change.
+        steady = step >= WIDENING or (damping < 1.0 and abs(width - before) <= STEADY * width)
         if steady and rests:
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
     return FittedRig(rig.at(values).settled(), covariance, float(width))
 
 
+def fit_rig_beside_arm(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None = None) -> FittedRig:
+    """Fit the rig to views of an arm that is held and need not be right: each counts as far as views scatter.
+
+    Pixels alone hardly care how far away a board is: with an arm that is millimetres off, cameras would stand where corners
+    agree best and the tool seems to be several times as far off as it is.
+    """
+    found = fit_rig(start, views, pixels, sigma)
+    for _ in range(ROUNDS):
+        errors = tool_errors(found.rig, views, pixels, sigma)
+        if errors.numbers <= 0:
+            return found
+        off = errors.scatter(6.0 * (len(found.rig.cameras) + len(found.rig.boards)))
+        found = fit_rig_of_arm(found, views, pixels, (off.place, off.turn), off.sigma_px, sigma)
+    return found
+
+
+def tool_errors(rig: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None = None) -> ToolErrors:
+    """How far the tool of each view is from where these cameras and boards have it."""
+    seen, by_tool = sight_by_tool(rig, views, pixels.shape[1])
+    weight = np.broadcast_to(_weight(sigma), pixels.shape)
+    return ToolErrors.of(weight * (pixels - seen), weight[..., None] * by_tool)
+
+
+def _weight(sigma: Floats | None) -> float | Floats:
+    """How much a pixel counts beside the others, by its own standard deviation; one that was not seen counts nothing."""
+    return 1.0 if sigma is None else np.nan_to_num(np.sqrt(np.nanmean(sigma**2)) / sigma)
+
+
 def fit_rig_of_arm(
-    found: FittedRig, views: Views, pixels: Floats, off: tuple[float, float], sigma_px: float
+    found: FittedRig,
+    views: Views,
+    pixels: Floats,
+    off: tuple[float, float],
+    sigma_px: float,
+    sigma: Floats | None = None,
 ) -> FittedRig:
     """Fit again where the tool of each view is ``off`` by m and rad of a coordinate, and a corner by ``sigma_px``.
+
+    ``sigma`` as in :func:`fit_rig`; ``sigma_px`` is then that of corners that are as good as all are on average.
 
     All corners of a view share what its tool is off by, so together they count no more than the arm is known: pixels alone
     would take a shift of the camera with a rotation that undoes it in the picture for as certain as corners are.
@@ -158,13 +196,14 @@ def fit_rig_of_arm(
     rig, known = found.rig, np.repeat(np.maximum(off, SMALLEST_OFF), 3) ** -2.0
     prior = np.array([p.prior_sigma for p in rig.parameters])
     mean = np.array([p.value for p in rig.parameters])
-    told, values = ~np.isnan(pixels), rig.values
+    told, values, weight = ~np.isnan(pixels), rig.values, np.broadcast_to(_weight(sigma), pixels.shape)
     for _ in range(STEPS):
         seen, slopes = sight_and_slopes(rig.at(values), views, pixels.shape[1])
         told = told & ~np.isnan(seen)
         span, inner = slopes.spanned()
-        A = (span * told[..., None]).reshape(len(span), -1, span.shape[3])
-        r = np.where(told, pixels - seen, 0.0).reshape(len(span), -1, 1)
+        counts = np.where(told, weight, 0.0)
+        A = (span * counts[..., None]).reshape(len(span), -1, span.shape[3])
+        r = np.where(told, counts * (pixels - seen), 0.0).reshape(len(span), -1, 1)
         root = np.where(told, 1.0 / sigma_px, 0.0).reshape(r.shape)
         root *= _root((r - _shared(A, r, root, known)) / sigma_px)
         B, s = root * A, root * r

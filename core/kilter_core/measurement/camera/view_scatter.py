@@ -9,10 +9,12 @@ shrunk by what is noise in them, and then scaled so that together they scatter a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from kilter_core.types import Floats
+from kilter_core.errors import ObservationError
+from kilter_core.types import Floats, Ints
 
 ROUNDS = 80
 STILL = 1e-10  # share of a width that a round changes it by where it has ended
@@ -20,6 +22,7 @@ MOST = 400  # views that widths are found from
 SMALLEST_M, SMALLEST_RAD = 1e-8, 1e-8
 GRID = 60
 LEVEL = 0.95
+FEWEST_CORNERS = 4  # of a view that tells a pose
 
 
 @dataclass(frozen=True)
@@ -112,3 +115,53 @@ def _log_likelihood(e: Floats, noise: Floats, places: Floats, turn: float) -> Fl
     own = np.einsum("nji,nj->ni", V, e[:, :3] - np.einsum("nij,nj->ni", lever, e[:, 3:]))
     whole = w + places[:, None, None] ** 2
     return np.asarray(-0.5 * (np.log(whole).sum(axis=(1, 2)) + (own**2 / whole).sum(axis=(1, 2))))
+
+
+@dataclass(frozen=True)
+class ToolErrors:
+    """Motions ``motion (K, 6)`` m, rad that explain the views ``rows (K,)``, and their ``covariance`` for corners of 1 px.
+
+    ``rest`` px² is what they leave, in ``numbers`` beyond the poses.
+    """
+
+    rows: Ints
+    motion: Floats
+    covariance: Floats
+    rest: float
+    numbers: int
+
+    @staticmethod
+    def of(left: Floats, by_tool: Floats) -> ToolErrors:
+        """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``."""
+        told = ~np.isnan(left)
+        rows = np.flatnonzero(told.sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
+        A = (by_tool * told[..., None])[rows].reshape(len(rows), -1, 6)
+        flat = np.nan_to_num(left[rows]).reshape(len(rows), -1, 1)
+        C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
+        e = C @ (A.transpose(0, 2, 1) @ flat)
+        count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
+        return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of a corner about the pose that fits its view, as :meth:`scatter` has it."""
+        return float(np.sqrt(self.rest / max(self.numbers, 1.0)))
+
+    @cached_property
+    def without_noise(self) -> Floats:
+        """The motions (K, 6) without what is noise in them, of a model that owes nothing to these views."""
+        return shrunk(self.motion, self.covariance, self.scatter())
+
+    def scatter(self, used: float = 0.0, within: float = 0.0) -> ViewScatter:
+        """How far off the tool is; ``used`` numbers between and ``within`` views went into a model fitted to them.
+
+        Raises:
+            ObservationError: no view that tells a pose.
+
+        """
+        if not len(self.rows) or self.numbers <= within:
+            raise ObservationError(
+                f"No view shows {FEWEST_CORNERS} corners or more: none tells a pose. Measure views that show more of a board.",
+                code="no_view",
+            )
+        return scatter_of(self.motion, self.covariance, self.rest, self.numbers - within, used)

@@ -192,15 +192,15 @@ class _Pair:
         return np.asarray(on_part - self.position[:, None])  # the camera goes with the tool
 
     @cached_property
-    def turn(self) -> Floats:
+    def to_camera(self) -> Floats:
         """From the axes of the room to those of the camera (n, 3, 3)."""
         X = self.X[:3, :3].T
         return np.broadcast_to(X, self.rotation.shape) if self.outside else X @ self.rotation.transpose(0, 2, 1)
 
     @property
-    def board_turn(self) -> Floats:
+    def board_rotation(self) -> Floats:
         """From the axes of what the board is mounted on to those of the camera (n, 3, 3)."""
-        return self.turn @ self.rotation if self.outside else self.turn
+        return self.to_camera @ self.rotation if self.outside else self.to_camera
 
     @cached_property
     def _seen(self) -> tuple[Floats, Floats, Floats | None]:
@@ -239,13 +239,13 @@ class _Pair:
 
     def by_tool(self) -> Floats:
         """Derivative (n, m, 2, 6) by a motion of the tool."""
-        toward = _in_axes(self.by_point, self.turn)
+        toward = _in_axes(self.by_point, self.to_camera)
         side = 1.0 if self.outside else -1.0
         return np.concatenate([side * toward, -side * cross(toward, self.arms[:, :, None])], axis=-1)
 
     def by_corners(self, moves: Floats) -> Floats:
         """Derivative (n, m, 2, K) by moves (m, K, 3) of the corners in the frame of the board."""
-        return np.asarray(_in_axes(self.by_point, self.board_turn) @ (moves @ self.Y.T).transpose(0, 2, 1))
+        return np.asarray(_in_axes(self.by_point, self.board_rotation) @ (moves @ self.Y.T).transpose(0, 2, 1))
 
     def carried(self, camera: bool) -> Floats:
         """Motions (n, 6, 6) of the tool that show the same as the six increments of the camera's pose, or the board's."""
@@ -263,7 +263,7 @@ class _Pair:
 
     def by_scale(self) -> Floats:
         """Derivative (n, m, 2, 1) by the scale of the board."""
-        moves = (self.nominal @ self.Y.T) @ self.board_turn.transpose(0, 2, 1)
+        moves = (self.nominal @ self.Y.T) @ self.board_rotation.transpose(0, 2, 1)
         along = sum(self.by_point[..., k] * moves[:, :, None, k] for k in range(3))
         return np.asarray(along)[..., None]
 

@@ -68,10 +68,11 @@ def test_of_a_joint_that_gravity_pulls_one_way_no_backlash_is_told() -> None:
 
 
 def test_an_arm_that_is_left_off_by_little_is_not_called_perfect() -> None:
-    assert off_by(31.94, 0.034) == "the tool is off by 31.9 mm, corrected by 0.03 mm (views held out)"
-    assert off_by(18.5, 0.002) == "the tool is off by 18.5 mm, corrected by less than 0.01 mm (views held out)"
+    placed = "(views held out, camera and board where they fit best)"
+    assert off_by(31.94, 0.034) == f"the tool is off by 31.9 mm, corrected by 0.03 mm {placed}"
+    assert off_by(18.5, 0.002) == f"the tool is off by 18.5 mm, corrected by less than 0.01 mm {placed}"
     assert off_by(None, None).startswith("how far off the tool is elsewhere is not known: no view was held out")
-    assert off_by(31.94, 2.34) == "the tool is off by 31.9 mm, corrected by 2.3 mm (views held out)"
+    assert off_by(31.94, 2.34) == f"the tool is off by 31.9 mm, corrected by 2.3 mm {placed}"
 
 
 @pytest.mark.parametrize("value", [-0.09, -0.05, -0.02, 0.0])

@@ -87,6 +87,10 @@ class Seen:
         """Camera and board where all corners together fit best, with the flange at (N, 4, 4) in all views given."""
         return Seen(_refined(self.sight, flange[self.views], self.pixels, np.inf), self.views, self.pixels)
 
+    def moved(self, step: Floats) -> Seen:
+        """Camera and board moved by ``step`` (12,): rotation (rad) and shift (mm) of what is on the tool, then of the other."""
+        return Seen(_moved(self.sight, step), self.views, self.pixels)
+
 
 def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Sight]:
     """Cameras and boards of ``rig`` that :func:`seen` finds."""

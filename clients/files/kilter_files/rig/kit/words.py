@@ -58,13 +58,16 @@ def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
 
 
 def off_by(before_mm: float | None, after_mm: float | None) -> str:
-    """How far off the tool is, on views held out; 0.00 mm would be a perfect arm. None: it is not known, and why."""
+    """How far off the tool is, on views held out; 0.00 mm would be a perfect arm. None: it is not known, and why.
+
+    What camera and board can make up for is not in it: where they stand is not known otherwise.
+    """
     if before_mm is None or after_mm is None:
         return (
             "how far off the tool is elsewhere is not known: no view was held out (kilter kit holds out each pose once)"
         )
     left = f"{after_mm:.{1 if after_mm >= 1.0 else 2}f} mm" if after_mm >= 0.005 else "less than 0.01 mm"
-    return f"the tool is off by {before_mm:.1f} mm, corrected by {left} (views held out)"
+    return f"the tool is off by {before_mm:.1f} mm, corrected by {left} (views held out, camera and board where they fit best)"
 
 
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 STEP_MM, STEP_RAD = 1e-3, 1e-6
 ROUNDS = 80
+PLACINGS = 6  # of finding how far off the model is, and placing camera and board again
 SMALLEST_MM, SMALLEST_RAD = 1e-5, 1e-8
+PARTS = slice(0, 3), slice(3, 6)  # of a motion: place and rotation
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class ViewErrors:
 def errors_of_views(
     places: Floats, turns: Floats, views: Sequence[Mapping[str, Any]], rig: Mapping[str, Any]
 ) -> ViewErrors:
-    """Errors of settled tools, ``places`` (N, 3) m and ``turns`` (N, 3, 3), camera and board fitted to the views.
+    """Errors of settled tools, ``places`` (N, 3) m and ``turns`` (N, 3, 3), camera and board placed where they fit best.
 
     ``views`` have ``u1_px``, ``v1_px`` ..., ``rig`` names ``cameras`` and ``boards`` as a campaign does.
 
@@ -48,7 +50,7 @@ def errors_of_views(
     """
     tools = np.tile(np.eye(4), (len(places), 1, 1))
     tools[:, :3, :3], tools[:, :3, 3] = turns, 1e3 * places
-    found = [one.exactly(tools) for one in seen(views, tools, rig)]
+    found = [_placed(one.exactly(tools), tools) for one in seen(views, tools, rig)]
     if not found:
         raise UsageError(
             f"The views do not say where camera and board stand by this model: {FEWEST_VIEWS} views of {FEWEST_CORNERS} "
@@ -62,6 +64,22 @@ def errors_of_views(
     noise = float(np.sqrt(rest / beyond))
     tool = 1e-3 * np.linalg.norm(_without_noise(motions, noise**2 * covariances)[:, :3], axis=1)
     return ViewErrors(np.asarray(tool), float(np.sqrt(square / corners)), noise)
+
+
+def _placed(one: Seen, tools: Floats) -> Seen:
+    """Camera and board beside a model that need not be right: each view counts as far as views scatter.
+
+    Corners alone hardly care how far away a board is, and would take a model for several times as far off as it is.
+    """
+    for _ in range(PLACINGS):
+        motion, covariance, rest, corners, _ = _told(one, tools)
+        noise = rest / (corners - 6 * len(motion)) * covariance
+        root = np.linalg.inv(np.linalg.cholesky(noise + np.diag(np.repeat(_scatter(motion, noise)[0], 3) ** 2)))
+        moves = np.diag([STEP_RAD, STEP_RAD, STEP_RAD, STEP_MM, STEP_MM, STEP_MM] * 2)
+        slopes = [(_told(one.moved(move), tools)[0] - motion) / move.sum() for move in moves]
+        white = np.einsum("kij,ckj->kic", root, np.array(slopes)).reshape(-1, 12)
+        one = one.moved(np.linalg.lstsq(white, -np.einsum("kij,kj->ki", root, motion).ravel(), rcond=None)[0])
+    return one
 
 
 def _told(one: Seen, tools: Floats) -> tuple[Floats, Floats, float, int, float]:
@@ -96,16 +114,22 @@ def _moved(tools: Floats, k: int) -> Floats:
 
 
 def _without_noise(motions: Floats, noise: Floats) -> Floats:
-    """Motions (K, 6) without their noise (K, 6, 6), that scatter as the tool does: likeliest widths of place and rotation."""
-    precision, parts = np.linalg.inv(noise), ((slice(0, 3), SMALLEST_MM), (slice(3, 6), SMALLEST_RAD))
-    widths = [max(float(np.sqrt(np.mean(motions[:, part] ** 2))), least) for part, least in parts]
+    """Motions (K, 6) without their noise (K, 6, 6), that scatter as the tool does."""
+    widths, kept = _scatter(motions, noise)
+    for part, width in zip(PARTS, widths, strict=True):
+        size = float(np.sqrt(np.mean(kept[:, part] ** 2)))
+        kept[:, part] *= width / size if size > 0.0 else 1.0
+    return np.asarray(kept)
+
+
+def _scatter(motions: Floats, noise: Floats) -> tuple[list[float], Floats]:
+    """Likeliest widths of place and rotation, and the motions (K, 6) as they are then likeliest."""
+    precision, least = np.linalg.inv(noise), (SMALLEST_MM, SMALLEST_RAD)
+    widths = [max(float(np.sqrt(np.mean(motions[:, part] ** 2))), own) for part, own in zip(PARTS, least, strict=True)]
     pull = precision @ motions[:, :, None]
     for _ in range(ROUNDS):
         P = np.linalg.inv(precision + np.diag(np.repeat(np.array(widths) ** -2.0, 3)))
         kept = (P @ pull)[:, :, 0]
         second = kept**2 + np.diagonal(P, axis1=1, axis2=2)
-        widths = [max(float(np.sqrt(second[:, part].mean())), least) for part, least in parts]
-    for (part, _), width in zip(parts, widths, strict=True):
-        size = float(np.sqrt(np.mean(kept[:, part] ** 2)))
-        kept[:, part] *= width / size if size > 0.0 else 1.0
-    return np.asarray(kept)
+        widths = [max(float(np.sqrt(second[:, part].mean())), own) for part, own in zip(PARTS, least, strict=True)]
+    return widths, np.asarray(kept)
