@@ -259,7 +259,7 @@ def test_a_robot_is_found_from_circles(k: Kilter) -> None:
         (lambda k, r: k.plan(r, purpose="identify", cuont=3), OptionError, "cuont: plan has no option"),
         (lambda k, r: k.plan(r, purpose="identify", count=-3), OptionError, "count is -3"),
         (lambda k, r: k.correct(r, "none.csv"), FileError, "none.csv: cannot be read"),
-        (lambda k, r: k.upload(r, "none.xyz"), FileError, 'column_map="columns.toml"'),
+        (lambda k, r: k.upload(r, __file__), FileError, 'column_map="columns.toml"'),
     ],
     ids=range(10),
 )

@@ -229,7 +229,7 @@ def test_every_part_of_a_data_set_says_where_it_belongs(
 ) -> None:
     made = dataset(tmp_path / "set", version, [np.zeros((8, 6))] * 2, SERVOS, video=True)
     for part in sorted(path for path in made.rglob("*") if path.is_file()):
-        said = "a video has no rows" if part.suffix == ".mp4" else "Match the whole folder with a recording"
+        said = "is a video" if part.suffix == ".mp4" else "Match the whole folder with a recording"
         shown = html.unescape(server.get(dropped(server, robot, part.name, part.read_bytes())).text)
         assert said in " ".join(shown.split()), part
 

@@ -131,7 +131,7 @@ def test_campaigns_without_sessions_have_a_tool_each_where_that_is_asked_for(
     version = client.get(f"/v1/versions/{found['version_id']}").json()
     assert (found["effects"], version["effects"]) == ([], ["session_shift"])
     shifts = [row for row in version["parameters"] if row["name"].startswith("session_1_")]
-    assert len(shifts) == 3
+    assert len(shifts) == 6  # it may have rotated, too
     assert all(abs(row["value"]) < 4.5 * row["sigma"] for row in shifts)
     alone = arm.ask(first, options={"refit": ["tool"]})
     until(lambda: client.get(alone.headers["location"]).json()["state"] in FINAL)

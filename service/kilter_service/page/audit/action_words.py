@@ -38,6 +38,7 @@ DONE: Mapping[str, str] = {
     "POST /login/link": "logged in by a link",
     "POST /logout": "logged out",
     "POST /new-robot": "added robot {robot}",
+    "POST /robots/{robot}/campaigns/new/{draft}/rig": "gave the cameras and boards of views for {robot}",
     "POST /robots/{robot}/campaigns/new/{draft}/store": "stored {campaign} of {robot}",
     "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",

@@ -103,8 +103,6 @@ ALONE: Mapping[str, str] = {
     "lerobot": "a part of a LeRobot data set says where the servos were, and not where the tool was. Match the whole folder "
     "with a recording on the command line (`kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE`), and drop "
     "what comes out.",
-    "mp4": "a video has no rows. Find the board in it on the command line (`kilter see VIDEO --board BOARD.json --joints "
-    "JOINTS.csv`), and drop the views that come out.",
     "mjcf": "a model of MuJoCo has no rows. `kilter twin compare MODEL CAMPAIGN` scores it on a campaign, `kilter twin read "
     "MODEL` reads its drives.",
 }
@@ -121,8 +119,6 @@ def _kind(path: Path, seen: Document) -> str:
         begin = file.read(BEGIN)
     if b"<mujoco" in begin:
         return "mjcf"
-    if begin[4:8] == b"ftyp":
-        return "mp4"
     is_part = begin.lstrip().startswith(b"{") and any(f'"{name}"'.encode() in begin for name in OF_LEROBOT)
     return "lerobot" if is_part else kind
 
