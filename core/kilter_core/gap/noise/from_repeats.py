@@ -19,6 +19,7 @@ from kilter_core.observations.groups import centred, unbiased
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST_DEVIATIONS = 3  # independent deviations below which repeats say too little
+ROUNDING = 1e-9  # of their number, which is computed: three may come out as 2.9999999999999996, by processor
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
 SPIKE_PASSES = 4
 UNMOVED = 0.01  # of the noise: repeats that a model moves no more leave it as it is
@@ -186,17 +187,17 @@ def repeat_noise(
     share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
     repeats = repeats_of(visit_residual, visits, points, lengths, taken)
     k_between = repeats.vectors if repeats else 0.0
-    if k_within + k_between < FEWEST_DEVIATIONS:
+    if _too_few(k_within + k_between):
         return None
     at = None if points is None else points
     rows_cov = spread(within, k_within, None if at is None else at[visits.visit], at)
-    if repeats is None or k_between < FEWEST_DEVIATIONS:
+    if repeats is None or _too_few(k_between):
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
         visit = np.asarray(rows_cov * share[:, None, None])
         made = _noise(visit, rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
         return replace(made, absolute=False, source=WITHIN, readings=visit)
     total = _between(repeats, lengths)
-    if k_within < FEWEST_DEVIATIONS:
+    if _too_few(k_within):
         seen = spread(total, k_between, at, at)
         visit = np.broadcast_to(seen, (len(visits), *seen.shape[1:])).copy()
         made = _noise(visit, seen.mean(axis=0), k_between, lengths, None, seen)
@@ -217,6 +218,10 @@ def repeat_noise(
     visit = extra + rows_cov * share[:, None, None]
     made = _noise(visit, extra + rows_cov.mean(axis=0), k_between, lengths, rows_cov, extra)
     return replace(made, drift=repeats.drift, most=repeats.most, repeats=told)
+
+
+def _too_few(deviations: float) -> bool:
+    return deviations < FEWEST_DEVIATIONS - ROUNDING
 
 
 def _between(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
