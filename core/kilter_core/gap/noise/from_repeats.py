@@ -19,7 +19,6 @@ from kilter_core.observations.groups import centred, unbiased
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST_DEVIATIONS = 3  # independent deviations below which repeats say too little
-ROUNDING = 1e-9  # of their number, which is computed: three may come out as 2.9999999999999996, by processor
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
 SPIKE_PASSES = 4
 UNMOVED = 0.01  # of the noise: repeats that a model moves no more leave it as it is
@@ -221,7 +220,7 @@ def repeat_noise(
 
 
 def _too_few(deviations: float) -> bool:
-    return deviations < FEWEST_DEVIATIONS - ROUNDING
+    return round(deviations, 9) < FEWEST_DEVIATIONS  # three come out as 2.9999999999999996 on some processors
 
 
 def _between(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
