@@ -9,6 +9,8 @@ single cycle.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 CYCLE_S = 0.001
+NONE: Mapping[int, float] = MappingProxyType({})
 MOST_RAD_S2, MOST_RAD_S3 = 10.0, 5000.0  # of an FR3
 
 
@@ -38,10 +41,19 @@ class State(NamedTuple):
 
 
 class Judge:
-    """The robot. ``drops`` what is late, as the real one does, or takes it, as the simulator."""
+    """The robot. ``drops`` what is late, as the real one does, or takes it, as the simulator.
 
-    def __init__(self, at: tuple[float, ...], drops: bool = False) -> None:
+    ``held_s`` is how long whoever waits for a state is held up before it has it, by the number of the state; ``stands_s`` how
+    long it stands still itself before a cycle, as a simulator does on a busy machine.
+    """
+
+    def __init__(
+        self, at: tuple[float, ...], drops: bool = False,
+        held_s: Mapping[int, float] = NONE, stands_s: Mapping[int, float] = NONE,
+    ) -> None:  # fmt: skip
         zero = np.zeros(len(at))
+        self._held_s, self._states = held_s, 0
+        self._stands_s, self._stood_s = dict(stands_s), 0.0
         self.now_s, self.cycle, self._drops = 0.0, 0, drops
         self._history = History(np.array(at), zero, zero, 0)
         self._before_gap: History | None = None
@@ -53,14 +65,16 @@ class Judge:
 
     def readOnce(self) -> tuple[State, Any]:
         """Return the newest state, or the next one if that was read, and the time since the last that was."""
-        self._publish(max(self._read + 1, int(self.now_s / CYCLE_S + 1e-9)))
-        self.now_s = max(self.now_s, self.cycle * CYCLE_S)
+        self._publish(max(self._read + 1, self._due()))
+        self.now_s = max(self.now_s, self.cycle * CYCLE_S + self._stood_s)
         passed, self._read = self.cycle - self._read, self.cycle
+        self._states += 1
+        self.now_s += self._held_s.get(self._states, 0.0)
         return self._state, Passed(passed * CYCLE_S)
 
     def writeOnce(self, command: Any) -> None:
         """Take the answer to the state that was read last."""
-        self._publish(int(self.now_s / CYCLE_S + 1e-9))
+        self._publish(self._due())
         self._armed = True
         late = self._read < self.cycle
         if late and (self._drops or self._before_gap is None or self._read <= self._before_gap.cycle):
@@ -79,6 +93,9 @@ class Judge:
         self._history = History(q, speed, curve, self._read)
         self._before_gap = self._history if late else None
 
+    def _due(self) -> int:
+        return int((self.now_s - self._stood_s) / CYCLE_S + 1e-9)
+
     def _publish(self, until: int) -> None:
         while self.cycle < until:
             if self._armed and not self._answered:
@@ -89,6 +106,7 @@ class Judge:
             self.told.append(self._history.q)
             self._answered = False
             self.cycle += 1
+            self._stood_s += self._stands_s.pop(self.cycle, 0.0)
             self._state = self._seen()
 
     def _seen(self) -> State:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +16,7 @@ from kilter_client.bridges.news import Line, pair
 from kilter_client.bridges.plan import Setpoints, Table
 from kilter_core.correct.file import from_bytes, to_bytes
 from tests.clients.bridges.franka_arm import table
-from tests.clients.bridges.franka_judge import CYCLE_S, MOST_RAD_S2, MOST_RAD_S3, Floats, Judge
+from tests.clients.bridges.franka_judge import CYCLE_S, MOST_RAD_S2, MOST_RAD_S3, NONE, Floats, Judge
 from tests.core.correct.test_c_corrector import program_of
 
 ROWS = table(8.0, 0.3)
@@ -64,10 +64,16 @@ class Stalled(Correction):
         return super().step(q, cycles)  # type: ignore[arg-type]
 
 
-def moved(line: Line, seconds: Stall, drops: bool = False) -> tuple[Judge, Fci]:
-    """The table played by a bridge that takes so long for its answers."""
+def moved(
+    line: Line,
+    seconds: Stall,
+    drops: bool = False,
+    held_s: Mapping[int, float] = NONE,
+    stands_s: Mapping[int, float] = NONE,
+) -> tuple[Judge, Fci]:
+    """The table played by a bridge that takes so long for its answers, and has states so long after they came."""
     rows = [tuple(row) for row in ROWS[:, 1:].tolist()]
-    judge = Judge(rows[0], drops)
+    judge = Judge(rows[0], drops, held_s, stands_s)
     guard = Guard(7, math.radians(1.0), math.radians(5.0), 0.2, CYCLE_S)
     correction = Stalled(from_bytes(PROGRAM), "cell7", guard, CYCLE_S, makes_up=True)
     correction.stall(judge, seconds)
@@ -96,6 +102,33 @@ def test_answers_that_are_late_are_not_sent_and_the_arm_stays_on_its_way(
     )  # one whose state waited in the socket while another was late
     assert max(judge.curves) < 0.7 * MOST_RAD_S2
     assert max(judge.jerks) < 0.2 * MOST_RAD_S3
+    assert apart(judge, undisturbed) < 2.5e-5
+
+
+@pytest.mark.parametrize("drops", [True, False])
+@pytest.mark.parametrize("then_ms", [0.2, 1.2])
+@pytest.mark.parametrize("held_ms", [2.3, 4.4, 9.5])
+def test_held_up_while_it_waits_it_answers_no_state_whose_cycle_is_over(
+    line: Line, undisturbed: Judge, held_ms: float, then_ms: float, drops: bool
+) -> None:
+    """It is woken late with a state that came in time, and cannot tell by how long it took for the answer."""
+    held = dict.fromkeys((2500, 3700, 4900), 0.001 * held_ms)
+    slow = {at + 1: 0.001 * then_ms for at in held}
+    judge, fci = moved(line, lambda cycle: slow.get(cycle, 0.0002), drops, held)
+    assert fci.counts["late"] >= len(held)
+    assert max(judge.curves) < 0.7 * MOST_RAD_S2
+    assert max(judge.jerks) < 0.2 * MOST_RAD_S3
+    assert apart(judge, undisturbed) < 2.5e-5
+
+
+def test_a_robot_that_stands_still_for_a_while_is_answered_again_at_its_next_state(
+    line: Line, undisturbed: Judge
+) -> None:
+    """Its late state is the newest and looks like one that had to wait: one cycle is lost, no more."""
+    stands = {2500: 0.0044, 3700: 0.0044, 4900: 0.05}
+    judge, fci = moved(line, lambda _: 0.0002, stands_s=stands)
+    assert fci.counts["late"] == len(stands)
+    assert max(judge.curves) < 0.7 * MOST_RAD_S2
     assert apart(judge, undisturbed) < 2.5e-5
 
 

@@ -55,12 +55,14 @@ def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
 
 @compiled(**UNCOUNTED)
 def _advance(axis, amount, speed, rate, moving, R, p, w, dw, acc, z, r, t):
-    """Walk along one element: its frame and, where the arm is moving, velocity and acceleration. z, r, t are scratch."""
+    """Walk along one element: its frame and, where the arm is moving, velocity and acceleration. z, r, t are scratch.
+
+    ``amount (2,)`` is what :func:`move` takes.
+    """
     for i in range(3):
         z[i] = R[i, axis % 3]
         r[i] = p[i]
-    c, s = amount_of(axis, amount)
-    move(axis, c, s, R, p)
+    move(axis, amount[0], amount[1], R, p)
     if not moving:
         return
     if axis < 3:
@@ -136,17 +138,21 @@ def load_wrenches(
     frames, origins, starts = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     links, behind, step_R, step_p = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     tool_R, tool_p = np.ascontiguousarray(tool[:3, :3]), np.ascontiguousarray(tool[:3, 3])
+    amount = np.empty((elements, 2))  # of constant elements it is the same in every row
+    for e in range(elements):
+        amount[e, 0], amount[e, 1] = amount_of(axis[e], value[e])
     for row in range(q.shape[0]):
         forces[:] = 0.0
         moments[:] = 0.0
         at_rest(R, p, w, dw, acc)
         for e in range(elements):
             j = joint[e]
-            amount = value[e] + ratio[e] * q[row, j] if j >= 0 else value[e]
+            if j >= 0:
+                amount[e, 0], amount[e, 1] = amount_of(axis[e], value[e] + ratio[e] * q[row, j])
             speed = ratio[e] * qd[row, j] if moving and j >= 0 else 0.0
             rate = ratio[e] * qdd[row, j] if moving and j >= 0 else 0.0
             mark_starts(primary, e, p, starts)
-            _advance(axis[e], amount, speed, rate, moving, R, p, w, dw, acc, z, r, t)
+            _advance(axis[e], amount[e], speed, rate, moving, R, p, w, dw, acc, z, r, t)
             mark_frames(primary, joint_frame, e, R, p, frames, origins)
             r[:] = p
             add_twist(slot, row, e, xi, R, p, step_R, step_p, J3)

@@ -28,6 +28,9 @@ Joints = tuple[float, ...]
 # the robot's: it is better not sent, whoever listens.
 LATE_S = 0.0005
 WAITED_S = 0.0001  # a state that came at once may have waited in the socket
+# A state that was waited for, but came by so many cycles later than the robot's clock says, may have waited for the process
+# to be woken: its cycle may be over. No command goes out until a state was waited for again and came in time, or that many went.
+HELD_CYCLES, MOST_UNANSWERED = 1, 5
 BRAKE_S = 1.0  # in which the plan is brought to rest when the bridge is ended
 
 
@@ -173,6 +176,7 @@ class Fci:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:  # fmt: skip
         self._clock, self._opened_s = clock, math.inf  # when the last state went out
+        self._read_s, self._out_of_step = math.inf, 0  # when it was read; for how many more states no command goes out
         self._franka, self._address, self._realtime = franka, address, realtime
         self._setpoints, self._correction, self._line = setpoints, correction, line
         self._pace, self._leaving = 1.0, False
@@ -219,7 +223,7 @@ class Fci:
         if at_rest:
             self._correction.off = "the motion is over"
         command.motion_finished = over = at_rest and self._correction.out and self._rejoined.back
-        sent = self._clock() - self._opened_s < LATE_S
+        sent = not self._out_of_step and self._clock() - self._opened_s < LATE_S
         if sent:
             control.writeOnce(command)
             self.counts["answered"] += 1
@@ -236,7 +240,13 @@ class Fci:
     def _note_opened(self, asked_s: float, cycles: int) -> None:
         """Note when the state went out that was just read: now, if it was waited for, else by the time of the last one."""
         now_s, due_s = self._clock(), self._opened_s + cycles * CYCLE_S
-        self._opened_s = now_s if now_s - asked_s > WAITED_S else min(now_s, due_s)
+        waited = now_s - asked_s > WAITED_S
+        self._opened_s = now_s if waited else min(now_s, due_s)
+        if now_s - self._read_s > (cycles + HELD_CYCLES) * CYCLE_S:
+            self._out_of_step = MOST_UNANSWERED
+        elif self._out_of_step:
+            self._out_of_step = 0 if waited else self._out_of_step - 1
+        self._read_s = now_s
 
     def _begin(self, state: Any) -> None:
         """Stand where the robot is told to stand already."""
