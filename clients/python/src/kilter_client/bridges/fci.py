@@ -29,7 +29,7 @@ Joints = tuple[float, ...]
 LATE_S = 0.0005
 WAITED_S = 0.0001  # a state that came at once may have waited in the socket
 # A state that was waited for, but came by so many cycles later than the robot's clock says, may have waited for the process
-# to be woken: its cycle may be over. No command goes out until a state was waited for again and came in time, or that many went.
+# to be woken, its cycle over. No command goes out until a state was waited for again and came in time, or that many went by.
 HELD_CYCLES, MOST_UNANSWERED = 1, 5
 BRAKE_S = 1.0  # in which the plan is brought to rest when the bridge is ended
 
