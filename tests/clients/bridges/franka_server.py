@@ -2,8 +2,8 @@
 
 ``python franka_server.py FOLDER``: the model is made of the URDF that the package brings. At SIGTERM, ``FOLDER/joints.npy``
 has time, joints of the physics and joints wanted (N, 15); the log has what the judges said.
-``FOLDER/ready`` says that it listens. With ``LATE=drop`` it drops a command whose cycle is over, as the robot does; by itself it
-goes back for it, which it calls the one place where it has to differ from the robot (its ``rewind_extrapolation``).
+``FOLDER/ready`` says that it listens. With ``LATE=drop`` it drops a command whose cycle is over, as the robot does; by itself
+it goes back for it, which it calls the one place where it has to differ from the robot (its ``rewind_extrapolation``).
 """
 
 from __future__ import annotations
