@@ -126,10 +126,7 @@ def _sent(
     sent: Sent | None,
     begun: Callable[[tuple[str, bool]], None],
 ) -> Steps[Document]:
-    if into is None:
-        for known in (yield from calls.list_campaigns(robot)):
-            if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
-                into = str(known["id"])
+    into = into or (yield from stored_in(robot, wanted, prepared))
     if into is not None:
         begun((into, False))
         return (yield from calls.upload(into, prepared, sent, robot))
@@ -143,6 +140,15 @@ def _sent(
         raise
     yield from calls.commit(target, [str(done["sha256"])])
     return done
+
+
+def stored_in(robot: str, wanted: Mapping[str, Any], prepared: Prepared) -> Steps[str | None]:
+    """Return the id of the campaign that has these rows already, as they are wanted; the last of several."""
+    found = None
+    for known in (yield from calls.list_campaigns(robot)):
+        if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
+            found = str(known["id"])
+    return found
 
 
 def _placed(error: ObservationError, prepared: Prepared, file: str) -> ObservationError:
