@@ -72,9 +72,9 @@ def recorded(ticks: NDArray[np.int64], mode: str) -> Floats:
     return out
 
 
-def film(path: Path, pictures: int) -> None:
+def film(path: Path, pictures: int, fps: float = FPS) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (32, 32))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (32, 32))
     for k in range(pictures):
         writer.write(np.full((32, 32, 3), k % 250, dtype=np.uint8))
     writer.release()
@@ -137,7 +137,12 @@ def dataset(
         "data/file_index": files, "dataset_from_index": firsts[:-1].tolist(), "dataset_to_index": firsts[1:].tolist(),
     }  # fmt: skip
     if video:
-        rows |= {f"videos/{CAMERA}/chunk_index": [0] * len(episodes), f"videos/{CAMERA}/file_index": files}
+        begins = [
+            sum(lengths[other] for other in range(k) if files[other] == files[k]) / FPS for k in range(len(episodes))
+        ]
+        ends = [begin + length / FPS for begin, length in zip(begins, lengths, strict=True)]
+        rows |= {f"videos/{CAMERA}/chunk_index": [0] * len(episodes), f"videos/{CAMERA}/file_index": files,
+                 f"videos/{CAMERA}/from_timestamp": begins, f"videos/{CAMERA}/to_timestamp": ends}  # fmt: skip
     (folder / "meta/episodes/chunk-000").mkdir(parents=True)
     parquet.write_table(pa.table(rows), folder / "meta/episodes/chunk-000/file-000.parquet")
     return folder

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from os import PathLike
+from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import KilterError, ObservationError
@@ -12,8 +12,9 @@ from kilter_client.requests.calls import campaigns, robots
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.dry_run import DryRun
 from kilter_client.verbs.campaigns import conditions_of
-from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.verbs.inputs import Data, name_of, rows_of
 from kilter_client.verbs.references import ResourceReference, reference
+from kilter_client.verbs.servo_calibration import stated
 
 if TYPE_CHECKING:
     from kilter_client.results.dry_run import DryRun
@@ -37,6 +38,7 @@ def dry_run(
     temperature_c: float | None = None,
     tool_force_n: Sequence[float] | None = None,
     tool_moment_nm: Sequence[float] | None = None,
+    calibration: str | PathLike[str] | None = None,
 ) -> Steps[DryRun]:
     """Show what ``upload`` would store with the same arguments, and what would be refused; store nothing.
 
@@ -51,6 +53,8 @@ def dry_run(
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
+    name = fspath(data) if isinstance(data, str | PathLike) else name_of(data)
+    _, prepared = yield from stated(reference("robot", robot), calibration, prepared, name)
     found = yield from checked_rows(reference("robot", robot), prepared, conditions)
     told = {"columns": prepared.columns, "notes": prepared.notes, "warnings": prepared.warnings}
     return DryRun.read(told | {"rows": prepared.rows} | found)
