@@ -160,3 +160,15 @@ def test_the_command_says_of_a_turn_what_it_is(tmp_path: Path, command: Command)
     assert "wrist_roll moved by +3" in told
     assert "between episodes 9 and 10 (start, end, lowest, highest; single episodes scatter by " in told
     assert "its servo counts from another turn: it wraps within its range" in told
+
+
+def test_rows_that_the_servos_do_not_reach_are_of_another_calibration(tmp_path: Path, command: Command) -> None:
+    rng = np.random.default_rng(3)
+    folder = dataset(tmp_path / "set", "v3.0", [task(rng, np.zeros(6)) for _ in range(8)], SERVOS)
+    narrow = calibration(tmp_path, "narrow.json", elbow_flex={"range_min": 1900, "range_max": 2200})
+    asked = ("episodes", folder, "--norm-mode", "DEGREES", "--calibration")
+    said = command.json(*asked, narrow, code=1)
+    assert said["code"] == "file_invalid"
+    assert f"{folder}/data/chunk-000/file-000.parquet, row 1, column 'elbow_flex': " in said["detail"]
+    assert "is outside the range of narrow.json (+-13.19 deg)" in said["detail"]
+    assert "No joint moved" in command(*asked, calibration(tmp_path))

@@ -237,6 +237,8 @@ def test_one_arm_of_two_is_named(tmp_path: Path) -> None:
     told = refusal(folder, hints(calibration(tmp_path)))
     assert "holds two arms. Name the joints of one: --joint-order left_shoulder_pan,left_shoulder_lift" in told
     order = [f"right_{name}" for name in JOINTS]
+    assert "holds two arms. Name the joints of one: --joint-order left_" in inspect(folder)["warnings"][1]
+    assert len(inspect(folder, Hints(log=LogHints(order=order)))["warnings"]) == 1
     log = read_joints(folder, hints=hints(calibration(tmp_path), order=order))
     assert np.abs(log.q() - values[1][:, :5]).max() < 1e-5
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kilter_files.formats.joints.lerobot.calibration import DEGREES
+from kilter_files.formats.joints.lerobot.calibration import DEGREES, refuse_outside
 from kilter_files.formats.joints.lerobot.dataset import STATE, open_dataset, parquet_file, refuse_unfinished
 from kilter_files.formats.joints.lerobot.log import BLOCK, Block, Recorded, joints_of, opened, refuse_turns
 from kilter_files.formats.reader import LogHints
@@ -45,7 +45,7 @@ def episodes_of(path: Path, hints: LogHints) -> Episodes:
 
     Raises:
         FileError: nothing says what the numbers mean, it holds two arms, it is half written, its videos have other lengths than
-            its rows, or a servo wraps within an episode.
+            its rows, a servo wraps within an episode, or does not reach an angle with the calibration that is given.
 
     """
     recorded = _opened(path, hints)
@@ -111,6 +111,9 @@ def _blocks(path: Path, recorded: Recorded) -> Iterator[tuple[Floats, Floats, Fl
             raise fault(path, what, "Export the data set again.", column=STATE)
         block = Block(state, np.asarray(batch.column("episode_index"), dtype=np.float64), np.zeros(0))
         refuse_turns(path, recorded.joints, block, last, rows)
+        if recorded.calibration is not None:
+            for k, (joint, servo) in enumerate(zip(recorded.joints, recorded.servos, strict=True)):
+                refuse_outside(recorded.calibration, path, joint, servo, state[:, k], rows)
         last, rows = block, rows + len(state)
         yield block.episode, state, action
 
