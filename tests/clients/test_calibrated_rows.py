@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.errors import ConflictError
+from kilter_client.errors import ApiError, ConflictError, FileError
 from kilter_files import prepare
 from tests.clients.files.formats.test_lerobot import calibration, dataset, recorded, ticks_of
 from tests.clients.test_cli import Command
+from tests.clients.test_homing_command import calibration as servos
+from tests.clients.test_homing_command import measured
 
 FIRST, SECOND = "a1" * 32, "b2" * 32
 
@@ -74,6 +77,132 @@ def test_views_and_points_state_the_calibration_of_the_servos_that_read_their_jo
     other = calibration(tmp_path / "other", elbow_flex={"homing_offset": 7})
     refused = command.json("upload", robot, rows, "--name", "again", "--calibration", other, code=1)
     assert refused["code"] == "calibration_differs"
+    assert "no servo of" in " ".join(sent["warnings"])  # its joints are called j1 ..., so nothing was compared
     folder = dataset(tmp_path / "set", "v3.0", [recorded(ticks_of([20])[0], "DEGREES")])
     refused = command.json("upload", robot, rows, "--calibration", folder / "meta/info.json", code=1)
     assert "servo 'codebase_version' does not have whole numbers" in refused["detail"]
+
+
+@pytest.mark.parametrize("sha256", ["abc", "", "A1" * 32, "g" * 64])
+def test_a_hash_that_is_none_says_where_to_have_it(kilter: Kilter, robot: str, sha256: str) -> None:
+    with pytest.raises(
+        ApiError, match=r"conditions\.calibration_sha256: .*is not a SHA-256, 64 digits 0 to 9 and a to f"
+    ) as caught:
+        kilter.campaigns.add(robot, "by hand", conditions=of(sha256))
+    assert caught.value.code == "payload_invalid"
+    assert "which kilter inspect JSON says" in caught.value.detail
+
+
+LEADERS = (
+    "calibration/teleoperators/so101_leader/my_arm.json", "so101_leader/my_arm.json", "backup/my_awesome_leader_arm.json",
+)  # fmt: skip
+FOLLOWERS = (
+    "calibration/robots/so101_follower/leader_of_the_pack.json", "my_arm.json", "leader_and_follower/my_arm.json",
+    "backup/my_follower.json",
+)  # fmt: skip
+
+
+@pytest.fixture
+def so101(kilter: Kilter, request: pytest.FixtureRequest) -> str:
+    """An SO-101 of this test's own."""
+    name = f"so101-{request.node.name[:40]}"
+    kilter.robots.add({"name": name, "convention": "preset", "preset": "so101"})
+    return name
+
+
+def points(folder: Path, column: str = "q3_deg", value: str = "30") -> Path:
+    path = folder / "points.csv"
+    names = [*(f"q{k}_deg" for k in range(1, 6)), "x_mm", "y_mm", "z_mm"]
+    cells = dict(zip(names, ["10", "-20", "30", "15", "5", "1", "2", "3"], strict=True))
+    rows = [cells, cells | {"x_mm": "7"}, {name: value if name == column else cell for name, cell in cells.items()}]
+    path.write_text("\n".join([",".join(names), *(",".join(row.values()) for row in rows)]) + "\n")
+    return path
+
+
+def at(folder: Path, place: str, **changes: dict[str, int]) -> Path:
+    path = folder / place
+    return calibration(path.parent, path.name, **changes)
+
+
+@pytest.mark.parametrize("place", LEADERS)
+def test_the_calibration_of_a_leader_is_refused_beside_rows_of_a_follower(
+    kilter: Kilter, so101: str, command: Command, tmp_path: Path, place: str
+) -> None:
+    rows, leader = points(tmp_path), at(tmp_path, place)
+    for more in ((), ("--dry-run",)):
+        refused = command.json("upload", so101, rows, "--calibration", leader, *more, code=1)
+        assert refused["code"] == "file_invalid"
+        assert f"{leader}: is of a leader by its folder or its name" in refused["detail"]
+        assert "Give the calibration of the follower, in .../calibration/robots/." in refused["detail"]
+    for verb in (kilter.upload, kilter.dry_run):
+        with pytest.raises(FileError, match="is of a leader") as caught:
+            verb(so101, rows, calibration=leader)
+        assert caught.value.detail == refused["detail"]
+    refused = command.json(
+        "homing", leader, "ver_1", "-o", tmp_path / "copy.json", "--servos", "feetech", "--norm-mode", "DEGREES", code=1
+    )
+    assert "is of a leader" in refused["detail"]
+    assert not kilter.campaigns.list(so101)
+
+
+@pytest.mark.parametrize("place", FOLLOWERS)
+def test_a_calibration_whose_folder_is_that_of_followers_is_taken_whatever_it_is_called(
+    kilter: Kilter, so101: str, tmp_path: Path, place: str
+) -> None:
+    stored = kilter.upload(so101, points(tmp_path), calibration=at(tmp_path, place), progress=False)
+    assert not stored.warnings
+    stated = kilter.campaign(stored.campaign_id).conditions.calibration_sha256
+    assert stated == hashlib.sha256((tmp_path / place).read_bytes()).hexdigest()
+
+
+def test_the_calibration_of_another_arm_is_refused_beside_rows(
+    kilter: Kilter, so101: str, command: Command, tmp_path: Path
+) -> None:
+    rows, whole = points(tmp_path), json.loads(at(tmp_path, "my_arm.json").read_text())
+    lekiwi, small = tmp_path / "lekiwi.json", tmp_path / "small.json"
+    lekiwi.write_text(json.dumps({f"arm_{name}": servo for name, servo in whole.items()}))
+    small.write_text(json.dumps({name: whole[name] for name in ("shoulder_pan", "elbow_flex")}))
+    for other, said in (
+        (lekiwi, "lekiwi.json: has no servo 'shoulder_pan'"), (small, "small.json: has 2 servos, the robot 5 joints"),
+    ):  # fmt: skip
+        refused = command.json("upload", so101, rows, "--calibration", other, code=1)
+        assert refused["code"] == "file_invalid"
+        assert said in refused["detail"]
+        assert "it is of another arm" in refused["detail"]
+        with pytest.raises(FileError, match="it is of another arm"):
+            kilter.upload(so101, rows, calibration=other, progress=False)
+    assert not kilter.campaigns.list(so101)
+
+
+def test_readings_that_the_servos_do_not_reach_are_of_another_calibration(
+    kilter: Kilter, so101: str, command: Command, tmp_path: Path
+) -> None:
+    narrow = at(tmp_path, "narrow.json", elbow_flex={"range_min": 1600, "range_max": 2400})  # +-35 degrees
+    rows = points(tmp_path, "q3_deg", "40")
+    refused = command.json("upload", so101, rows, "--calibration", narrow, code=1)
+    assert refused["code"] == "file_invalid"
+    assert (
+        f"{rows}, row 3, column 'q3_deg': 40 deg is outside the range of narrow.json (+-35.16 deg)" in refused["detail"]
+    )
+    assert "give those they were recorded with" in refused["detail"]
+    turned = {f"q{k}_rad": [0.1, 0.7 if k == 3 else 0.1] for k in range(1, 6)}
+    data = turned | {"x_mm": [1, 2], "y_mm": [1, 2], "z_mm": [1, 2]}
+    with pytest.raises(FileError, match=r"arrays, row 2, column 'q3_deg': 40\.107 deg is outside the range"):
+        kilter.upload(so101, data, calibration=narrow, progress=False)
+    assert not kilter.campaigns.list(so101)
+    kilter.upload(so101, points(tmp_path, "q3_deg", "35"), calibration=narrow, progress=False)
+
+
+def test_homing_takes_the_calibration_with_which_the_version_was_measured(
+    kilter: Kilter, command: Command, tmp_path: Path
+) -> None:
+    own = servos(tmp_path)
+    version = measured(kilter, tmp_path, "homed", 40, calibration=own)
+    asked = ("-o", tmp_path / "trued.json", "--servos", "feetech", "--norm-mode", "DEGREES")
+    other = servos(tmp_path / "other", j2={"homing_offset": 400})
+    refused = command.json("homing", other, version, *asked, code=1)
+    assert refused["code"] == "calibration_differs"
+    assert f"{other}: its SHA-256 is " in refused["detail"]
+    assert "Give the calibration with which it was measured." in refused["detail"]
+    assert command.json("homing", own, version, *asked)["calibration_compared"] is True
+    assert "nobody compared" not in command("homing", own, version, *asked)

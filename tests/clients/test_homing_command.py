@@ -36,6 +36,7 @@ def calibration(folder: Path, **changes: dict[str, int]) -> Path:
     }
     for name, change in changes.items():
         servos[name] |= change
+    folder.mkdir(exist_ok=True)
     path = folder / "my_arm.json"
     path.write_text(json.dumps(servos, indent=4))
     return path
@@ -90,7 +91,9 @@ def point(q: np.ndarray) -> np.ndarray:
     return (T @ [10.0, 5.0, 30.0, 1.0])[:3]
 
 
-def measured(k: Kilter, folder: Path, name: str, rows: int, noise_mm: float = 0.05) -> str:
+def measured(
+    k: Kilter, folder: Path, name: str, rows: int, noise_mm: float = 0.05, calibration: Path | None = None
+) -> str:
     """A version of the arm, from points of a tracker that scatters."""
     k.add_robot({**ARM, "name": name})
     rng = np.random.default_rng(1)
@@ -99,7 +102,8 @@ def measured(k: Kilter, folder: Path, name: str, rows: int, noise_mm: float = 0.
     data = folder / "measured.csv"
     head = "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm"
     np.savetxt(data, np.hstack([np.degrees(q), seen]), delimiter=",", header=head, comments="", fmt="%.12g")
-    return str(k.identify(name, k.upload(name, data, progress=False), progress=False).version_id)
+    campaign = k.upload(name, data, calibration=calibration, progress=False)
+    return str(k.identify(name, campaign, progress=False).version_id)
 
 
 def test_from_measured_poses_to_ticks(k: Kilter, command: Command, tmp_path: Path) -> None:
@@ -120,6 +124,7 @@ def test_from_measured_poses_to_ticks(k: Kilter, command: Command, tmp_path: Pat
     assert any(line == f'+        "homing_offset": {10 - ticks},' for line in found["diff"])
     text = command(*asked)
     assert "It is another calibration" in text
+    assert "No campaign of this version states with which calibration it was measured" in text
     assert "not told: shared with base or tool" in text
     half = after["j2"]["half_width_ticks"]
     assert f"±{half:.0f} " in text if half >= 1.0 else f"±{max(half, 0.1):.1f} " in text

@@ -19,6 +19,7 @@ __all__ = [
     "dwells",
     "files_arm",
     "files_ballbar_join",
+    "files_beside_rows",
     "files_calibration",
     "files_episodes",
     "files_exported",
@@ -60,6 +61,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from kilter_files.formats.joints import joint_log
+    from kilter_files.formats.joints.lerobot import beside_rows as files_beside_rows
     from kilter_files.formats.joints.lerobot import calibration as files_calibration
     from kilter_files.formats.joints.lerobot import episodes as files_episodes
     from kilter_files.formats.joints.lerobot import homing as files_homing
@@ -100,6 +102,7 @@ if TYPE_CHECKING:
     from kilter_files.tables import cut_recording
 else:
     joint_log = Later("kilter_files.formats.joints.joint_log")
+    files_beside_rows = Later("kilter_files.formats.joints.lerobot.beside_rows")
     files_calibration = Later("kilter_files.formats.joints.lerobot.calibration")
     files_episodes = Later("kilter_files.formats.joints.lerobot.episodes")
     files_homing = Later("kilter_files.formats.joints.lerobot.homing")

@@ -74,8 +74,10 @@ def _explained() -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        said = str(error)[:300]
-        raise ObservationError(f"The upload is not a Parquet file that can be read: {said}.") from error
+        said = str(error)[:300].rstrip(". ")
+        raise ObservationError(
+            f"The upload is not a Parquet file that can be read: {said}. Write the file anew, to its end, and send it again."
+        ) from error
 
 
 def _check_size(stated: FileMetaData) -> None:

@@ -72,9 +72,9 @@ def recorded(ticks: NDArray[np.int64], mode: str) -> Floats:
     return out
 
 
-def film(path: Path, pictures: int) -> None:
+def film(path: Path, pictures: int, fps: float = FPS) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (32, 32))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (32, 32))
     for k in range(pictures):
         writer.write(np.full((32, 32, 3), k % 250, dtype=np.uint8))
     writer.release()
@@ -137,7 +137,12 @@ def dataset(
         "data/file_index": files, "dataset_from_index": firsts[:-1].tolist(), "dataset_to_index": firsts[1:].tolist(),
     }  # fmt: skip
     if video:
-        rows |= {f"videos/{CAMERA}/chunk_index": [0] * len(episodes), f"videos/{CAMERA}/file_index": files}
+        begins = [
+            sum(lengths[other] for other in range(k) if files[other] == files[k]) / FPS for k in range(len(episodes))
+        ]
+        ends = [begin + length / FPS for begin, length in zip(begins, lengths, strict=True)]
+        rows |= {f"videos/{CAMERA}/chunk_index": [0] * len(episodes), f"videos/{CAMERA}/file_index": files,
+                 f"videos/{CAMERA}/from_timestamp": begins, f"videos/{CAMERA}/to_timestamp": ends}  # fmt: skip
     (folder / "meta/episodes/chunk-000").mkdir(parents=True)
     parquet.write_table(pa.table(rows), folder / "meta/episodes/chunk-000/file-000.parquet")
     return folder
@@ -232,6 +237,8 @@ def test_one_arm_of_two_is_named(tmp_path: Path) -> None:
     told = refusal(folder, hints(calibration(tmp_path)))
     assert "holds two arms. Name the joints of one: --joint-order left_shoulder_pan,left_shoulder_lift" in told
     order = [f"right_{name}" for name in JOINTS]
+    assert "holds two arms. Name the joints of one: --joint-order left_" in inspect(folder)["warnings"][1]
+    assert len(inspect(folder, Hints(log=LogHints(order=order)))["warnings"]) == 1
     log = read_joints(folder, hints=hints(calibration(tmp_path), order=order))
     assert np.abs(log.q() - values[1][:, :5]).max() < 1e-5
 

@@ -18,6 +18,7 @@ from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
 from kilter_files.formats.unknown.table_shape import shape_of
 from kilter_files.look.draft import draft
+from kilter_files.look.inspection import inspect
 from kilter_files.look.summary import columns_of
 from tests.clients.answered import document
 from tests.clients.files.look.labs import LABS, Measured, write_lab
@@ -334,3 +335,18 @@ def test_nine_numbered_columns_that_are_no_rotation_are_left_alone(tmp_path: Pat
     found = document(capsys, "inspect", path, "--draft", tmp_path / "map.toml")
     assert set(head) <= set(found["unused"])
     assert "[orientation]" not in (tmp_path / "map.toml").read_text()
+
+
+def test_cells_that_are_lists_in_a_file_without_a_header_are_columns(tmp_path: Path) -> None:
+    """As are the two numbers of a JSON list that is no table at all; both ended the command with a Python error."""
+    rows = [f'"[{k}.5, {2 * k}, 3]","[{30 * k}, 4]"' for k in range(1, 5)]
+    for text, names in (
+        ("\n".join(rows) + "\n", ["0[0]", "0[1]", "0[2]", "1[0]", "1[1]"]),
+        ("[1, 2]", ["0[0]", "0[1]"]),
+    ):
+        path = tmp_path / "lists.csv"
+        path.write_text(text)
+        found = inspect(path)
+        assert [column["name"] for column in found["columns"]] == names
+        assert found["columns"][0]["low"] == (1.5 if len(names) > 2 else 1.0)
+        assert all(name in draft(path).text for name in names)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.lerobot.calibration import NORM_MODES, read_calibration
-from kilter_files.formats.joints.lerobot.dataset import open_dataset, refuse_unfinished
-from kilter_files.formats.joints.lerobot.log import log_of_dataset
+from kilter_files.formats.joints.lerobot.dataset import Dataset, open_dataset, refuse_unfinished
+from kilter_files.formats.joints.lerobot.log import joints_of, log_of_dataset
 from kilter_files.formats.reader import Document, LogHints
+from kilter_files.ground.errors import FileError
 
 
 def describe_dataset(path: Path, hints: LogHints) -> Document:
@@ -22,10 +23,22 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
         f"joints {', '.join(dataset.names)}",
     ]
     modes = " or ".join(NORM_MODES)
-    warnings = [f"nothing says what its numbers mean: give --calibration JSON and --norm-mode {modes}"]
+    warnings = [
+        f"nothing says what its numbers mean: give --calibration JSON and --norm-mode {modes}",
+        *_arms(dataset, hints),
+    ]
     duration_s = dataset.frames / dataset.fps if dataset.fps else None
     return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "duration_s": duration_s, "notes": notes,
             "warnings": warnings}  # fmt: skip
+
+
+def _arms(dataset: Dataset, hints: LogHints) -> list[str]:
+    """What is to be said of a data set of two arms, until the joints of one are named."""
+    try:
+        joints_of(dataset, hints.order)
+    except FileError as error:
+        return [error.detail.removeprefix(f"{dataset.folder}: ").rstrip(".")]
+    return []
 
 
 def describe_calibration(path: Path) -> Document:

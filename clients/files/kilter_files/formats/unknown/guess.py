@@ -86,8 +86,9 @@ class Columns:
         return self._numbers[name]
 
     def key(self, name: str) -> str | int:
-        """What ``from`` is for a name: an index where the file has no header."""
-        return int(name) if not self.shape.layout.header and self.shape.form in ("csv", "xlsx") else name
+        """What ``from`` is for a name: an index where the file has no header, but for an element of cells that are lists."""
+        numbered = not self.shape.layout.header and self.shape.form in ("csv", "xlsx")
+        return int(name) if numbered and name.isdecimal() else name
 
     def texts(self, name: str) -> list[str]:
         """Return a column's cells."""

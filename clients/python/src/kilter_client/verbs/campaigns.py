@@ -15,6 +15,7 @@ from kilter_client.results.record import Records
 from kilter_client.verbs.inputs import Data, moment_of, name_of, rows_of
 from kilter_client.verbs.progress import Watching, watched
 from kilter_client.verbs.references import ResourceReference, reference
+from kilter_client.verbs.servo_calibration import stated
 
 if TYPE_CHECKING:
     from datetime import date, datetime
@@ -30,7 +31,8 @@ def upload(
     column_map: str | PathLike[str] | None = None, preset: str | None = None, euler: str | None = None,
     joints: str | PathLike[str] | None = None, payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None, temperature_c: float | None = None,
-    tool_force_n: Sequence[float] | None = None, tool_moment_nm: Sequence[float] | None = None, notes: str = "",
+    tool_force_n: Sequence[float] | None = None, tool_moment_nm: Sequence[float] | None = None,
+    calibration: str | PathLike[str] | None = None, notes: str = "",
     measured_at: datetime | date | str | None = None, instrument: str | None = None, campaign: ResourceReference | None = None,
     progress: Watching = True,
 ) -> Steps[typed.campaigns.Uploaded]:  # fmt: skip
@@ -52,6 +54,7 @@ def upload(
         temperature_c: temperature of the arm, degrees Celsius.
         tool_force_n: force on the tool point in its frame, N.
         tool_moment_nm: moment on the tool point in its frame, N m.
+        calibration: LeRobot's calibration of the servos that read the joints; it is compared with robot and rows.
         notes: anything else worth knowing.
         measured_at: when the last row was measured, as ``"2026-11-02T14:30"``, in this machine's zone where none is given.
         instrument: name of the instrument it was measured with (``k.add_instrument``).
@@ -68,15 +71,15 @@ def upload(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
-    if campaign is not None and (name or notes or conditions or measured_at or instrument):
+    if campaign is not None and (name or notes or conditions or measured_at or instrument or calibration):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
     wanted: Document = {"name": name or name_of(data), "device": device or preset or "", "role": role, "notes": notes}
-    at = moment_of(measured_at)
-    wanted |= {"conditions": conditions, "numbered": name is None, "measured_at": at, "instrument": instrument}
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
+    file, arm = fspath(data) if isinstance(data, str | PathLike) else wanted["name"], reference("robot", robot)
+    servos, prepared = yield from stated(arm, calibration, prepared, file)
+    wanted |= {"conditions": conditions | servos, "numbered": name is None, "measured_at": moment_of(measured_at)}
     into = None if campaign is None else reference("campaign", campaign)
-    file = fspath(data) if isinstance(data, str | PathLike) else wanted["name"]
-    done = yield from _watched(reference("robot", robot), into, wanted, prepared, file, progress)
+    done = yield from _watched(arm, into, wanted | {"instrument": instrument}, prepared, file, progress)
     return typed.campaigns.Uploaded.read(done)
 
 

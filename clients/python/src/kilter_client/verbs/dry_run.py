@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from os import PathLike
+from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import ApiError, CalibrationError, ConflictError, KilterError, NotFoundError, PayloadError
@@ -14,6 +14,7 @@ from kilter_client.results.dry_run import DryRun
 from kilter_client.verbs.campaigns import conditions_of, stored_in
 from kilter_client.verbs.inputs import Data, name_of, rows_of
 from kilter_client.verbs.references import ResourceReference, reference
+from kilter_client.verbs.servo_calibration import stated
 
 if TYPE_CHECKING:
     from kilter_client.results.dry_run import DryRun
@@ -37,6 +38,7 @@ def dry_run(
     temperature_c: float | None = None,
     tool_force_n: Sequence[float] | None = None,
     tool_moment_nm: Sequence[float] | None = None,
+    calibration: str | PathLike[str] | None = None,
 ) -> Steps[DryRun]:
     """Show what ``upload`` would store with the same arguments, and what would be refused; store nothing.
 
@@ -51,8 +53,15 @@ def dry_run(
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
-    wanted = {"name": name_of(data), "numbered": True, "device": device or preset or "", "conditions": conditions}
-    found = yield from checked_rows(reference("robot", robot), prepared, wanted)
+    file, arm = fspath(data) if isinstance(data, str | PathLike) else name_of(data), reference("robot", robot)
+    servos, prepared = yield from stated(arm, calibration, prepared, file)
+    wanted = {
+        "name": name_of(data),
+        "numbered": True,
+        "device": device or preset or "",
+        "conditions": conditions | servos,
+    }
+    found = yield from checked_rows(arm, prepared, wanted)
     told = {"columns": prepared.columns, "notes": prepared.notes, "warnings": prepared.warnings}
     return DryRun.read(told | {"rows": prepared.rows} | found)
 

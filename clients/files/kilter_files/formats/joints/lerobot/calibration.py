@@ -22,7 +22,8 @@ FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 OLD_FIELDS = {"homing_offset", "drive_mode", "calib_mode"}  # lists, one entry for each motor
 TICKS, TURN_TICKS, MOST_OFFSET = 4096, 4095, 2047
 BY_RANGE, DEGREES = NORM_MODES = ("RANGE_M100_100", "DEGREES")
-TELEOPERATORS = "teleoperators"  # the folder in which LeRobot keeps the calibrations of leaders
+TELEOPERATORS, ROBOTS = "teleoperators", "robots"  # the folders in which LeRobot keeps calibrations
+LEADER, FOLLOWER = "leader", "follower"
 LEAST_RANGE, OUTSIDE_DEG = 10, 1.0  # ticks; beyond the range of its own calibration
 
 
@@ -52,8 +53,13 @@ class Calibration:
 
     @property
     def of_a_leader(self) -> bool:
-        """Whether LeRobot keeps it among its leaders."""
-        return TELEOPERATORS in self.path.resolve().parts or "leader" in self.path.resolve().parent.name
+        """Whether LeRobot keeps it among its leaders, or its folder or its own name says so where LeRobot's folders do not."""
+        whole = self.path.resolve()
+        *_, kept, folder = ("", "", *whole.parent.parts)
+        if kept in (TELEOPERATORS, ROBOTS):
+            return kept == TELEOPERATORS
+        named = (folder.lower(), whole.stem.lower())
+        return TELEOPERATORS in whole.parts or any(LEADER in name and FOLLOWER not in name for name in named)
 
     def degrees(self, name: str, recorded: Floats, mode: str) -> Floats:
         """Angle (n,) of a servo from the middle of its range, degrees, of what was recorded."""
@@ -118,9 +124,17 @@ def servo_of(calibration: Calibration, joint: str) -> str:
 
 
 def refuse_outside(
-    calibration: Calibration, path: Path, column: str, servo: str, angles: Floats, first_row: int
+    calibration: Calibration,
+    path: Path,
+    column: str,
+    servo: str,
+    angles: Floats,
+    first_row: int,
+    lines: Sequence[int] = (),
 ) -> None:
     """Refuse angles that the servo does not reach: they were recorded with another calibration.
+
+    ``lines`` of the file are named instead of rows, where they are known.
 
     Raises:
         FileError: an angle beyond the range.
@@ -131,7 +145,9 @@ def refuse_outside(
     if len(far):
         what = f"{angles[far[0]]:.6g} deg is outside the range of {calibration.path.name} (+-{reach - OUTSIDE_DEG:.4g} deg)"
         remedy = "The rows are of another calibration, or of another norm mode: give those they were recorded with."
-        raise fault(path, what, remedy, row=first_row + int(far[0]) + 1, column=column)
+        row = int(far[0])
+        place = {"line": lines[row]} if row < len(lines) else {"row": first_row + row + 1}
+        raise fault(path, what, remedy, **place, column=column)
 
 
 def _servo(path: Path, name: str, entry: Any) -> Servo:

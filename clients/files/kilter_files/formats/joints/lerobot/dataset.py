@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.formats.joints.lerobot.mp4_frames import frames_of
+from kilter_files.formats.joints.lerobot.mp4_frames import Film, film_of
 from kilter_files.formats.zipped import ZIP, of_zip
 from kilter_files.ground.faults import fault, head_of
 from kilter_files.ground.later import need, pa, parquet
@@ -18,17 +19,23 @@ STATE = "observation.state"
 OLD, NEW = "v2.1", "v3.0"
 FINISH = "It is half written: finish the recording (lerobot-record ends it by itself), or copy it again."
 FOLDER = "Give the folder of a LeRobot data set, the one with meta/info.json."
+NOT_OF_ONE_TIME = "Leave the episode out, or record it again: pictures and joints are not of one time."
+SLACK_PICTURES, SLACK_SHARE = 1.5, 0.01  # how long the last picture is shown is left to whoever writes the file
 NAMES_OF_LISTS = ("motors", "axes")  # under which older data sets name the numbers of a column
 
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode: its rows, the file that has them, and of each camera the file that has its pictures."""
+    """An episode: its rows, the file that has them, and of each camera the file that has its pictures.
+
+    ``spans_s`` are the seconds between which each camera's pictures are in their file, where the data set says (v3.0).
+    """
 
     index: int
     length: int
     data: str
     videos: Mapping[str, str]
+    spans_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -109,10 +116,10 @@ def refuse_unfinished(dataset: Dataset) -> None:
 
 
 def refuse_short_videos(dataset: Dataset) -> None:
-    """Compare the pictures of each video with the rows that it belongs to.
+    """Compare the pictures of each video, and what the data set says of them, with the rows that they belong to.
 
     Raises:
-        FileError: a video is missing, or has more or fewer pictures than its episodes have rows.
+        FileError: a video is missing, has more or fewer pictures than its episodes have rows, or runs for another time.
 
     """
     rows = _rows_of((video, episode.length) for episode in dataset.episodes for video in episode.videos.values())
@@ -120,12 +127,27 @@ def refuse_short_videos(dataset: Dataset) -> None:
         path = dataset.folder / video
         if not path.is_file():
             raise fault(path, "is missing", FINISH)
-        found = frames_of(path)
-        if found != expected:
-            what = f"has {found} pictures, its rows in the data set are {expected}"
-            raise fault(
-                path, what, "Leave the episode out, or record it again: pictures and joints are not of one time."
-            )
+        film = film_of(path)
+        if film.pictures != expected:
+            raise fault(path, f"has {film.pictures} pictures, its rows in the data set are {expected}", NOT_OF_ONE_TIME)
+        _refuse_other_rate(path, film, dataset.fps)
+    for episode in dataset.episodes:
+        for camera, (begin, end) in episode.spans_s.items():
+            pictures = (end - begin) * dataset.fps
+            if not abs(pictures - episode.length) < 1.0:
+                what = (
+                    f"its pictures of {camera} run from {begin:.6g} to {end:.6g} s, {pictures:.0f} at {dataset.fps:g} Hz, "
+                    f"its rows are {episode.length}"
+                )
+                raise fault(dataset.folder / EPISODES, what, NOT_OF_ONE_TIME, episode=episode.index)
+
+
+def _refuse_other_rate(path: Path, film: Film, fps: float) -> None:
+    """Refuse a video that runs faster or slower than its rows, by more than its file rounds."""
+    rows_s = film.pictures / fps
+    if film.seconds and abs(film.seconds - rows_s) > max(SLACK_PICTURES / fps, SLACK_SHARE * rows_s):
+        what = f"runs for {film.seconds:.6g} s, its {film.pictures} rows at {fps:g} Hz for {rows_s:.6g} s"
+        raise fault(path, what, NOT_OF_ONE_TIME)
 
 
 def _rows_of(parts: Iterable[tuple[str, int]]) -> dict[str, int]:
@@ -190,7 +212,14 @@ def _episodes_v30(folder: Path, info: Mapping[str, Any]) -> Iterator[Episode]:
                 return {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
 
             data = _at(folder, info, "data_path", place)
-            yield Episode(int(row["episode_index"]), int(row["length"]), data, _videos(folder, info, of_video))
+            videos = _videos(folder, info, of_video)
+            spans = {camera: _span(row, camera) for camera in videos if f"videos/{camera}/to_timestamp" in row}
+            yield Episode(int(row["episode_index"]), int(row["length"]), data, videos, spans)
+
+
+def _span(row: Mapping[str, Any], camera: str) -> tuple[float, float]:
+    begin, end = (row.get(f"videos/{camera}/{name}_timestamp") for name in ("from", "to"))
+    return float(begin or 0.0), math.nan if end is None else float(end)
 
 
 def _rows(file: Path, table: pa.Table) -> list[dict[str, Any]]:

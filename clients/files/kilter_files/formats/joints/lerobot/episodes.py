@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kilter_files.formats.joints.lerobot.calibration import DEGREES
-from kilter_files.formats.joints.lerobot.dataset import STATE, open_dataset, parquet_file
-from kilter_files.formats.joints.lerobot.log import BLOCK, Recorded, joints_of, opened
+from kilter_files.formats.joints.lerobot.calibration import DEGREES, refuse_outside
+from kilter_files.formats.joints.lerobot.dataset import STATE, open_dataset, parquet_file, refuse_unfinished
+from kilter_files.formats.joints.lerobot.log import BLOCK, Block, Recorded, joints_of, opened, refuse_turns
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
@@ -44,10 +44,12 @@ def episodes_of(path: Path, hints: LogHints) -> Episodes:
     """Read a data set; one episode is in memory at a time. Numbers in DEGREES need no calibration.
 
     Raises:
-        FileError: nothing says what the numbers mean, it holds two arms, or it is half written.
+        FileError: nothing says what the numbers mean, it holds two arms, it is half written, its videos have other lengths than
+            its rows, a servo wraps within an episode, or does not reach an angle with the calibration that is given.
 
     """
     recorded = _opened(path, hints)
+    refuse_unfinished(recorded.dataset)
     numbers, found = [], []
     for number, state, action in _episodes(recorded):
         if len(state) >= LEAST_ROWS:
@@ -100,13 +102,20 @@ def _blocks(path: Path, recorded: Recorded) -> Iterator[tuple[Floats, Floats, Fl
         raise fault(path, f"has no column {sorted(missing)[0]!r}", "Export the data set again.")
     with_action = ACTION in names
     columns = [STATE, "episode_index", *([ACTION] if with_action else [])]
+    last, rows = None, 0
     for batch in file.iter_batches(BLOCK, columns=columns):
         state = _degrees(batch.column(STATE), len(batch), recorded)
         action = _degrees(batch.column(ACTION), len(batch), recorded) if with_action else None
         if state is None:
             what = f"its rows do not have the {len(recorded.dataset.names)} numbers that info.json names"
             raise fault(path, what, "Export the data set again.", column=STATE)
-        yield np.asarray(batch.column("episode_index"), dtype=np.float64), state, action
+        block = Block(state, np.asarray(batch.column("episode_index"), dtype=np.float64), np.zeros(0))
+        refuse_turns(path, recorded.joints, block, last, rows)
+        if recorded.calibration is not None:
+            for k, (joint, servo) in enumerate(zip(recorded.joints, recorded.servos, strict=True)):
+                refuse_outside(recorded.calibration, path, joint, servo, state[:, k], rows)
+        last, rows = block, rows + len(state)
+        yield block.episode, state, action
 
 
 def _degrees(column: object, rows: int, recorded: Recorded) -> Floats | None:

@@ -190,8 +190,13 @@ def _of_file(path: Path, recorded: Recorded) -> Iterator[Block]:
         )  # fmt: skip
 
 
-def _refuse(recorded: Recorded, path: Path, block: Block, last: Block | None, rows: int) -> None:
-    """Refuse what no arm does: beyond its servos' range, or 360 degrees from one row to the next."""
+def refuse_turns(path: Path, joints: Sequence[str], block: Block, last: Block | None, rows: int) -> None:
+    """Refuse 360 degrees from one row to the next of an episode; ``last`` is the block before, ``rows`` how many came before.
+
+    Raises:
+        FileError: a joint jumps so.
+
+    """
     before = 0 if last is None else 1
     angles = block.angles if last is None else np.vstack([last.angles[-1:], block.angles])
     episode = block.episode if last is None else np.concatenate([last.episode[-1:], block.episode])
@@ -200,7 +205,12 @@ def _refuse(recorded: Recorded, path: Path, block: Block, last: Block | None, ro
         row, k = (int(v) for v in np.argwhere(far)[0])
         what = "jumps by 360 degrees: the servo wraps within its range"
         remedy = "Calibrate the arm in the middle of its range and record again."
-        raise fault(path, what, remedy, row=rows + row + 2 - before, column=recorded.joints[k])
+        raise fault(path, what, remedy, row=rows + row + 2 - before, column=joints[k])
+
+
+def _refuse(recorded: Recorded, path: Path, block: Block, last: Block | None, rows: int) -> None:
+    """Refuse what no arm does: beyond its servos' range, or 360 degrees from one row to the next."""
+    refuse_turns(path, recorded.joints, block, last, rows)
     if recorded.calibration is not None:
         for k, (joint, servo) in enumerate(zip(recorded.joints, recorded.servos, strict=True)):
             refuse_outside(recorded.calibration, path, joint, servo, block.angles[:, k], rows)

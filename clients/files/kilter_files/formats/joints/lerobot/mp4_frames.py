@@ -1,9 +1,10 @@
-"""How many pictures an MP4 file holds, from its index alone: nothing is decoded."""
+"""How many pictures an MP4 file holds and how long they run, from its index alone: nothing is decoded."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -13,8 +14,16 @@ INSIDE = (b"moov", b"trak", b"mdia", b"minf", b"stbl")
 REMEDY = "It was cut off: record it again, or take the episode out of the data set."
 
 
-def frames_of(path: Path) -> int:
-    """Return the pictures of the first track of video.
+@dataclass(frozen=True)
+class Film:
+    """Pictures of a video, and for how long they run; 0 s where the file does not say."""
+
+    pictures: int
+    seconds: float
+
+
+def film_of(path: Path) -> Film:
+    """Return what the first track of video holds.
 
     Raises:
         FileError: no index, as of a file that was not finished.
@@ -29,7 +38,7 @@ def frames_of(path: Path) -> int:
             if kind == b"trak" and _handler(stream, start, end) == b"vide":
                 count = _samples(stream, start, end)
                 if count is not None:
-                    return count
+                    return Film(count, _seconds(stream, start, end))
     raise fault(path, "holds no track of video", REMEDY)
 
 
@@ -74,3 +83,16 @@ def _samples(stream: BinaryIO, start: int, end: int) -> int | None:
         return None
     stream.seek(at[0] + 8)
     return int(struct.unpack(">I", stream.read(4))[0])
+
+
+def _seconds(stream: BinaryIO, start: int, end: int) -> float:
+    """Duration of a track by its media header, whose second version has longer numbers."""
+    at = _find(stream, start, end, b"mdhd")
+    if at is None:
+        return 0.0
+    stream.seek(at[0])
+    longer = stream.read(4)[:1] == b"\1"
+    stream.seek(at[0] + (20 if longer else 12))
+    form = ">IQ" if longer else ">II"
+    ticks, duration = struct.unpack(form, stream.read(struct.calcsize(form)))
+    return float(duration / ticks) if ticks else 0.0

@@ -17,15 +17,22 @@ from kilter_client.cli.terminal.arguments import Json, VersionId
 from kilter_client.cli.terminal.output import emit, say
 from kilter_client.cli.terminal.references import OfRobot, resolved
 from kilter_client.cli.terminal.tables import show_rows
-from kilter_client.errors import UsageError
-from kilter_client.files import files_calibration, files_exported, files_homing, kit_words
+from kilter_client.errors import ConflictError, NotFoundError, UsageError
+from kilter_client.files import files_beside_rows, files_exported, files_homing, kit_words
+from kilter_client.verbs.servo_calibration import CONDITION
 
 if TYPE_CHECKING:
+    from kilter_files.formats.joints.lerobot.calibration import Calibration
     from kilter_files.formats.joints.lerobot.homing import Homed
 
 WRITE = (
     "Start the arm with the copy and let LeRobot write it into the servos. It is another calibration: what is measured with "
     "it belongs to a robot of its own."
+)
+
+NOT_COMPARED = (
+    "No campaign of this version states with which calibration it was measured (kilter upload --calibration), so nobody "
+    "compared it with this one: make sure that it is the same."
 )
 
 _NOTHING = (
@@ -72,9 +79,10 @@ def homing(
     check_numpy()
     if output.resolve() == calibration.resolve():
         raise UsageError(f"{output} is the calibration itself, which stays as it is: name another file.")
-    found = files_calibration.read_calibration(calibration)
+    found = files_beside_rows.of_follower(calibration)
     with Kilter() as kilter:
         version = resolved(kilter, "version", version, robot, as_json)
+        stated = _refuse_other(kilter, version, found)
         told = files_exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     zeros = told.get("zero_offsets", [])
     offsets = _to_write(zeros, uncertain)
@@ -84,8 +92,34 @@ def homing(
     write(output, text.encode())
     before = calibration.read_text(encoding="utf-8").splitlines()
     diff = list(difflib.unified_diff(before, text.splitlines(), str(calibration), str(output), lineterm="", n=0))
-    document = {"version_id": version, "output": str(output), "servos": _rows(changes, zeros), "diff": diff}
+    document = {"version_id": version, "output": str(output), "servos": _rows(changes, zeros), "diff": diff,
+                "calibration_compared": stated}  # fmt: skip
     emit(document, as_json, _show)
+
+
+def _refuse_other(kilter: Kilter, version: str, calibration: Calibration) -> bool:
+    """Compare the calibration with that of the version's campaigns; False where none states one.
+
+    Raises:
+        ConflictError: a campaign was measured with another one: its zeros are those of another arm.
+
+    """
+    compared = False
+    for campaign in kilter.versions.get(version)["campaigns"]:
+        try:
+            measured = kilter.campaigns.get(str(campaign["id"]))
+        except NotFoundError:  # purged since
+            continue
+        has = measured["conditions"].get(CONDITION)
+        if has not in (None, calibration.sha256):
+            raise ConflictError(
+                f"{calibration.path}: its SHA-256 is {calibration.sha256[:12]}, campaign {measured['name']!r} of version "
+                f"{version} was measured with {has[:12]}: with other zeros it is another arm. Give the calibration with which "
+                "it was measured.",
+                code="calibration_differs",
+            )
+        compared = compared or has is not None
+    return compared
 
 
 def _to_write(zeros: Sequence[Mapping[str, Any]], uncertain: bool) -> dict[str, float]:
@@ -132,4 +166,6 @@ def _show(document: Mapping[str, Any]) -> None:
     show_rows(("servo", "homing offset", "now", "ticks", "95 %", "left deg", "its zero is"), rows, numbers=True)
     for line in document["diff"]:
         say(line)
+    if not document["calibration_compared"]:
+        say(NOT_COMPARED)
     say(WRITE)

@@ -7,15 +7,16 @@ from csv import DictReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kilter_client import Kilter
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.errors import FileError
-from kilter_client.files import files_calibration
+from kilter_client.errors import FileError, KilterError
+from kilter_client.files import files_beside_rows, files_calibration
+from kilter_client.verbs.servo_calibration import CONDITION, stated
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
+    from kilter_files import Prepared
     from kilter_files.tables.joint_log import JointLog
-
-CONDITION = "calibration_sha256"
 
 
 def calibrated(log: JointLog) -> dict[str, Any]:
@@ -31,13 +32,7 @@ def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
 
     """
     check_numpy()
-    found = files_calibration.read_calibration(calibration)
-    if found.of_a_leader:
-        raise FileError(
-            f"{calibration}: is of a leader, the kit measures the follower. Give the calibration of the follower, in "
-            ".../calibration/robots/.",
-            file=str(calibration),
-        )
+    found = files_beside_rows.of_follower(calibration)
     for joint in joints:
         files_calibration.servo_of(found, joint)
 
@@ -59,14 +54,37 @@ def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Se
             files_calibration.refuse_outside(found, file, f"q{j}_deg", servo, angles, 0)
 
 
-def servo_conditions(calibration: Path | None) -> dict[str, Any]:
-    """Return the condition that the calibration of the servos is; nothing without one.
+def servo_conditions(calibration: Path) -> dict[str, Any]:
+    """Return the condition that the calibration of the servos is.
 
     Raises:
-        FileError: it is not a calibration.
+        FileError: it is not a calibration, or it is of a leader.
+
+    """
+    return {CONDITION: files_beside_rows.of_follower(calibration).sha256}
+
+
+def stated_servos(
+    robot: str, calibration: Path | None, prepared: Prepared, file: Path, dry_run: bool
+) -> tuple[dict[str, Any], Prepared]:
+    """Return the condition that the calibration of the servos is, compared with robot and rows; nothing without one.
+
+    A dry run compares what can be compared without a server, where none answers.
+
+    Raises:
+        FileError: it is not a calibration, it is of a leader or of another arm, or its servos do not reach a reading.
 
     """
     if calibration is None:
-        return {}
+        return {}, prepared
     check_numpy()
-    return {CONDITION: files_calibration.read_calibration(calibration).sha256}
+    condition = servo_conditions(calibration)
+    try:
+        with Kilter() as kilter:
+            return kilter.run(stated(robot, calibration, prepared, str(file)))
+    except FileError:
+        raise
+    except KilterError:
+        if not dry_run:
+            raise
+        return condition, prepared

@@ -23,6 +23,8 @@ UNTOLD = (
 MEANS = {
     "zero": "its zero moved (calibrated anew, a horn that slipped, another motor), or it was moved differently from then on",
     "posture": "it was parked or moved differently; its zero did not move, else all of it would have",
+    "turn": "its servo counts from another turn: it wraps within its range (calibrate the arm in the middle of its range and "
+    "record again), or it was rotated from one end of its range to the other",
     "lag": "it stays behind its goal by another amount: load, gain or friction of the servo; its zero does not show in this",
 }  # fmt: skip
 SIGNALS = {"start": "start", "end": "end", "low": "lowest", "high": "highest", "lag": "lag at rest"}
@@ -43,7 +45,10 @@ def episodes(
     least_deg: Annotated[float, typer.Option(help="Smallest jump that is named, degrees.", min=0.1)] = 2.0,
     as_json: Json = False,
 ) -> None:
-    """Name the joints that stand elsewhere from one episode to the next: exit code 0 none, 3 a zero may have moved."""
+    """Name the joints that stand elsewhere from one episode to the next: exit code 0 none, 3 a zero may have moved.
+
+    A data set that is half written, whose videos have other lengths than its rows, or in which a servo wraps is refused.
+    """
     check_numpy()
     order = arguments.split_names([joint_order or ""])
     found = files_episodes.episodes_of(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
@@ -54,7 +59,7 @@ def episodes(
     document = {"dataset": str(dataset), "episodes": len(found.numbers), "joints": list(found.joints), "least_deg": least_deg,
                 "moves": moves, "untold": UNTOLD}  # fmt: skip
     emit(document, as_json, _show)
-    if any(move["what"] == "zero" for move in moves):
+    if any(move["what"] in ("zero", "turn") for move in moves):
         raise typer.Exit(MOVED)
 
 

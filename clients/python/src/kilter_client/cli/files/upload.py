@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.files.calibrated_rows import servo_conditions
+from kilter_client.cli.files.calibrated_rows import stated_servos
 from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic
@@ -129,13 +129,14 @@ def upload(
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
     stated = (payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
-    conditions, at = conditions_of(*stated, cameras, calibration), moment_of(measured_at)
-    if campaign and (name or notes or conditions or at or instrument):
+    conditions, at = conditions_of(*stated, cameras), moment_of(measured_at)
+    if campaign and (name or notes or conditions or at or instrument or calibration):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     order, likely = arguments.split_names([joint_order or ""]), _likely(robot, joints, column_map, joint_order)
     hints = LogHints(topic, order, likely)
     read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
-    prepared = checked_markers(file, read, unchecked)
+    servos, prepared = stated_servos(robot, calibration, checked_markers(file, read, unchecked), file, dry_run)
+    conditions |= servos
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
@@ -186,19 +187,14 @@ def conditions_of(
     force: str | None = None,
     moment: str | None = None,
     cameras: Path | None = None,
-    calibration: Path | None = None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
-    return (
-        rig_conditions(cameras)
-        | servo_conditions(calibration)
-        | campaigns.conditions_of(
-            payload_kg=payload_kg,
-            payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
-            temperature_c=temperature_c,
-            tool_force_n=arguments.three("--tool-force-n", force),
-            tool_moment_nm=arguments.three("--tool-moment-nm", moment),
-        )
+    return rig_conditions(cameras) | campaigns.conditions_of(
+        payload_kg=payload_kg,
+        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
+        temperature_c=temperature_c,
+        tool_force_n=arguments.three("--tool-force-n", force),
+        tool_moment_nm=arguments.three("--tool-moment-nm", moment),
     )
 
 

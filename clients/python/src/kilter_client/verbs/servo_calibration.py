@@ -1,0 +1,43 @@
+"""The calibration of the servos that read the joints of rows: compared with robot and rows, a condition of the campaign."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kilter_client.files import files_beside_rows, files_summary
+from kilter_client.requests.calls import robots
+from kilter_client.requests.steps import Document, Steps
+
+if TYPE_CHECKING:
+    from kilter_files import Prepared
+
+CONDITION = "calibration_sha256"
+
+
+def stated(
+    robot: str, calibration: str | PathLike[str] | None, prepared: Prepared, file: str
+) -> Steps[tuple[Document, Prepared]]:
+    """Return the condition that a calibration is, and the rows with what was not compared; nothing without one.
+
+    Raises:
+        FileError: it is not a calibration, it is of a leader or of another arm, or its servos do not reach a reading.
+
+    """
+    if calibration is None:
+        return {}, prepared
+    found = files_beside_rows.of_follower(Path(fspath(calibration)))
+    joints = [str(joint["name"]) for joint in (yield from robots.one(robot))["joints"]]
+    servos = files_beside_rows.servos_of(found, joints)
+    shown = {
+        f"{name.partition('_')[0]}_{unit}": values
+        for name, given in files_summary.columns_of(prepared).items()
+        for unit, values in [files_summary.in_shown_unit(name, given)]
+    }
+    files_beside_rows.refuse_unreached(found, Path(file), shown, servos, prepared.lines)
+    if not servos:
+        told = files_beside_rows.NOT_COMPARED.format(file=found.path, joints=", ".join(joints))
+        prepared = replace(prepared, warnings=(*prepared.warnings, told))
+    return {CONDITION: found.sha256}, prepared
