@@ -59,14 +59,12 @@ def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Se
             files_calibration.refuse_outside(found, file, f"q{j}_deg", servo, angles, 0)
 
 
-def servo_conditions(calibration: Path | None) -> dict[str, Any]:
-    """Return the condition that the calibration of the servos is; nothing without one.
+def servo_conditions(calibration: Path) -> dict[str, Any]:
+    """Return the condition that the calibration of the servos is.
 
     Raises:
         FileError: it is not a calibration.
 
     """
-    if calibration is None:
-        return {}
     check_numpy()
     return {CONDITION: files_calibration.read_calibration(calibration).sha256}
