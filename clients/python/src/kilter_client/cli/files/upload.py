@@ -20,7 +20,7 @@ from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
 from kilter_client.verbs import campaigns
 from kilter_client.verbs.inputs import moment_of
-from kilter_files import DEVICES, Prepared, prepare
+from kilter_files import Prepared, prepare
 from kilter_files.formats.reader import LogHints
 from kilter_files.formats.registry import recognised
 from kilter_files.formats.tracker_header import PRESETS
@@ -44,7 +44,7 @@ Joints = Annotated[
 
 
 Device = Annotated[
-    str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
+    str | None, typer.Option(help="Measuring device; `kilter formats` lists those whose files are converted.")
 ]
 IntoCampaign = Annotated[
     str | None,
