@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.metadata
 import platform
 import re
@@ -16,9 +15,9 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from tests.contract.sources import REPOSITORY, Source, modules, source
 from tests.measured_seconds import measured
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = ("core", "service", "clients/files", "clients/lerobot", "clients/python/src", "tools")
 OWN = {"kilter", "kilter-core", "kilter-files", "kilter-client"}
 PYPROJECTS = ("pyproject.toml", "core/pyproject.toml", "clients/files/pyproject.toml", "clients/python/pyproject.toml")
@@ -27,92 +26,70 @@ FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", 
 MODULE_CAP, FUNCTION_CAP = 400, 60
 
 
-def modules(*folders: str) -> Iterator[Path]:
-    for folder in folders:
-        yield from sorted((REPOSITORY / folder).rglob("*.py"))
+def sources(*folders: str) -> Iterator[Source]:
+    return map(source, modules(*folders))
 
 
-def application_modules() -> Iterator[Path]:
-    return modules(*SOURCES, "migrations")
+def application_sources() -> Iterator[Source]:
+    return sources(*SOURCES, "migrations")
 
 
-def imported_packages(path: Path) -> set[str]:
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            names.add(node.module)
-    return {name.partition(".")[0] for name in names}
+def imported_packages(found: Source) -> set[str]:
+    return {name.partition(".")[0] for name in found.imported}
 
 
 def test_core_imports_only_numpy_scipy_and_numba() -> None:
     allowed = CORE_MAY_IMPORT | set(sys.stdlib_module_names)
-    strange = {
-        f"{path.relative_to(REPOSITORY)}: {name}"
-        for path in modules("core")
-        for name in imported_packages(path) - allowed
-    }
+    strange = {f"{one.name}: {name}" for one in sources("core") for name in imported_packages(one) - allowed}
     assert not strange
 
 
 def test_the_contract_knows_pydantic_and_itself_only() -> None:
     allowed = {"pydantic", "pydantic_core", *sys.stdlib_module_names}
-    strange = []
-    for path in modules("service/kilter_service/contract"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            named += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-            strange += [
-                f"{path.relative_to(REPOSITORY)}: {name}"
-                for name in named
-                if name.partition(".")[0] not in allowed and not name.startswith("kilter_service.contract")
-            ]
+    strange = [
+        f"{one.name}: {name}"
+        for one in sources("service/kilter_service/contract")
+        for name in one.imported
+        if name.partition(".")[0] not in allowed and not name.startswith("kilter_service.contract")
+    ]
     assert not strange
 
 
 def test_only_kernels_and_the_fast_path_are_compiled() -> None:
-    outside = [path for path in modules("core", "service") if path.parent.name != "kernels"]
-    assert not [path for path in outside if "numba" in imported_packages(path)]
-    compiled = [str(path.relative_to(REPOSITORY)) for path in outside if "kernels.compiled import" in path.read_text()]
+    outside = [one for one in sources("core", "service") if Path(one.name).parent.name != "kernels"]
+    assert not [one.name for one in outside if "numba" in imported_packages(one)]
+    compiled = [one.name for one in outside if "kernels.compiled import" in one.text]
     assert compiled == ["service/kilter_service/stream/corrector/fast_path.py"]  # docs/decisions/0010
 
 
 def test_modules_are_short_and_say_what_they_are_for() -> None:
     wrong = []
-    for path in application_modules():
-        text = path.read_text()
-        tree = ast.parse(text)
-        name = path.relative_to(REPOSITORY)
-        if text.count("\n") > MODULE_CAP:
-            wrong.append(f"{name} has more than {MODULE_CAP} lines")
+    for one in application_sources():
+        path = Path(one.name)
+        if one.text.count("\n") > MODULE_CAP:
+            wrong.append(f"{path} has more than {MODULE_CAP} lines")
         if path.stem in FORBIDDEN_NAMES:
-            wrong.append(f"{name}: name it after what it does")
-        if tree.body and not ast.get_docstring(tree):
-            wrong.append(f"{name} has no docstring")
-        if tree.body and "from __future__ import annotations" not in text and path.name != "__init__.py":
-            wrong.append(f"{name} lacks the annotations import")
+            wrong.append(f"{path}: name it after what it does")
+        if not one.is_empty and not one.docstring:
+            wrong.append(f"{path} has no docstring")
+        if not one.is_empty and "from __future__ import annotations" not in one.text and path.name != "__init__.py":
+            wrong.append(f"{path} lacks the annotations import")
     assert not wrong
 
 
 def test_functions_are_short() -> None:
-    wrong = []
-    for path in modules(*SOURCES):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None:
-                length = node.end_lineno - node.lineno + 1
-                if length > FUNCTION_CAP:
-                    wrong.append(f"{path.relative_to(REPOSITORY)}: {node.name} has {length} lines")
+    wrong = [
+        f"{one.name}: {function.name} has {function.lines} lines"
+        for one in sources(*SOURCES)
+        for function in one.functions
+        if function.lines > FUNCTION_CAP
+    ]
     assert not wrong
 
 
 def test_nothing_is_left_for_later() -> None:
     marks = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b|raise NotImplementedError|except Exception:\s*pass")
-    wrong = [
-        f"{path.relative_to(REPOSITORY)}: {match.group()}"
-        for path in application_modules()
-        for match in marks.finditer(path.read_text())
-    ]
+    wrong = [f"{one.name}: {match.group()}" for one in application_sources() for match in marks.finditer(one.text)]
     assert not wrong
 
 

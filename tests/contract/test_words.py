@@ -19,7 +19,8 @@ from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+from tests.contract.sources import REPOSITORY, nodes
+
 MOST_CHARACTERS = 120
 FENCE = r"^ *```.*?^ *```"
 # Made by `make contract` from the contract and from docstrings: the words of their sources are looked at instead.
@@ -173,7 +174,7 @@ def prose_of_page(text: str) -> str:
 
 def prose_of_code(text: str) -> Iterator[tuple[int, str]]:
     """Docstrings, other strings of several words, and comments, with the line on which each begins."""
-    for node in ast.walk(ast.parse(text)):
+    for node in nodes(ast.parse(text)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip():
             yield node.lineno, re.sub(r"``?[^`]*``?|'turn'|--[\w-]+|^ +\w+: ", " x ", node.value, flags=re.M)
     for line, comment in comments(text):
@@ -220,13 +221,6 @@ def prose_of_template(text: str) -> str:
     return html.unescape(text)
 
 
-def identifiers(text: str) -> Iterator[tuple[int, str]]:
-    """Names of functions and classes, as words."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            yield node.lineno, in_words(node.name)
-
-
 def in_words(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|_", " ", name).strip().lower()
 
@@ -263,14 +257,17 @@ def test_no_word_stands_for_a_standard_term(rule: Rule) -> None:
     assert not found, f"write {rule.term or rule.fine!r}; docs/reference/glossary.md has the terms"
 
 
+DEFINED = re.compile(r"^[ \t]*(?:async )?(?:def|class) (\w+)", re.MULTILINE)
+
+
 @cache
 def names_in_code() -> tuple[tuple[str, str], ...]:
-    """Names of modules, functions and classes as words, with their places."""
+    """Names of modules, functions and classes as words, with their modules."""
     modules = [path for area in ("core", "clients", "service") for path in files(area) if path.suffix == ".py"]
     return tuple(
-        (f"{path.relative_to(REPOSITORY)}:{line}", name)
+        (path.relative_to(REPOSITORY).as_posix(), in_words(name))
         for path in modules
-        for line, name in [(1, in_words(path.stem)), *identifiers(path.read_text(encoding="utf-8"))]
+        for name in (path.stem, *DEFINED.findall(path.read_text(encoding="utf-8")))
     )
 
 

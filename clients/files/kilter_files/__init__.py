@@ -80,7 +80,7 @@ def prepare(
     """
     path, other = Path(path), None if joined is None else Path(joined)
     if column_map is None:
-        preset = preset or _preset_of(device, path, joined=other is not None)
+        preset = preset or (_preset_of(device, path, joined=other is not None) if device else None)
     said = euler or (hints is not None and (hints.topic or hints.order))
     if (said and preset is None) or (column_map is not None and (preset or said)):
         raise UsageError(
@@ -93,7 +93,7 @@ def prepare(
             "that has a table [join] (--map)."
         )
     if preset is None and column_map is None and path.suffix.lower() not in (".xlsx", ".xlsm"):
-        by_device = registry.readers_for(reader.DEVICE).get(device or "")
+        by_device = registry.readers_for(reader.DEVICE).get(device) if device else None
         if by_device is None or _is_joined(path):
             return as_it_is(path)
         table = by_device.read(path)
@@ -104,7 +104,7 @@ def prepare(
     return Prepared.from_table(table)
 
 
-def _preset_of(device: str | None, path: Path, joined: bool) -> str | None:
+def _preset_of(device: str, path: Path, joined: bool) -> str | None:
     """Return the preset that a device names, where its file is an export of points and not contract columns already."""
     if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
         return None

@@ -129,12 +129,6 @@ class PlacedRig:
         """Corners (M, 3) m of a board in its own frame, as large as it was found."""
         return np.asarray((1.0 + self.boards[k].values[0]) * np.array(self.rig.boards[k].corners))
 
-    def with_intrinsics(self, k: int, intrinsics: Floats) -> PlacedRig:
-        """The same with other intrinsics of a camera."""
-        cameras = list(self.cameras)
-        cameras[k] = replace(cameras[k], values=np.array(intrinsics, dtype=np.float64))
-        return replace(self, cameras=tuple(cameras))
-
     def settled(self) -> PlacedRig:
         """The same, the increments folded into the poses."""
         cameras, boards = (tuple(_moved(p, np.eye(4)) for p in parts) for parts in (self.cameras, self.boards))

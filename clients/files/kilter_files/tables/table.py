@@ -7,6 +7,7 @@ import hashlib
 import io
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 CSV_TYPE = "text/csv"
 PARQUET_TYPE = "application/vnd.apache.parquet"
@@ -62,7 +63,7 @@ class Prepared:
     warnings: tuple[str, ...] = ()
     lines: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def sha256(self) -> str:
         """The content hash by which the server knows these bytes again."""
         return hashlib.sha256(self.content).hexdigest()

@@ -26,7 +26,6 @@ from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats, Ints
 
-AS_GIVEN = (1, 2, 3, 4)
 SURE, LIKELY = 5.0, 2.0  # logarithms of how many times likelier another order is, 150 and 7
 EXPLAINED = 4.0  # chi-square per degree of freedom up to which the model is believed to explain what was drawn
 UNMODELLED = 0.06  # share of the errors that such a simple model may leave, per harmonic

@@ -1,6 +1,6 @@
 """Where camera and board stand, from nothing: AX = ZB in closed form, trimmed, and for a start only.
 
-The closed forms trust the kinematics (rotations by the Kronecker product, Shah 2013; lengths by linear least squares), so
+The closed form trusts the kinematics (rotations by the Kronecker product, Shah 2013; lengths by linear least squares), so
 an arm's errors stay in them; the bundle that begins there fits pixels.
 """
 
@@ -104,26 +104,6 @@ def grown(T_p: Floats, T_R: Floats, M_p: Floats, found: HandEye) -> tuple[float,
     variance = float(np.sum(off[used] ** 2)) / max(len(right) - 7, 1)
     by = 1.0 / shrunk if shrunk else float("inf")
     return by, float(np.sqrt(variance / (own @ own))) * by**2, float(np.median(np.linalg.norm(off, axis=1))) * abs(by)
-
-
-def solve_axxb(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats) -> Floats:
-    """What :func:`solve_axzb` calls A, from AX = XB of all pairs of views (Park and Martin 1994): B takes no part.
-
-    Raises:
-        ObservationError: rotations about one axis only.
-
-    """
-    _refuse_one_axis(T_R)
-    first, second = np.triu_indices(len(T_p), 1)
-    A_R = T_R[first].transpose(0, 2, 1) @ T_R[second]
-    A_p = np.einsum("nji,nj->ni", T_R[first], T_p[second] - T_p[first])
-    B_R = M_R[first].transpose(0, 2, 1) @ M_R[second]
-    B_p = np.einsum("nji,nj->ni", M_R[first], M_p[second] - M_p[first])
-    a, b = rotation_log(A_R), rotation_log(B_R)
-    X = nearest_rotation(a.T @ b)
-    left = (A_R - np.eye(3)).reshape(-1, 3)
-    t = np.linalg.lstsq(left, (B_p @ X.T - A_p).reshape(-1), rcond=None)[0]
-    return _pose(X, t)
 
 
 def _pose(R: Floats, p: Floats) -> Floats:

@@ -72,11 +72,6 @@ def every_live(site: str) -> str:
     return f"{PREFIX}/{checked(site, 'site')}/*/stream/*/live"
 
 
-def every_token(site: str) -> str:
-    """Key expression of the liveliness tokens of the correctors of a site."""
-    return f"{PREFIX}/{checked(site, 'site')}/*/@alive/*"
-
-
 def every_query(site: str, procedure: str) -> str:
     """Key expression of one procedure (``correct`` or ``describe``) of all robots of a site."""
     return f"{PREFIX}/{checked(site, 'site')}/*/@rpc/{procedure}"

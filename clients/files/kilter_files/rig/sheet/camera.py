@@ -12,7 +12,6 @@ Floats = NDArray[np.float64]
 
 FLOOR_MM = 0.01  # nobody prints and finds marks better
 TURNS = 9  # of the fixed point that undoes the lens
-POINTS_NEEDED = 4
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from kilter_files.rig.sheet.unroll import REACH_MM, STEP_MM, Ring
 
 STIFFNESS = 0.35  # price of a step of 1 mm from gap to gap, in the darkness of a line
 WINDOW_MM = 0.9  # the line's middle is sought this far around its ridge
-STROKE_FREE_MM = 0.8  # so far from a gap's middle the line is beside a stroke
 DASH_FREE_MM = 0.35  # and so far from a dash
 PIECE_MM = 0.4
 LEAST_DARK = 0.05

@@ -46,24 +46,21 @@ class Connection:
             ServerUnreachableError: no answer.
 
         """
-        with _in_words(self._reword):
-            return self._run(call)
-
-    def _run(self, call: Steps[T]) -> T:
         answer: Answer | KilterError | None = None
-        while True:
-            try:
-                step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
-            except StopIteration as end:
-                found: T = end.value
-                return found
-            try:
-                answer = self._done(step)
-            except KilterError as error:
-                answer = error
-            except BaseException:  # Ctrl-C, or what the caller's progress raised: the call lets go of what it holds
-                call.close()
-                raise
+        with _in_words(self._reword):
+            while True:
+                try:
+                    step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
+                except StopIteration as end:
+                    found: T = end.value
+                    return found
+                try:
+                    answer = self._done(step)
+                except KilterError as error:
+                    answer = error
+                except BaseException:  # Ctrl-C, or what the caller's progress raised: the call lets go of what it holds
+                    call.close()
+                    raise
 
     def _done(self, step: Step) -> Answer | None:
         if isinstance(step, Pause):
@@ -73,17 +70,14 @@ class Connection:
             self.url, self._place = _moved(self._client, self._place)
             return None
         with reaching(self.url, self._answered):
-            if isinstance(step, Request):
-                answer = self._sent(step)
+            if isinstance(step, Follow):
+                self._followed(step)
                 self._answered = True
-                return answer
-            self._followed(step)
-            return None
-
-    def _sent(self, step: Request) -> Answer:
-        content = None if step.content is None else step.pieces()
-        response = self._client.request(content=content, **_arguments(step))
-        return Answer(response.status_code, response.headers, response.content, str(response.url))
+                return None
+            content = None if step.content is None else step.pieces()
+            response = self._client.request(content=content, **_arguments(step))
+            self._answered = True
+            return Answer(response.status_code, response.headers, response.content, str(response.url))
 
     def _followed(self, step: Follow) -> None:
         step.events.begin()
@@ -111,24 +105,21 @@ class AsyncConnection:
 
     async def run(self, call: Steps[T]) -> T:
         """Do what a call asks for, step by step, and return what it returns; errors are those of ``Connection``."""
-        with _in_words(self._reword):
-            return await self._run(call)
-
-    async def _run(self, call: Steps[T]) -> T:
         answer: Answer | KilterError | None = None
-        while True:
-            try:
-                step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
-            except StopIteration as end:
-                found: T = end.value
-                return found
-            try:
-                answer = await self._done(step)
-            except KilterError as error:
-                answer = error
-            except BaseException:  # a task that is cancelled waits here: what the call holds is let go at once
-                call.close()
-                raise
+        with _in_words(self._reword):
+            while True:
+                try:
+                    step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
+                except StopIteration as end:
+                    found: T = end.value
+                    return found
+                try:
+                    answer = await self._done(step)
+                except KilterError as error:
+                    answer = error
+                except BaseException:  # a task that is cancelled waits here: what the call holds is let go at once
+                    call.close()
+                    raise
 
     async def _done(self, step: Step) -> Answer | None:
         if isinstance(step, Pause):
@@ -140,14 +131,14 @@ class AsyncConnection:
             self.url, self._place = _moved(self._client, self._place)
             return None
         with reaching(self.url, self._answered):
-            answer = await (self._sent(step) if isinstance(step, Request) else self._followed(step))
+            if isinstance(step, Follow):
+                await self._followed(step)
+                self._answered = True
+                return None
+            content = None if step.content is None else _one_by_one(step)
+            response = await self._client.request(content=content, **_arguments(step))
             self._answered = True
-            return answer
-
-    async def _sent(self, step: Request) -> Answer:
-        content = None if step.content is None else _one_by_one(step)
-        response = await self._client.request(content=content, **_arguments(step))
-        return Answer(response.status_code, response.headers, response.content, str(response.url))
+            return Answer(response.status_code, response.headers, response.content, str(response.url))
 
     async def _followed(self, step: Follow) -> None:
         step.events.begin()

@@ -23,6 +23,16 @@ def waiting(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
     return _like(method, verb)
 
 
+def documented(call: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
+    """Return the method of a call that returns what the server answered, as it is."""
+
+    def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = self._run(call(*args, **kwargs))
+        return found
+
+    return _like(method, call)
+
+
 def awaited(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
     """Return the method of a verb that is awaited."""
 

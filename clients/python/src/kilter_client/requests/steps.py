@@ -104,8 +104,8 @@ def answer_of(request: Request) -> Steps[Answer]:
 
 
 def get(path: str, **params: Any) -> Steps[Document]:
-    """Return the JSON document at ``path``."""
-    return read(Request("GET", path, params=params))
+    """Return the JSON document at ``path``; a parameter that is None is not sent."""
+    return read(Request("GET", path, params={name: value for name, value in params.items() if value is not None}))
 
 
 def post(

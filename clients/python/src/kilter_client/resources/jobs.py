@@ -7,19 +7,17 @@ from typing import Any
 
 from kilter_client.requests.calls import jobs
 from kilter_client.requests.calls.jobs import Progress, succeeded
-from kilter_client.requests.connection import Connection
+from kilter_client.requests.methods import documented
 from kilter_client.requests.steps import Document, event_data
+from kilter_client.resources.references import Resource
 
 __all__ = ["Jobs", "Progress", "Validation", "event_data", "succeeded"]
 
 Validation = Sequence[str] | float | Mapping[str, int] | None
 
 
-class Jobs:
+class Jobs(Resource):
     """The jobs of a server."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._run = connection.run
 
     def submit(
         self,
@@ -58,17 +56,9 @@ class Jobs:
         body = jobs.asked(kind, robot, campaigns, validation, options, confirmation, name)
         return self._run(jobs.check(robot, body))
 
-    def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
-        """Return the newest jobs, of one robot or of all."""
-        return self._run(jobs.list_jobs(robot, limit))
-
-    def get(self, job: str, robot: str | None = None) -> Document:
-        """Return a job's document; the id may be its beginning, a name, or ``latest`` with its robot."""
-        return self._run(jobs.one(job, robot))
-
-    def cancel(self, job: str, robot: str | None = None) -> Document:
-        """Ask a job to stop."""
-        return self._run(jobs.cancel(job, robot))
+    list = documented(jobs.list_jobs)
+    get = documented(jobs.one)
+    cancel = documented(jobs.cancel)
 
     def wait(
         self,

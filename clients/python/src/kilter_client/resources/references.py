@@ -10,7 +10,7 @@ from kilter_client.requests.calls.references import Found, Kind, is_full
 from kilter_client.requests.connection import Connection
 from kilter_client.requests.steps import Document
 
-__all__ = ["Found", "Kept", "Kind", "is_called", "is_full"]
+__all__ = ["Found", "Kept", "Kind", "Resource", "is_called", "is_full"]
 
 
 def is_called(known: str, wanted: str) -> bool:
@@ -18,13 +18,17 @@ def is_called(known: str, wanted: str) -> bool:
     return known == wanted or re.fullmatch(re.escape(wanted) + r" \(\d+\)", known) is not None
 
 
-class Kept:
-    """What campaigns and versions have in common. An id may be its beginning, a name, or ``latest`` of a robot."""
-
-    kind: ClassVar[Kind]
+class Resource:
+    """What can be asked about one kind of thing, over a connection."""
 
     def __init__(self, connection: Connection) -> None:
         self._run = connection.run
+
+
+class Kept(Resource):
+    """What campaigns and versions have in common. An id may be its beginning, a name, or ``latest`` of a robot."""
+
+    kind: ClassVar[Kind]
 
     def id_of(self, reference: str, robot: str | None = None) -> str:
         """Return the id that a reference stands for."""

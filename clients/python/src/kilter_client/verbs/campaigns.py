@@ -116,32 +116,21 @@ def send_rows(
 
     """
     try:
-        return (yield from _sent(robot, into, wanted, prepared, sent, begun))
+        into = into or (yield from stored_in(robot, wanted, prepared))
+        if into is not None:
+            begun((into, False))
+            return (yield from calls.upload(into, prepared, sent, robot))
+        made = yield from calls.add(robot, {**wanted, "staged": True})
+        target = str(made["id"])
+        begun((target, True))
+        try:
+            done = yield from calls.upload(target, prepared, sent)
+        except ApiError:
+            yield from calls.discard(target)
+            raise
+        yield from calls.commit(target, [str(done["sha256"])])
     except ObservationError as error:
         raise _placed(error, prepared, file) from error
-
-
-def _sent(
-    robot: str,
-    into: str | None,
-    wanted: Mapping[str, Any],
-    prepared: Prepared,
-    sent: Sent | None,
-    begun: Callable[[tuple[str, bool]], None],
-) -> Steps[Document]:
-    into = into or (yield from stored_in(robot, wanted, prepared))
-    if into is not None:
-        begun((into, False))
-        return (yield from calls.upload(into, prepared, sent, robot))
-    made = yield from calls.add(robot, {**wanted, "staged": True})
-    target = str(made["id"])
-    begun((target, True))
-    try:
-        done = yield from calls.upload(target, prepared, sent)
-    except ApiError:
-        yield from calls.discard(target)
-        raise
-    yield from calls.commit(target, [str(done["sha256"])])
     return done
 
 

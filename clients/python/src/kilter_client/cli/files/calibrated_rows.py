@@ -65,9 +65,9 @@ def servo_conditions(calibration: Path) -> dict[str, Any]:
 
 
 def stated_servos(
-    robot: str, calibration: Path | None, prepared: Prepared, file: Path, dry_run: bool
+    robot: str, calibration: Path, prepared: Prepared, file: Path, dry_run: bool
 ) -> tuple[dict[str, Any], Prepared]:
-    """Return the condition that the calibration of the servos is, compared with robot and rows; nothing without one.
+    """Return the condition that the calibration of the servos is, compared with robot and rows.
 
     A dry run compares what can be compared without a server, where none answers.
 
@@ -75,8 +75,6 @@ def stated_servos(
         FileError: it is not a calibration, it is of a leader or of another arm, or its servos do not reach a reading.
 
     """
-    if calibration is None:
-        return {}, prepared
     check_numpy()
     condition = servo_conditions(calibration)
     try:

@@ -13,11 +13,11 @@ from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, say
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
-from kilter_files.formats.reader import Hints, LogHints
+from kilter_files import draft
+from kilter_files import inspect as look
+from kilter_files.formats.reader import LogHints
 from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.ground.later import need
-from kilter_files.look.draft import draft
-from kilter_files.look.inspection import inspect as look
 
 MARKERS_SHOWN = 12
 
@@ -99,7 +99,7 @@ def inspect(
         raise UsageError(f"--rate {rate}: give frames per second, above 0.")
     order = arguments.split_names([joint_order or ""])
     log = LogHints(topic, order, calibration=calibration, norm_mode=norm_mode, zero=zero)
-    document = look(file, Hints(rate, allow_cut, preset, euler, unit, log))
+    document = look(file, rate_hz=rate, allow_cut=allow_cut, preset=preset, euler=euler, unit=unit, log=log)
     emit(document, as_json, _show)
     if document["problems"]:
         raise typer.Exit(1)

@@ -15,15 +15,13 @@ CAMERA = (
 BOARD = ("name", "mount", "corners_mm", "scale_sigma_percent")
 
 
-def rig_conditions(file: Path | None) -> dict[str, Any]:
-    """Return the conditions ``cameras`` and ``boards`` of a campaign; none without a file.
+def rig_conditions(file: Path) -> dict[str, Any]:
+    """Return the conditions ``cameras`` and ``boards`` of a campaign.
 
     Raises:
         UsageError: not such a file.
 
     """
-    if file is None:
-        return {}
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
         cameras = [_part(one, CAMERA) for one in document["cameras"]]

@@ -20,7 +20,7 @@ from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
 from kilter_client.verbs import campaigns
 from kilter_client.verbs.inputs import moment_of
-from kilter_files import DEVICES, Prepared, prepare
+from kilter_files import Prepared, prepare
 from kilter_files.formats.reader import LogHints
 from kilter_files.formats.registry import recognised
 from kilter_files.formats.tracker_header import PRESETS
@@ -44,7 +44,7 @@ Joints = Annotated[
 
 
 Device = Annotated[
-    str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
+    str | None, typer.Option(help="Measuring device; `kilter formats` lists those whose files are converted.")
 ]
 IntoCampaign = Annotated[
     str | None,
@@ -132,11 +132,16 @@ def upload(
     conditions, at = conditions_of(*stated, cameras), moment_of(measured_at)
     if campaign and (name or notes or conditions or at or instrument or calibration):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
-    order, likely = arguments.split_names([joint_order or ""]), _likely(robot, joints, column_map, joint_order)
-    hints = LogHints(topic, order, likely)
+    # The robot's joints, where a bag names its joints and nobody said which is the first.
+    asks = joints is not None and column_map is None and not joint_order and recognised(joints, "bag")
+    hints = LogHints(
+        topic, arguments.split_names([joint_order]) if joint_order else [], joints_of(robot) if asks else []
+    )
     read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
-    servos, prepared = stated_servos(robot, calibration, checked_markers(file, read, unchecked), file, dry_run)
-    conditions |= servos
+    prepared = checked_markers(file, read, unchecked)
+    if calibration:
+        servos, prepared = stated_servos(robot, calibration, prepared, file, dry_run)
+        conditions |= servos
     _tell(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
@@ -147,15 +152,14 @@ def upload(
         if dry_run
         else send(robot, campaign, wanted, file, prepared, as_json)
     )
-    _warn(done, as_json)
-    emit(_report(prepared, done), as_json, show_dry_run if dry_run else _show_upload)
+    odd = [str(one["message"]) for one in done.get("warnings", ())]  # what the server found in rows that it stored
+    for text in odd:
+        note(f"  Warning: {text}", as_json)
+    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes), "warnings": []}
+    report = understood | done | {"warnings": [*prepared.warnings, *odd]}
+    emit(report, as_json, show_dry_run if dry_run else _show_upload)
     if dry_run and done["refused"]:
         raise typer.Exit(1)
-
-
-def _warn(done: dict[str, Any], as_json: bool) -> None:
-    for text in _odd(done):
-        note(f"  Warning: {text}", as_json)
 
 
 def sent_file(
@@ -189,20 +193,13 @@ def conditions_of(
     cameras: Path | None = None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
-    return rig_conditions(cameras) | campaigns.conditions_of(
+    return (rig_conditions(cameras) if cameras else {}) | campaigns.conditions_of(
         payload_kg=payload_kg,
         payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
         temperature_c=temperature_c,
         tool_force_n=arguments.three("--tool-force-n", force),
         tool_moment_nm=arguments.three("--tool-moment-nm", moment),
     )
-
-
-def _likely(robot: str, joints: Path | None, column_map: Path | None, order: str | None) -> list[str]:
-    """The robot's joints, where a bag names its joints and nobody said which is the first."""
-    if joints is None or column_map is not None or order or not recognised(joints, "bag"):
-        return []
-    return joints_of(robot)
 
 
 def _tell(file: Path, prepared: Prepared, as_json: bool) -> None:
@@ -212,16 +209,6 @@ def _tell(file: Path, prepared: Prepared, as_json: bool) -> None:
         note(f"  {text}", as_json)
     for text in prepared.warnings:
         note(f"  Warning: {text}.", as_json)
-
-
-def _report(prepared: Prepared, done: dict[str, Any]) -> dict[str, Any]:
-    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes), "warnings": list(prepared.warnings)}
-    return understood | done | {"warnings": understood["warnings"] + _odd(done)}
-
-
-def _odd(done: dict[str, Any]) -> list[str]:
-    """What the server found odd in rows that it stored."""
-    return [str(one["message"]) for one in done.get("warnings", ())]
 
 
 def _show_upload(done: dict[str, Any]) -> None:

@@ -64,7 +64,7 @@ def audit() -> Steps[list[Document]]:
     found: list[Document] = []
     after: str | None = None
     while True:
-        page = yield from get("/v1/audit", **({"limit": PAGE} | ({"after": after} if after else {})))
+        page = yield from get("/v1/audit", limit=PAGE, after=after)
         found += page["entries"]
         after = page["next"]
         if after is None:

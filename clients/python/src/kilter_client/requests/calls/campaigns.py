@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.requests.calls.kept import place
-from kilter_client.requests.calls.robots import also
 from kilter_client.requests.steps import (
     Document,
     Request,
@@ -45,19 +44,21 @@ def _stated(wanted: Mapping[str, Any]) -> Document:
 
 
 def list_campaigns(robot: str, staged: bool = False, retired: bool = False) -> Steps[list[Document]]:
-    """Return the campaigns of a robot, oldest first."""
-    asked = ({"staged": "true"} if staged else {}) | also(retired)
-    found = yield from get(address("robots", robot, "campaigns"), **asked)
+    """Return the campaigns of a robot, oldest first; ``staged`` are those whose parts are not all there.
+
+    With ``retired`` also those that are out of use.
+    """
+    found = yield from get(address("robots", robot, "campaigns"), staged=staged or None, retired=retired or None)
     return list(found["campaigns"])
 
 
 def commit(campaign_id: str, sha256: Sequence[str]) -> Steps[Document]:
-    """Make a staged campaign visible."""
+    """Make a staged campaign visible, if it holds exactly the parts of these content hashes."""
     return post(address("campaigns", campaign_id, "commit"), {"sha256": [*sha256]}, again=True)
 
 
 def discard(campaign_id: str) -> Steps[None]:
-    """Delete a staged campaign."""
+    """Delete a staged campaign with all that was sent to it."""
     yield from answer_of(Request("DELETE", address("campaigns", campaign_id)))
 
 
@@ -68,13 +69,13 @@ def one(campaign: str, robot: str | None = None) -> Steps[Document]:
 
 
 def suspicious(campaign: str, robot: str | None = None) -> Steps[Document]:
-    """Return the rows of a campaign that look wrong."""
+    """Return the rows of a campaign that look wrong, and who says so."""
     path = yield from place("campaign", campaign, robot, "suspicious")
     return (yield from get(path))
 
 
-def rows(campaign: str, form: str, robot: str | None = None) -> Steps[bytes]:
-    """Return the rows of a campaign as a file."""
+def rows(campaign: str, form: str = "csv", robot: str | None = None) -> Steps[bytes]:
+    """Return the rows of a campaign as a file (csv, parquet, json), with the columns of their upload."""
     path = yield from place("campaign", campaign, robot, "observations")
     answer = yield from answer_of(Request("GET", path, params={"format": form}))
     return answer.content

@@ -71,14 +71,13 @@ def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
 
 
 def list_jobs(robot: str | None = None, limit: int = 100) -> Steps[list[Document]]:
-    """Return the newest jobs."""
-    wanted: Document = {"limit": limit} | ({"robot": robot} if robot else {})
-    found = yield from get("/v1/jobs", **wanted)
+    """Return the newest jobs, of one robot or of all."""
+    found = yield from get("/v1/jobs", limit=limit, robot=robot or None)
     return list(found["jobs"])
 
 
 def one(job: str, robot: str | None = None) -> Steps[Document]:
-    """Return a job's document."""
+    """Return a job's document; the id may be its beginning, a name, or ``latest`` with its robot."""
     found = yield from id_of("job", job, robot)
     return (yield from get(address("jobs", found)))
 

@@ -35,14 +35,13 @@ def is_full(kind: Kind, reference: str) -> bool:
 
 def resolve(kind: Kind, reference: str, robot: str | None = None) -> Steps[Found]:
     """Ask the server what a reference stands for, among those of a robot or of all."""
-    asked = {"kind": kind, "reference": reference} | ({"robot": robot} if robot else {})
-    document = yield from get("/v1/resolve", **asked)
+    document = yield from get("/v1/resolve", kind=kind, reference=reference, robot=robot or None)
     return Found(document["id"], document["robot"], document["name"], document["by"])
 
 
 def id_of(kind: Kind, reference: str, robot: str | None = None) -> Steps[str]:
     """Return the id that a reference stands for; a whole id is not asked for."""
-    if is_full(kind, reference):
+    if FULL[kind].fullmatch(reference):
         return reference
     found = yield from resolve(kind, reference, robot)
     return found.id

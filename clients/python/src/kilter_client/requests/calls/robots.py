@@ -22,22 +22,22 @@ class Reaching(NamedTuple):
 
 
 def add(document: Mapping[str, Any]) -> Steps[Document]:
-    """Add a robot."""
+    """Add a robot (the contract's ``robot.json``); the same document twice changes nothing."""
     return post("/v1/robots", document)
 
 
 def today(name: str) -> Steps[Document]:
-    """Say how good a robot is today."""
+    """Return how good a robot is today, and what is missing in its active version."""
     return get(address("robots", name, "today"))
 
 
 def bridges(name: str) -> Steps[Document]:
-    """Return the bridges of a robot."""
+    """Return the bridges of a robot: those that run first."""
     return get(address("robots", name, "bridges"))
 
 
 def announce_bridge(name: str, run: str, news: Mapping[str, Any]) -> Steps[Document]:
-    """Say what a bridge does."""
+    """Say to the server what the bridge of this ``run`` does; it is shown, and controls nothing."""
     return read(Request("PUT", address("robots", name, "bridges", run), body=news, again=True))
 
 
@@ -57,7 +57,7 @@ def remove_repair(name: str, repair: str) -> Steps[None]:
 
 
 def drifts() -> Steps[Document]:
-    """Return how all robots stand by their checks."""
+    """Return how all robots stand by their checks, the worst first."""
     return get("/v1/drift")
 
 
@@ -68,17 +68,22 @@ def accept(name: str, wanted: Mapping[str, Any]) -> Steps[Document]:
 
 
 def check(document: Mapping[str, Any]) -> Steps[Document]:
-    """Look at a robot without adding it."""
+    """Return what a document comes to, without adding it: axes, the arm at zero, reach, what looks wrong."""
     return post("/v1/robots/check", document, again=True)
 
 
 def convert(document: Mapping[str, Any], to: str) -> Steps[Document]:
-    """Write a robot in another convention."""
+    """Return the same arm as a document of convention ``to`` (chain, dh, mdh, s_model, poe, cpc, mcpc, urdf)."""
     return read(Request("POST", "/v1/robots/convert", params={"to": to}, body=document, again=True))
 
 
-def from_circles(rows: Prepared, name: str, convention: str, base: str, follows: Sequence[str]) -> Steps[Document]:
-    """Find a robot from rows in which one joint moved at a time."""
+def from_circles(
+    rows: Prepared, name: str, convention: str = "chain", base: str = "axis", follows: Sequence[str] = ()
+) -> Steps[Document]:
+    """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and its ``axes``.
+
+    ``follows`` are pairs "j3=j2" of joints that are read against the horizontal.
+    """
     return read(
         Request(
             "POST",
@@ -112,18 +117,18 @@ def inverse(name: str, flanges: Sequence[Mapping[str, float]]) -> Steps[list[Rea
 
 
 def frame(points: Mapping[str, Any]) -> Steps[Document]:
-    """Find a frame from digitised points."""
+    """Find a frame from digitised ``points`` or ``features``: its ``pose``, and how far each point is off."""
     return post("/v1/frames", points, again=True)
 
 
 def list_robots(retired: bool = False) -> Steps[list[Document]]:
-    """Return the robots, by name."""
-    found = yield from get("/v1/robots", **also(retired))
+    """Return the robots, by name; with ``retired`` also those that are out of use."""
+    found = yield from get("/v1/robots", retired=retired or None)
     return list(found["robots"])
 
 
 def one(name: str) -> Steps[Document]:
-    """Return a robot."""
+    """Return a robot with its joints, parameters and document."""
     return get(address("robots", name))
 
 
@@ -133,12 +138,12 @@ def remove(name: str) -> Steps[None]:
 
 
 def note(name: str, remarks: str) -> Steps[Document]:
-    """Keep a note with a robot."""
+    """Add a note to a robot, replacing the previous one."""
     return patch(address("robots", name), {"remarks": remarks})
 
 
 def compensate(name: str, compensation: str) -> Steps[Document]:
-    """Say whether the controller of a robot corrects by itself."""
+    """Say whether the controller of a robot corrects by itself: none, factory, kilter or unknown."""
     return patch(address("robots", name), {"controller_compensation": compensation})
 
 
@@ -147,13 +152,13 @@ def do(name: str, what: str) -> Steps[Document]:
     return post(address("robots", name, what))
 
 
-def also(retired: bool) -> dict[str, str]:
-    """Return what asks for retired ones too."""
-    return {"retired": "true"} if retired else {}
+def stream_session(
+    name: str, stream: str = "main", lifetime_h: float = 24.0, take_over: bool = False
+) -> Steps[Document]:
+    """Return id and keys of a new session of a stream; whoever has them can send setpoints on it.
 
-
-def stream_session(name: str, stream: str, lifetime_h: float, take_over: bool) -> Steps[Document]:
-    """Ask for the keys of a stream."""
+    A stream that somebody else holds is refused, unless it is taken over: that ends the other's session.
+    """
     wanted: Document = {"stream": stream, "lifetime_h": lifetime_h}
     if take_over:  # a server of an earlier release does not know the word
         wanted["take_over"] = True

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 
 from kilter_client.requests.calls.kept import place
 from kilter_client.requests.calls.references import id_of
-from kilter_client.requests.calls.robots import also
 from kilter_client.requests.exported import Exported
 from kilter_client.requests.steps import Answer, Document, Request, Steps, address, answer_of, get, post
 
@@ -19,13 +18,13 @@ NOMINAL = "nominal"  # in a comparison: the nominal robot
 
 
 def list_versions(robot: str, retired: bool = False) -> Steps[list[Document]]:
-    """Return the versions of a robot, newest first."""
-    found = yield from get(address("robots", robot, "versions"), **also(retired))
+    """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
+    found = yield from get(address("robots", robot, "versions"), retired=retired or None)
     return list(found["versions"])
 
 
 def one(version: str, robot: str | None = None) -> Steps[Document]:
-    """Return a version."""
+    """Return a version: parent, job, campaigns, effects, parameters, covariance."""
     path = yield from place("version", version, robot)
     return (yield from get(path))
 
@@ -51,7 +50,7 @@ def rollback(robot: str) -> Steps[Document]:
 
 
 def activations(robot: str) -> Steps[list[Document]]:
-    """Return who activated what, newest first."""
+    """Return who activated which version of a robot, when and why, newest first."""
     found = yield from get(address("robots", robot, "activations"))
     return list(found["activations"])
 
@@ -63,8 +62,8 @@ def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
     return (yield from get(address("versions", one, "diff", other)))
 
 
-def residuals(version: str, campaigns: Sequence[str], form: str, robot: str | None) -> Steps[bytes]:
-    """Return what a version leaves of every row as a file."""
+def residuals(version: str, campaigns: Sequence[str] = (), form: str = "csv", robot: str | None = None) -> Steps[bytes]:
+    """Return what a version leaves of every row as a file, csv or parquet: of these campaigns, or of all its own."""
     path = yield from place("version", version, robot, "residuals")
     used = []
     for campaign in campaigns:
@@ -75,8 +74,8 @@ def residuals(version: str, campaigns: Sequence[str], form: str, robot: str | No
     return answer.content
 
 
-def export(version: str, form: str, robot: str | None = None) -> Steps[Exported]:
-    """Return a version as a file."""
+def export(version: str, form: str = "json", robot: str | None = None) -> Steps[Exported]:
+    """Return a version as a file: json, urdf, dh-csv, ...; its ``notes`` say what it leaves out."""
     path = yield from place("version", version, robot, "export")
     answer = yield from answer_of(Request("GET", path, params={"format": form}))
     exported = Exported(answer.content)
