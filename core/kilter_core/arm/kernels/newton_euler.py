@@ -54,6 +54,13 @@ def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
 
 
 @compiled(**UNCOUNTED)
+def _put_amounts(axis, value, out):
+    """Write what :func:`move` takes (E, 2) of elements that no joint moves."""
+    for e in range(axis.shape[0]):
+        out[e, 0], out[e, 1] = amount_of(axis[e], value[e])
+
+
+@compiled(**UNCOUNTED)
 def _advance(axis, amount, speed, rate, moving, R, p, w, dw, acc, z, r, t):
     """Walk along one element: its frame and, where the arm is moving, velocity and acceleration. z, r, t are scratch.
 
@@ -128,9 +135,7 @@ def load_wrenches(
     stands before it moves, the flange for the last), in the frame of the link's own joint behind its twist; ``base
     (N, 6)``, the load on the base about its origin, in the base frame; and ``point (N, 3)``, the tool point in the base frame.
     """
-    elements = axis.shape[0]
-    n = primary.shape[0]
-    moving = qd.shape[0] > 0
+    elements, n, moving = axis.shape[0], primary.shape[0], qd.shape[0] > 0
     R, p, z, r = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     f, t, flange = np.empty(3), np.empty(3), np.empty(3)
     w, dw, acc, J3 = np.zeros(3), np.zeros(3), np.zeros(3), np.empty((3, 3))
@@ -138,12 +143,10 @@ def load_wrenches(
     frames, origins, starts = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3))
     links, behind, step_R, step_p = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     tool_R, tool_p = np.ascontiguousarray(tool[:3, :3]), np.ascontiguousarray(tool[:3, 3])
-    amount = np.empty((elements, 2))  # of constant elements it is the same in every row
-    for e in range(elements):
-        amount[e, 0], amount[e, 1] = amount_of(axis[e], value[e])
+    amount = np.empty((elements, 2))
+    _put_amounts(axis, value, amount)  # of constant elements it is the same in every row
     for row in range(q.shape[0]):
-        forces[:] = 0.0
-        moments[:] = 0.0
+        forces[:], moments[:] = 0.0, 0.0
         at_rest(R, p, w, dw, acc)
         for e in range(elements):
             j = joint[e]
