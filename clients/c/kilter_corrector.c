@@ -2564,8 +2564,11 @@ static void copy_text(char *to, const unsigned char *from, size_t count)
 int kc_load(kc_corrector *corrector, const void *program, size_t bytes, double *memory, size_t doubles,
                 int settled)
 {
-    if (corrector == NULL || program == NULL || memory == NULL) {
+    if (corrector == NULL || memory == NULL) {
         return KC_NO_MEMORY;
+    }
+    if (program == NULL) { /* as C++ gives an empty file */
+        return KC_TRUNCATED;
     }
     int count = 0, n = 0;
     const int fault = look(program, bytes, &count, &n);

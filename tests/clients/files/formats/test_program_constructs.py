@@ -275,7 +275,12 @@ def test_a_pose_follows_the_joints_that_are_surely_those_before_it(tmp_path: Pat
 
 
 def test_no_target_is_left_alone_that_the_program_displaces(tmp_path: Path) -> None:
-    lines = ["set_tcp(p[0,0,0,0,0,0])", "path_offset_enable()", "movej([0.1,-1.5,1.5,0,0,0])", "movel(p[.4,.1,.3,0,3,0])"]
+    lines = [
+        "set_tcp(p[0,0,0,0,0,0])",
+        "path_offset_enable()",
+        "movej([0.1,-1.5,1.5,0,0,0])",
+        "movel(p[.4,.1,.3,0,3,0])",
+    ]
     text = "\n  ".join(["def a():", *lines]) + "\nend\n"
     (tmp_path / "a.script").write_text(text)
     program = read_program(tmp_path / "a.script")

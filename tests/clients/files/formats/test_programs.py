@@ -374,7 +374,9 @@ def test_tool_and_last_target_of_a_program_with_subprograms(
     assert (use.near is not None) == from_joints
 
 
-@pytest.mark.parametrize(("between", "known"), [("", True), ("BAS(#VEL_PTP,50)", True), ("grip(1)", False), ("away( )", False)])
+@pytest.mark.parametrize(
+    ("between", "known"), [("", True), ("BAS(#VEL_PTP,50)", True), ("grip(1)", False), ("away( )", False)]
+)
 def test_a_subprogram_may_move_the_arm(tmp_path: Path, between: str, known: bool) -> None:
     lines = [
         "DEF a()",

@@ -52,10 +52,12 @@ class Poses:
         self._framed: list[tuple[PoseTarget, str]] = []
         self._changed = {match[1] for match in CHANGED.finditer(text)}
         self._displaced = DISPLACED.search(text) is not None
+        starts, owners = _parts(text)
         ways = (1, -1, 0)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
+        begun = set(starts)
+        control = [(at, 0 if at in begun else way) for at, way in control]  # the end of a subprogram closes no block
         calls = [(at, 0) for at in calls_of_own(text, OWN)]
-        starts, owners = _parts(text)
         self._tool = InForce(sorted([*control, *calls]), starts, owners)
         others = [(at, 0) for at in _other_calls(text)]
         self._way = InForce(sorted({*control, *calls, *others}), starts, owners)
