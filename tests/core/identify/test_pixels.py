@@ -19,7 +19,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from tests.core.measurement.test_pixels import ASKED, STIFF, registered_error
-from tests.core.pixel_scene import ERRORS, HOME, Scene, eye_in_hand, eye_to_hand
+from tests.core.pixel_scene import ERRORS, HOME, SOFT, Scene, eye_in_hand, eye_to_hand, grid
 
 UNSURE = {"scale_sigma": 1e-3}  # of a board, as a share
 
@@ -113,6 +113,21 @@ def test_a_held_arm_that_is_off_costs_a_camera_no_more_than_it_must(
     size, known = (float(np.sqrt(np.mean(np.sum(np.square(one), axis=1)))) for one in (off, told))
     assert size < most_mm
     assert size == pytest.approx(known, rel=0.5)
+
+
+def test_an_arm_that_is_held_does_not_bend_a_free_lens() -> None:
+    """A small board tells no focal length beside corners a millimetre off: held at that, the lens took the arm's errors."""
+    scene = eye_to_hand({name: 2.0 * error for name, error in ERRORS.items()}, 2.0 * SOFT)
+    scene = replace(scene, sheets=(replace(scene.sheets[0], corners=grid(7, 5, 0.012)),))
+    robot, rng, off = robot_from_document(scene.drawn.document()), np.random.default_rng(1), {}
+    rows = scene.observed(scene.poses(20, rng, 35, 0.5), rng, 0.02)
+    for how in ("fixed", "free"):
+        seen = replace(rows, rig=scene.rig(cameras={"intrinsics": how}))
+        views = identify(robot, seen, None, IdentifyOptions(fix=("*",))).views
+        assert views["pixels"]["noise_px"] == pytest.approx(0.02, rel=0.1)
+        assert views["cameras"][0]["fx_px"] == pytest.approx(scene.eyes[0].focal[0], abs=10.0)
+        off[how] = views["pixels"]["train"]["rms_mm"]
+    assert off["free"] == pytest.approx(off["fixed"], rel=0.2)
 
 
 @pytest.mark.parametrize("scene", [eye_to_hand({}, STIFF), eye_in_hand({}, STIFF)], ids=["to_hand", "in_hand"])

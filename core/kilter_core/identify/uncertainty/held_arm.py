@@ -29,16 +29,19 @@ def holds_arm(fit: Fit) -> bool:
     """Whether views are all that was fitted of the tool, and cameras and boards all that was free."""
     problem, rig = fit.problem, unknown_rig(fit.problem.model)
     alone = problem.measurement.tool.places_itself and len(problem.measurement.kinds) == 1
-    if rig is None or not alone or problem.held is not None:
+    if rig is None or not alone:
         return False
     return set(fit.names) <= {parameter.name for parameter in rig.parameters}
 
 
 def beside_held_arm(fit: Fit) -> Fit:
-    """The fit with what the arm is off by in each view as a part of its model; as it is where the arm was fitted too."""
+    """The fit with what the arm is off by in each view as a part of its model; as it is where the arm was fitted too.
+
+    What was held was blind beside corners as far off as the arm made them. A free lens was bent then, and not told again.
+    """
     if not holds_arm(fit):
         return fit
-    problem = fit.problem
+    problem = fit.problem if fit.problem.held is None else fit.problem.reweighted(fit.problem.weights, None)
     for _ in range(ROUNDS):
         A, r = _whitened(fit, view_scatter(fit))
         away = problem.prior.stiff(problem.prior.away(problem.current(fit.values)))
