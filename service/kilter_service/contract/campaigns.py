@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, BeforeValidator, Field
+from pydantic import AwareDatetime, Field
 
 from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.remarks import Remark
@@ -61,18 +60,6 @@ class Board(Strict):
     )
 
 
-DIGEST = "^[0-9a-f]{64}$"
-
-
-def _digest(value: object) -> object:
-    """Say what a hash looks like, and where it is to be had, before the pattern is quoted."""
-    if isinstance(value, str) and not re.match(DIGEST, value):
-        raise ValueError(
-            "is not a SHA-256, 64 digits 0 to 9 and a to f: give that of LeRobot's calibration, which kilter inspect JSON says"
-        )
-    return value
-
-
 class Conditions(Strict):
     """What held during the whole campaign; a column of the rows takes precedence over it."""
 
@@ -87,7 +74,7 @@ class Conditions(Strict):
     tool_moment_nm: tuple[NewtonMetre, NewtonMetre, NewtonMetre] | None = Field(
         None, description="Moment on the tool point in the tool frame, N m."
     )
-    calibration_sha256: Annotated[str, BeforeValidator(_digest), Field(pattern=DIGEST)] | None = Field(
+    calibration_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
         None,
         description="SHA-256 of the file with the zeros of the arm's servos (LeRobot's calibration), 64 hexadecimal digits: "
         "all campaigns of a robot have the same; null: not stated.",

@@ -14,7 +14,7 @@ import numpy as np
 
 from kilter_files.formats.joints.lerobot.calibration import DEGREES, refuse_outside
 from kilter_files.formats.joints.lerobot.dataset import STATE, open_dataset, parquet_file, refuse_unfinished
-from kilter_files.formats.joints.lerobot.log import BLOCK, Block, Recorded, joints_of, opened, refuse_turns
+from kilter_files.formats.joints.lerobot.log import BLOCK, Block, Recorded, joints_of, opened, refuse_whole_rotations
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
@@ -110,7 +110,7 @@ def _blocks(path: Path, recorded: Recorded) -> Iterator[tuple[Floats, Floats, Fl
             what = f"its rows do not have the {len(recorded.dataset.names)} numbers that info.json names"
             raise fault(path, what, "Export the data set again.", column=STATE)
         block = Block(state, np.asarray(batch.column("episode_index"), dtype=np.float64), np.zeros(0))
-        refuse_turns(path, recorded.joints, block, last, rows)
+        refuse_whole_rotations(path, recorded.joints, block, last, rows)
         if recorded.calibration is not None:
             for k, (joint, servo) in enumerate(zip(recorded.joints, recorded.servos, strict=True)):
                 refuse_outside(recorded.calibration, path, joint, servo, state[:, k], rows)

@@ -190,7 +190,7 @@ def _of_file(path: Path, recorded: Recorded) -> Iterator[Block]:
         )  # fmt: skip
 
 
-def refuse_turns(path: Path, joints: Sequence[str], block: Block, last: Block | None, rows: int) -> None:
+def refuse_whole_rotations(path: Path, joints: Sequence[str], block: Block, last: Block | None, rows: int) -> None:
     """Refuse 360 degrees from one row to the next of an episode; ``last`` is the block before, ``rows`` how many came before.
 
     Raises:
@@ -210,7 +210,7 @@ def refuse_turns(path: Path, joints: Sequence[str], block: Block, last: Block | 
 
 def _refuse(recorded: Recorded, path: Path, block: Block, last: Block | None, rows: int) -> None:
     """Refuse what no arm does: beyond its servos' range, or 360 degrees from one row to the next."""
-    refuse_turns(path, recorded.joints, block, last, rows)
+    refuse_whole_rotations(path, recorded.joints, block, last, rows)
     if recorded.calibration is not None:
         for k, (joint, servo) in enumerate(zip(recorded.joints, recorded.servos, strict=True)):
             refuse_outside(recorded.calibration, path, joint, servo, block.angles[:, k], rows)

@@ -22,9 +22,10 @@ ALIKE = 0.3  # of a jump, by which others may differ from it
 LEAST_SCATTER_DEG = 0.09  # a tick of a servo: of readings that never differ
 NORMAL, ROOT_2 = 1.4826, math.sqrt(2.0)  # a normal standard deviation in medians of distances
 TRIMMED = 0.82  # mean distance of neighbours, the largest eighth left out, in standard deviations
-ZERO, POSTURE, LAG, TURN = "zero", "posture", "lag", "turn"
+ZERO, POSTURE, LAG, ROTATION = "zero", "posture", "lag", "rotation"
 POSTURES = ("start", "end", "low", "high")
-TURN_DEG, NEAR_TURN_DEG = 4096 * 360.0 / 4095.0, 30.0  # LeRobot counts 4095 ticks to 360 degrees; how far tasks scatter
+WHOLE_ROTATION_DEG = 4096 * 360.0 / 4095.0  # LeRobot counts 4095 ticks to 360 degrees
+NEAR_ROTATION_DEG = 30.0  # by which what is usual of an episode scatters from task to task
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Move:
     """A joint whose ``signals`` jumped by ``by_deg`` between two episodes; ``scatter_deg`` is that of single episodes before.
 
     ``what``: ``zero`` (all that is read of the joint jumped alike), ``posture`` (only how it was parked, or where it went),
-    ``lag`` (how far it stays behind its goal at rest), ``turn`` (all of it by 360 degrees: the servo counts another turn).
+    ``lag`` (how far it stays behind its goal at rest), ``rotation`` (all of it by 360 degrees: the servo counts from another).
     """
 
     joint: str
@@ -50,24 +51,24 @@ def moves_of(found: Episodes, least_deg: float) -> list[Move]:
     for k, joint in enumerate(found.joints):
         series = {name: values[:, k] for name, values in found.signals.items()}
         postures = {name: series[name] for name in POSTURES if name in series}
-        turned, postures = _turns(found, joint, postures)
+        rotated, postures = _rotations(found, joint, postures)
         lagging = {name: values for name, values in series.items() if name == LAG}
         lags = [_lag(found, joint, lagging[LAG], at) for at in _jumps(lagging, least_deg)]
         stood = [_posture(found, joint, postures, at, least_deg) for at in _jumps(postures, least_deg)]
-        moves += [*turned, *(one for one in stood if not any(_sags(one, lag) for lag in lags)), *lags]
+        moves += [*rotated, *(one for one in stood if not any(_sags(one, lag) for lag in lags)), *lags]
     return sorted(moves, key=lambda move: (move.after, move.joint))
 
 
-def _turns(found: Episodes, joint: str, series: Mapping[str, Floats]) -> tuple[list[Move], dict[str, Floats]]:
+def _rotations(found: Episodes, joint: str, series: Mapping[str, Floats]) -> tuple[list[Move], dict[str, Floats]]:
     """Return where all that is read of a joint jumps by 360 degrees, be it for one episode, and the series without that."""
     if not series:
         return [], {}
     values = np.array([*series.values()])
     steps = np.diff(values, axis=1)
-    near = np.abs(np.abs(np.median(steps, axis=0)) - TURN_DEG) <= NEAR_TURN_DEG
-    alike = (np.abs(steps) > TURN_DEG / 2.0).all(axis=0) & (np.sign(steps) == np.sign(steps[0])).all(axis=0)
-    turns = np.sign(steps[0]) * (near & alike)
-    values[:, 1:] -= TURN_DEG * np.cumsum(turns)
+    near = np.abs(np.abs(np.median(steps, axis=0)) - WHOLE_ROTATION_DEG) <= NEAR_ROTATION_DEG
+    alike = (np.abs(steps) > WHOLE_ROTATION_DEG / 2.0).all(axis=0) & (np.sign(steps) == np.sign(steps[0])).all(axis=0)
+    rotations = np.sign(steps[0]) * (near & alike)
+    values[:, 1:] -= WHOLE_ROTATION_DEG * np.cumsum(rotations)
     rest = dict(zip(series, values, strict=True))
     scatter = max(map(_scatter, values))
     moves = [
@@ -77,10 +78,10 @@ def _turns(found: Episodes, joint: str, series: Mapping[str, Floats]) -> tuple[l
             found.numbers[at + 1],
             float(np.median(steps[:, at])),
             scatter,
-            TURN,
+            ROTATION,
             tuple(series),
         )
-        for at in np.flatnonzero(turns)
+        for at in np.flatnonzero(rotations)
     ]
     return moves, rest
 

@@ -23,8 +23,8 @@ UNTOLD = (
 MEANS = {
     "zero": "its zero moved (calibrated anew, a horn that slipped, another motor), or it was moved differently from then on",
     "posture": "it was parked or moved differently; its zero did not move, else all of it would have",
-    "turn": "its servo counts from another turn: it wraps within its range (calibrate the arm in the middle of its range and "
-    "record again), or it was rotated from one end of its range to the other",
+    "rotation": "its servo counts from another rotation: it wraps within its range (calibrate the arm in the middle of its "
+    "range and record again), or it was rotated from one end of its range to the other",
     "lag": "it stays behind its goal by another amount: load, gain or friction of the servo; its zero does not show in this",
 }  # fmt: skip
 SIGNALS = {"start": "start", "end": "end", "low": "lowest", "high": "highest", "lag": "lag at rest"}
@@ -59,7 +59,7 @@ def episodes(
     document = {"dataset": str(dataset), "episodes": len(found.numbers), "joints": list(found.joints), "least_deg": least_deg,
                 "moves": moves, "untold": UNTOLD}  # fmt: skip
     emit(document, as_json, _show)
-    if any(move["what"] in ("zero", "turn") for move in moves):
+    if any(move["what"] in ("zero", "rotation") for move in moves):
         raise typer.Exit(MOVED)
 
 

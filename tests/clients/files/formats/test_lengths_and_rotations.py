@@ -1,4 +1,4 @@
-"""Data sets whose videos are of other lengths than their rows, and servos that count from another turn."""
+"""Data sets whose videos are of other lengths than their rows, and servos that count from another rotation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.clients.files.formats.test_episodes import Floats, steps, task
 from tests.clients.files.formats.test_lerobot import CAMERA, FPS, SERVOS, VERSIONS, calibration, dataset, film, hints
 from tests.clients.test_cli import Command
 
-TURN = 360.0 * 4096 / 4095  # degrees as LeRobot counts them
+WHOLE = 360.0 * 4096 / 4095  # degrees as LeRobot counts them
 DEGREES = LogHints(norm_mode="DEGREES")
 
 
@@ -95,37 +95,37 @@ def moves(folder: Path, version: str, shifts: list[Floats]) -> list[Move]:
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("joint", [1, 4])
-@pytest.mark.parametrize("by", [-TURN, TURN])
-def test_a_servo_that_counts_from_another_turn_has_kept_its_zero(
+@pytest.mark.parametrize("by", [-WHOLE, WHOLE])
+def test_a_servo_that_counts_from_another_rotation_has_kept_its_zero(
     tmp_path: Path, version: str, joint: int, by: float
 ) -> None:
     (move,) = moves(tmp_path / "set", version, steps(24, 10, joint, by))
-    assert (move.joint, move.before, move.after, move.what) == (SERVOS[joint], 9, 10, "turn")
+    assert (move.joint, move.before, move.after, move.what) == (SERVOS[joint], 9, 10, "rotation")
     assert move.by_deg == pytest.approx(by, abs=15.0)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_one_episode_in_another_turn_is_named_at_both_ends(tmp_path: Path, version: str) -> None:
+def test_one_episode_in_another_rotation_is_named_at_both_ends(tmp_path: Path, version: str) -> None:
     shifts = [np.zeros(6) for _ in range(20)]
-    shifts[7][2] = TURN
+    shifts[7][2] = WHOLE
     found = moves(tmp_path / "set", version, shifts)
     assert [(move.joint, move.before, move.after, move.what) for move in found] == [
-        ("elbow_flex", 6, 7, "turn"), ("elbow_flex", 7, 8, "turn"),
+        ("elbow_flex", 6, 7, "rotation"), ("elbow_flex", 7, 8, "rotation"),
     ]  # fmt: skip
     assert [np.sign(move.by_deg) for move in found] == [1.0, -1.0]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_zero_that_moved_beside_a_turn_is_named_too(tmp_path: Path, version: str) -> None:
-    both = zip(steps(40, 14, 2, -TURN), steps(40, 14, 2, 12.0), steps(40, 30, 3, 9.0), strict=True)
+def test_a_zero_that_moved_beside_a_rotation_is_named_too(tmp_path: Path, version: str) -> None:
+    both = zip(steps(40, 14, 2, -WHOLE), steps(40, 14, 2, 12.0), steps(40, 30, 3, 9.0), strict=True)
     found = moves(tmp_path / "set", version, [one + two + three for one, two, three in both])
     assert [(move.joint, move.after, move.what) for move in found] == [
-        ("elbow_flex", 14, "turn"), ("elbow_flex", 14, "zero"), ("wrist_flex", 30, "zero"),
+        ("elbow_flex", 14, "rotation"), ("elbow_flex", 14, "zero"), ("wrist_flex", 30, "zero"),
     ]  # fmt: skip
     assert found[1].by_deg == pytest.approx(12.0, abs=2.0)
 
 
-def test_motion_from_one_end_of_the_range_to_the_other_is_no_turn(tmp_path: Path) -> None:
+def test_motion_from_one_end_of_the_range_to_the_other_is_no_rotation_of_a_servo(tmp_path: Path) -> None:
     """A roll that goes from -170 to 170 degrees within each episode, and one that is parked at the other end."""
     values = []
     for k in range(20):
@@ -141,7 +141,7 @@ def test_a_servo_that_wraps_within_an_episode_is_refused_with_its_row(
 ) -> None:
     rng = np.random.default_rng(4)
     values = [task(rng, np.zeros(6)) for _ in range(8)]
-    values[1][37:, 4] -= TURN
+    values[1][37:, 4] -= WHOLE
     folder = dataset(tmp_path / "set", version, values, SERVOS)
     row = 38 if version == "v2.1" else 60 + 38
     said = command.json("episodes", folder, "--norm-mode", "DEGREES", code=1)
@@ -153,13 +153,13 @@ def test_a_servo_that_wraps_within_an_episode_is_refused_with_its_row(
     assert "Calibrate the arm in the middle of its range and record again" in said["detail"]
 
 
-def test_the_command_says_of_a_turn_what_it_is(tmp_path: Path, command: Command) -> None:
+def test_the_command_says_of_a_rotation_what_it_is(tmp_path: Path, command: Command) -> None:
     rng = np.random.default_rng(3)
-    folder = dataset(tmp_path / "set", "v3.0", [task(rng, shift) for shift in steps(24, 10, 4, TURN)], SERVOS)
+    folder = dataset(tmp_path / "set", "v3.0", [task(rng, shift) for shift in steps(24, 10, 4, WHOLE)], SERVOS)
     told = " ".join(command("episodes", folder, "--norm-mode", "DEGREES", code=3).split())
     assert "wrist_roll moved by +3" in told
     assert "between episodes 9 and 10 (start, end, lowest, highest; single episodes scatter by " in told
-    assert "its servo counts from another turn: it wraps within its range" in told
+    assert "its servo counts from another rotation: it wraps within its range" in told
 
 
 def test_rows_that_the_servos_do_not_reach_are_of_another_calibration(tmp_path: Path, command: Command) -> None:
