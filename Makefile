@@ -168,8 +168,8 @@ bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo,
 bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and count late answers (CYCLES=150000 CYCLE_MS=4 PRIORITY=40)
 	$(if $(PRIORITY),PRIORITY=$(PRIORITY)) $(BIN)/python -m tests.clients.bridges.long_run --cycles $(or $(CYCLES),150000) --cycle-ms $(or $(CYCLE_MS),4)
 
-test-franka: $(KERNELS) .venv-franka/.ready ## move a simulated Franka robot through a bridge, its limits enforced (SECONDS=16 PRIORITY=40)
-	KILTER_FRANKA=.venv-franka $(if $(SECONDS),SECONDS=$(SECONDS)) $(if $(PRIORITY),PRIORITY=$(PRIORITY)) $(BIN)/python -m pytest -q -s --timeout 1800 tests/clients/bridges/test_fci_bridge.py
+test-franka: $(KERNELS) .venv-franka/.ready ## move a simulated Franka robot through a bridge, its limits enforced (SECONDS=16 PRIORITY=40 LATE=drop)
+	KILTER_FRANKA=.venv-franka $(if $(LATE),LATE=$(LATE)) $(if $(SECONDS),SECONDS=$(SECONDS)) $(if $(PRIORITY),PRIORITY=$(PRIORITY)) $(BIN)/python -m pytest -q -s --timeout 1800 tests/clients/bridges/test_fci_bridge.py
 
 test-linuxcnc: $(KERNELS) ## move a calibrated arm in LinuxCNC's own simulation (Debian: apt-get install linuxcnc-uspace-dev)
 	$(BIN)/python -m pytest -m slow -q -rs tests/clients/linuxcnc

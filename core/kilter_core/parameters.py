@@ -47,6 +47,9 @@ def metres(of_mm: float) -> float:
     return of_mm / MM
 
 
+ROUNDING = 1e-9  # of the end of a range
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One number to identify: ``unit`` in SI ("m", "rad", "rad/(N m)", "1"), Gaussian prior ``value ± prior_sigma``."""
@@ -60,8 +63,11 @@ class Parameter:
     description: str = ""
 
     def plausible(self, value: float) -> bool:
-        """Whether ``value`` lies in the physical range."""
-        return self.lower <= value <= self.upper
+        """Whether ``value`` lies in the physical range, but for rounding: what is fitted to zero has any sign."""
+        slack = ROUNDING * min(
+            (abs(end) for end in (self.lower, self.upper) if end and math.isfinite(end)), default=0.0
+        )
+        return self.lower - slack <= value <= self.upper + slack
 
 
 @dataclass(frozen=True)

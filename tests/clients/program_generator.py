@@ -9,28 +9,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
+from . import program_idioms as idioms
+from .program_lines import Line
 from .six_joint_arms import Arm, Floats, about, shift
 from .test_filter_poses import BASE, TOOL, confdata, config, numbers, quaternion, status_turn, vector, zyx
-
-
-class Line(NamedTuple):
-    """A line of a program, what it is, and the joints at which it was taught, deg; ``via`` are those on the way of an arc."""
-
-    text: str
-    what: str = "alone"
-    q: Floats | None = None
-    via: Floats | None = None
 
 
 class Generator:
     """Writes programs for one arm."""
 
     def __init__(self, rng: np.random.Generator, preset: str, taught: Floats) -> None:
-        self.rng, self.arm, self.taught = rng, Arm(preset), taught
+        self.rng, self.preset, self.arm, self.taught = rng, preset, Arm(preset), taught
 
     def q(self) -> Floats:
         """Joints that were taught."""
@@ -54,7 +46,7 @@ class Generator:
             (f"$BASE={frames[0]}", f"$TOOL={frames[1]}"), ("$BASE=BASE_DATA[2]", "$TOOL = TOOL_DATA[1]"),
             ("BAS(#BASE,2)", "BAS (#TOOL,1 )"),
         )[set_by]  # fmt: skip
-        lines = [Line("DEF w()"), Line("INI", "named"), Line(base), Line(tool)]
+        lines = [Line("DEF w()"), *idioms.KRL_HEAD, Line("INI", "named"), Line(base), Line(tool)]
         alone = [
             Line("; PTP {A1 10,A2 20,A3 30,A4 0,A5 0,A6 0} was here"), Line("$VEL.CP=0.25"), Line("WAIT SEC 0.5"),
             Line("$OUT[3]=TRUE"), Line("$VEL_AXIS[1]=50"), Line(""), Line("WAIT FOR $IN[4]"), Line("  "), Line("$APO.CDIS=5.5"),
@@ -88,12 +80,14 @@ class Generator:
                 lines += self.krl_arc(q, self.q())
             elif kind < 0.65:
                 lines += self.krl_spline(q)
-            elif kind < 0.7:
+            elif kind < 0.8:
+                lines += idioms.krl(self, len(lines), [Line(base), Line(tool)])
+            elif kind < 0.83:
                 name = f"XP[{len(lines)},{(' 2', '2')[self.rng.integers(2)]}]"
                 lines += [Line(f"{name}={self.krl_pose(q)}", "pose", q), Line(f"LIN {name.replace(' ', '')} C_DIS")]
             else:
-                lines.append(self.one_of(alone if kind < 0.87 else named))
-        return [*lines, Line("END")]
+                lines.append(self.one_of(alone if kind < 0.92 else named))
+        return [*lines, Line("END"), *idioms.KRL_TAIL]
 
     def six(self, T: Floats) -> str:
         """A pose as KRL writes it."""
@@ -158,7 +152,11 @@ class Generator:
                 word = word[:-1] + "C" if arc and word[-1] in "LJ" else "ArcCEnd" if arc else word
                 line = f"  {word} {goals}, v100{more}{weld}, z10, grip\\WObj:=bench;"
                 lines.append(Line(line, "pose", q, via))
-            elif kind < 0.75:
+            elif kind < 0.68:
+                data, moves = idioms.rapid(self, len(lines))
+                head += data
+                lines += moves
+            elif kind < 0.8:
                 data, moves = self.rapid_offset(q, len(head))
                 head += data
                 lines += moves
@@ -204,7 +202,7 @@ class Generator:
     def urscript(self, count: int) -> list[Line]:
         """A URScript: joints, poses behind them, arithmetic on poses, moves that are computed, logic."""
         frame = Line(f"  ref_frame = p[{vector(BASE)}]")
-        lines = [Line("def w():"), Line(f"  set_tcp(p[{vector(TOOL)}])"), frame, *self.subprogram()]
+        lines = [Line("def w():"), *idioms.URSCRIPT_HEAD, frame, *self.subprogram()]
         alone = [
             Line("  # movej([0, 0, 0, 0, 0, 0])"), Line("  set_digital_out(3, True)"), Line("  sleep(0.5)"), Line(""),
             Line('  textmsg("movel(p[1,2,3,0,0,0])")'), Line("  set_payload(1.2)"), Line("  count = count + 1"),
@@ -228,8 +226,10 @@ class Generator:
                 lines.append(Line(f"  {word}[{axes}], a=1.4, v=1.05)", "joints", q))
                 if kind < 0.3:
                     lines += self.behind(q)
+            elif kind < 0.75:
+                lines += idioms.urscript(self, len(lines))
             else:
-                lines.append(self.one_of(alone if kind < 0.85 else named))
+                lines.append(self.one_of(alone if kind < 0.88 else named))
         return [*lines, Line("end")]
 
     def beside(self, q: Floats) -> tuple[str, Floats]:
@@ -277,6 +277,11 @@ class Generator:
         for k in range(1, count + 1):
             q = self.q()
             kind = self.rng.random()
+            if self.rng.random() < 0.25:
+                more, position = idioms.fanuc(self, k, len(moves) + 1)
+                moves += more
+                positions += position
+                continue
             beside, arc = 0.5 < kind < 0.7, kind > 0.85
             if beside:
                 more = ("Offset,PR[2]", "Tool_Offset,PR[3]", "INC")[self.rng.integers(3)]

@@ -92,7 +92,8 @@ def test_a_description_that_cannot_be_is_refused_and_the_file_stays(
 @pytest.mark.parametrize(
     ("changes", "rows", "said"),
     [
-        ({"cameras": [as_seen()["cameras"][0] | {"width_px": 800, "height_px": 600}]}, {}, "is it of another camera?"),
+        ({"cameras": [as_seen()["cameras"][0] | {"width_px": 800, "height_px": 600}]}, {},
+         "is outside the picture of its camera: describe the camera that saw it"),
         ({"boards": [as_seen()["boards"][0] | {"corners_mm": as_seen()["boards"][0]["corners_mm"][:40]}]}, {},
          "is of a corner that the board does not have"),
         ({}, {"camera": ["door"] * 12}, "Row 1, column 'camera' is 'door'"),

@@ -51,6 +51,9 @@ def test_checks_and_comparisons_begin_anew_with_a_repair(client: httpx.Client, d
     assert not gauges(client)
     nothing = client.get("/v1/robots/mended/acceptance", params=TOLERANCE)
     assert (nothing.status_code, nothing.json()["code"]) == (409, "nothing_held_out")
+    assert nothing.json()["detail"].startswith(
+        "No row since the repair of 2026-09-06 (gear of joint 3 replaced) with a measured"
+    )
 
     said = client.get("/v1/robots/mended/today").raise_for_status().json()["sentences"]
     assert any("from before the repair of 2026-09-06 (gear of joint 3 replaced)" in one for one in said)

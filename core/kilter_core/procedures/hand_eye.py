@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera.rig_fit import fit_rig_beside_arm, placed_by
-from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
-from kilter_core.measurement.camera.views import Views, sight_by_tool
+from kilter_core.measurement.camera.rig_fit import fit_rig_beside_arm, placed_by, tool_errors
+from kilter_core.measurement.camera.view_scatter import ViewScatter
+from kilter_core.measurement.camera.views import Views, sight
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
@@ -55,14 +55,8 @@ def hand_eye(
     views = Views(first if camera is None else camera, first if board is None else board, position, rotation)
     start = placed_by(rig, views, pixels)
     fitted = fit_rig_beside_arm(start, views, pixels, sigma)
-    r, scatter = _left(fitted.rig, views, pixels, float(6 * (len(rig.cameras) + len(rig.boards))))
+    r = pixels - sight(fitted.rig, views, pixels.shape[1])
+    scatter = tool_errors(fitted.rig, views, pixels, sigma).scatter(6.0 * (len(rig.cameras) + len(rig.boards)))
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sqrt(np.nansum(r**2, axis=(1, 2)) / np.sum(~np.isnan(r), axis=(1, 2)))
     return HandEyeCalibration(fitted.rig, start, fitted.covariance, np.asarray(left), scatter)
-
-
-def _left(rig: PlacedRig, views: Views, pixels: Floats, used: float) -> tuple[Floats, ViewScatter]:
-    """What is left of pixels (N, M, 2), and how far the flange is off by it."""
-    seen, by_tool = sight_by_tool(rig, views, pixels.shape[1])
-    r = pixels - seen
-    return r, ToolErrors.of(r, by_tool).scatter(used)

@@ -6,6 +6,8 @@ from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
 
 from kilter_service.campaigns import keeping, service
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
@@ -13,9 +15,10 @@ from kilter_service.contract.references import Change, Tombstone
 from kilter_service.ground.files.digests import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import spool_upload
+from kilter_service.web.bodies import parsed, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.forms import FORM, is_form, spool_form
 from kilter_service.web.idempotency.key import OnceOnly
 from kilter_service.web.page_query import PageOfList
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
@@ -24,12 +27,28 @@ router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRout
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}}}
-BODY = {
-    "requestBody": {
-        "required": True,
-        "content": {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS},
+ROWS = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
+BODY = {"requestBody": {"required": True, "content": ROWS}}
+PARTS = ("campaign", "rows")
+FORM_OF_BOTH = {
+    "schema": {
+        "type": "object",
+        "required": [*PARTS],
+        "properties": {
+            "campaign": {
+                "type": "string",
+                "contentMediaType": reading.JSON,
+                "description": "A campaign as it is added, without a filename.",
+            },
+            "rows": {
+                "type": "string",
+                "format": "binary",
+                "description": "The file, with a filename and its Content-Type.",
+            },
+        },
     }
 }
+CHECKED_BODY = {"requestBody": {"required": True, "content": ROWS | {FORM: FORM_OF_BOTH}}}
 
 
 @router.post("/robots/{robot}/campaigns", status_code=201)
@@ -50,15 +69,34 @@ def listed(
     return service.list_campaigns(database, robot, page, staged, retired)
 
 
-@router.post("/robots/{robot}/observations/check", openapi_extra=BODY)
-async def check(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> CheckedRows:
-    """Check observations as an upload to a new campaign would, and store nothing: the refusal is that of the upload."""
-    media = reading.media_type(request.headers.get("content-type"))
+@router.post("/robots/{robot}/observations/check", openapi_extra=CHECKED_BODY)
+async def check(
+    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, campaign: str | None = None
+) -> CheckedRows:
+    """Check observations as an upload would, and store nothing: the refusal is that of the upload.
+
+    Rows alone are checked as those of a new campaign of which nothing is stated, with `?campaign=` as those of that
+    campaign. A form of the parts `campaign` and `rows` is checked as that campaign would be added, and these rows to it.
+    """
     with scratch_of(request).folder_for("check") as folder:
         path = folder / "body"
-        sha256 = await spool_upload(request, path, settings.max_upload_mb)
+        into: NewCampaign | str | None = campaign
+        if is_form(request):
+            limits = settings.max_document_mb, settings.max_upload_mb
+            document, kind, sha256 = await spool_form(request, path, PARTS, limits)
+            into, media = _campaign_of(await parsed(document)), reading.media_type(kind)
+        else:
+            media = reading.media_type(request.headers.get("content-type"))
+            sha256 = await spool_upload(request, path, settings.max_upload_mb)
         check_digest(request.headers, sha256)
-        return await compute(request, service.checked, database, robot, path, media)
+        return await compute(request, service.checked, database, robot, path, media, into, sha256)
+
+
+def _campaign_of(document: object) -> NewCampaign:
+    try:
+        return NewCampaign.model_validate(document)
+    except ValidationError as error:
+        raise RequestValidationError([{**one, "loc": ("body", *one["loc"])} for one in error.errors()]) from error
 
 
 @router.get("/campaigns/{campaign}")

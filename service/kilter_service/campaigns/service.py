@@ -53,21 +53,26 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
 
     """
     body = hash_of(campaign)
-    _refuse_future(campaign)
-    rig_of(campaign.conditions.model_dump(mode="json", exclude_none=True))
     with database.transaction() as session:
         known = once.first(session, body, CAMPAIGN)
         if known is not None:
             return known
         robot_id = robots.usable(session, robot).id
-        if campaign.instrument is not None:
-            instruments.get(session, campaign.instrument)
+        _refuse_unfit(session, robot_id, robot, campaign)
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
             store.discard(session, forgotten)
-        refuse_other_zeros(session, robot_id, robot, campaign.name, campaign.conditions.model_dump())
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
         return once.keep(session, body, shown(session, campaign_id))
+
+
+def _refuse_unfit(session: Session, robot_id: int, robot: str, campaign: NewCampaign) -> None:
+    """Refuse a campaign that cannot be made, whatever its name and its rows."""
+    _refuse_future(campaign)
+    rig_of(campaign.conditions.model_dump(mode="json", exclude_none=True))
+    if campaign.instrument is not None:
+        instruments.get(session, campaign.instrument)
+    refuse_other_zeros(session, robot_id, robot, campaign.name, campaign.conditions.model_dump())
 
 
 def _refuse_future(campaign: NewCampaign) -> None:
@@ -187,19 +192,49 @@ def upload(
         return once.keep(session, sha256, done.model_copy(update={"warnings": said}))
 
 
-def checked(database: Database, robot: str, path: Path, media: str) -> CheckedRows:
-    """Check a file as an upload to a new campaign of the robot would; nothing is stored.
+def checked(
+    database: Database, robot: str, path: Path, media: str, into: NewCampaign | str | None = None, sha256: str = ""
+) -> CheckedRows:
+    """Check a file as an upload to a campaign of the robot would; nothing is stored.
+
+    ``into`` is the campaign that it would make, or the id of the one it would be added to, which may have these bytes
+    (``sha256``) already; without one, cameras and boards are not known, and may have any name.
 
     Raises:
-        ObservationError: a rule is broken; row and column are named.
-        ServiceError: no such robot.
+        CoreError: what the campaign, or the upload, would be refused for; row and column are named.
+        ServiceError: no such robot or campaign.
 
     """
     names = reading.column_names(path, media)
     with database.reading() as session:
-        core = robots.core_robot(session, robots.usable(session, robot).id)
-    chunks, warnings = checked_chunks(path, media, names, core)
+        robot_id = robots.usable(session, robot).id
+        core = robots.core_robot(session, robot_id)
+        conditions = _conditions_of(session, robot_id, robot, into)
+        if isinstance(into, str):
+            known = _uploaded(session, into, sha256, new=False)
+            if known:
+                return CheckedRows(rows=known.rows, columns=names, warnings=known.warnings)
+            _same_columns(session, into, names)
+    chunks, warnings = checked_chunks(path, media, names, core, conditions)
     return CheckedRows(rows=sum(chunk.rows for chunk in chunks), columns=names, warnings=_remarks(warnings))
+
+
+def _conditions_of(
+    session: Session, robot_id: int, robot: str, into: NewCampaign | str | None
+) -> dict[str, Any] | None:
+    """The conditions of a campaign that may be made, or may be added to; None where none is named."""
+    if into is None:
+        return None
+    if isinstance(into, NewCampaign):
+        _refuse_unfit(session, robot_id, robot, into)
+        store.check_name(session, robot_id, into)
+        return into.conditions.model_dump(mode="json", exclude_none=True)
+    campaign = store.get(session, into)
+    if campaign.robot_id != robot_id:
+        raise ServiceError(
+            f"Campaign {into} is not of robot {robot!r}: name one of its own.", code="campaign_not_found", campaign=into
+        )
+    return campaign.conditions
 
 
 def checked_chunks(

@@ -44,19 +44,30 @@ MOST_NAMED = 500  # ids in one query
 FEWEST_HELD = 4  # rows of each socket, plane and bar that stay where only some are read: its place is found from them
 
 
+def check_name(session: Session, robot_id: int, campaign: NewCampaign) -> None:
+    """Refuse the name of a campaign that is to be stored.
+
+    Raises:
+        ServiceError: another campaign of the robot has it, and no number may be put behind it, or it looks like an id.
+
+    """
+    if campaign.numbered:
+        references.check_form("campaign", campaign.name)
+    else:
+        references.check_name(session, "campaign", robot_id, campaign.name)
+
+
 def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
     """Store a new campaign and return its id.
 
     Raises:
-        ServiceError: another campaign of the robot has the name, or it looks like an id.
+        ServiceError: its name, as for `check_name`.
 
     """
+    check_name(session, robot_id, campaign)
     name = campaign.name
     if campaign.numbered:
-        references.check_form("campaign", name)
         name = references.free_name(session, "campaign", robot_id, name)
-    else:
-        references.check_name(session, "campaign", robot_id, name)
     row = CampaignRow(
         id=f"cmp_{uuid.uuid4().hex[:16]}",
         robot_id=robot_id,

@@ -60,7 +60,9 @@ class ViewRules:
             own = np.ones(len(some)) if column is None else cells[column]
             if column is not None:
                 wrong = some & ~((own >= 1) & (own <= len(parts)))
-                _refuse(wrong, column, before, f"names none of {', '.join(p.name for p in parts)}", f"{what}_unknown")
+                named = ", ".join(p.name for p in parts)
+                said = f"names none of {named}: correct the cell, or describe that {what} in the campaign"
+                _refuse(wrong, column, before, said, f"{what}_unknown")
             number[what] = np.where(some, np.nan_to_num(own, nan=1.0), 1.0).astype(np.int64) - 1
         sizes = np.array([c.size for c in rig.cameras])[number["camera"]]
         corners = np.array([len(b.corners) for b in rig.boards])[number["board"]]
@@ -70,7 +72,7 @@ class ViewRules:
                 beyond,
                 self._corners["pixel_u", k],
                 before,
-                "is of a corner that the board does not have",
+                "is of a corner that the board does not have: describe the board that was seen, with all its corners",
                 "corner_unknown",
             )
             for axis, letter in enumerate("uv"):
@@ -80,7 +82,7 @@ class ViewRules:
                     outside,
                     name,
                     before,
-                    "is outside the camera's picture: is it of another camera?",
+                    "is outside the picture of its camera: describe the camera that saw it, with the full size of its pictures",
                     "outside_picture",
                 )
 
@@ -98,7 +100,7 @@ def views_rules(columns: Sequence[Column], conditions: Mapping[str, Any] | None)
     if conditions is not None and rig is None:
         raise ObservationError(
             "The upload has pixels, and the campaign describes no cameras and boards: make a campaign whose conditions have "
-            "cameras and boards, as `kilter see` writes them.",
+            "cameras and boards, as `kilter see` writes them (`kilter upload --cameras`).",
             code="cameras_missing",
         )
     if rig is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 ALPHA = np.radians([0, -90, 90, 90, -90, 90, 90])
@@ -43,11 +44,14 @@ def table(seconds: float, rest_s: float, step_s: float = 0.001) -> Floats:
 
 
 def from_path_mm(points: Floats, path: Floats) -> Floats:
-    """Distance (N,) of points (N, 3) to a line through dense points (M, 3)."""
+    """Distance (N,) of points (N, 3) to a line through dense points (M, 3): to the pieces about its 50 nearest points."""
     begin, way = path[:-1], np.diff(path, axis=0)
     length = np.einsum("ij,ij->i", way, way) + 1e-12
-    found = np.empty(len(points))
-    for k, point in enumerate(points):
-        share = np.clip(np.einsum("ij,ij->i", point - begin, way) / length, 0.0, 1.0)
-        found[k] = np.sqrt((((begin + share[:, None] * way) - point) ** 2).sum(axis=1).min())
+    _, near = cKDTree(path).query(points, min(50, len(path)))
+    found = np.full(len(points), np.inf)
+    for pieces in (*near.T, *(near.T - 1)):
+        pieces = np.clip(pieces, 0, len(way) - 1)
+        share = np.clip(np.einsum("ij,ij->i", points - begin[pieces], way[pieces]) / length[pieces], 0.0, 1.0)
+        apart = begin[pieces] + share[:, None] * way[pieces] - points
+        found = np.minimum(found, np.sqrt((apart**2).sum(axis=1)))
     return found

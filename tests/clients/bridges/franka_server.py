@@ -2,7 +2,8 @@
 
 ``python franka_server.py FOLDER``: the model is made of the URDF that the package brings. At SIGTERM, ``FOLDER/joints.npy``
 has time, joints of the physics and joints wanted (N, 15); the log has what the judges said.
-``FOLDER/ready`` says that it listens.
+``FOLDER/ready`` says that it listens. With ``LATE=drop`` it drops a command whose cycle is over, as the robot does; by itself
+it goes back for it, which it calls the one place where it has to differ from the robot (its ``rewind_extrapolation``).
 """
 
 from __future__ import annotations
@@ -45,6 +46,11 @@ def main() -> None:
     server = franka_sim.FrankaSimServer(
         host="127.0.0.1", enable_gripper=False, enforce_comm_constraints=True, enforce_motion_limits=True
     )
+    if os.environ.get("LATE") == "drop":
+        absorb = franka_sim.FrankaSimServer._absorb_within_motion_limits
+        franka_sim.FrankaSimServer._absorb_within_motion_limits = lambda self, command, *, fresh: (
+            fresh and absorb(self, command, fresh=True)
+        )
     rows: list[list[float]] = []
     ended = threading.Event()
 

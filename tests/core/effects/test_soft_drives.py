@@ -27,6 +27,7 @@ def test_a_stated_stiffness_is_the_size_of_the_compliance_that_a_fit_expects() -
     assert soft.prior_sigma == pytest.approx(0.04)
     assert soft.plausible(0.1)
     assert not soft.plausible(-0.01)
+    assert all(soft.plausible(sign * 1e-19) for sign in (1.0, -1.0))  # a compliance that is none, to rounding
     (alone,) = AxialCompliance(joints=(1,)).parameters(robot_from_document(ARM))
     assert alone == soft
     hard = {**ARM, "joints": [{"name": "a"}, {"name": "b", "drive_stiffness_nm_rad": 1e6}]}

@@ -11,16 +11,25 @@ from kilter_files.look.summary import Columns, in_shown_unit
 
 LIMIT_TOLERANCE = {"deg": 0.3, "mm": 0.5}  # the server's, see docs/reference/columns.md
 JOINT = re.compile(r"q(\d+)_(?:deg|rad|mm|m)")
-MAY_BE_EMPTY = re.compile(r"m\d+[xyz]_(?:mm|m)|tip[xyz]_(?:mm|m)")
+NAMES = ("camera", "board")  # a cell may hold a name for its number
+SEEN = re.compile(r"(?:m\d+[xyz]|tip[xyz])_(?:mm|m)|s?[uv]\d+_px|tilt\d+[xyz]_(?:deg|rad)")  # in some rows only
+PLACE = re.compile(r"[xyz]_(?:mm|m)|q[wxyz]|(?:phi|theta|psi)_(?:deg|rad)")
+LINK = re.compile(r"link\d+_(?:deg|rad|mm|m)")
+KINDS = (
+    PLACE,
+    LINK,
+    *map(re.compile, (r"m\d+x_(?:mm|m)", r"u\d+_px", r"tilt\d+[xyz]_(?:deg|rad)")),
+)  # beside each other
 SHOWN = 5
 
 
 def refusals(columns: Columns, joints: Sequence[Mapping[str, Any]] | None, lines: Sequence[int] = ()) -> list[str]:
     """Name every rule that is broken, with rows; ``joints`` are those of the robot as the server knows it."""
+    beside = sum(any(map(kind.fullmatch, columns)) for kind in KINDS) > 1
     found = [
         f"{name} is empty or not a number {_in_rows([math.isnan(v) for v in values], lines)}"
         for name, values in columns.items()
-        if not MAY_BE_EMPTY.fullmatch(name) and any(math.isnan(v) for v in values)
+        if not _may_be_empty(name, beside) and any(math.isnan(v) for v in values)
     ]
     if joints is None:
         return found
@@ -31,6 +40,13 @@ def refusals(columns: Columns, joints: Sequence[Mapping[str, Any]] | None, lines
         if number in numbers:
             found += _outside(numbers[number], columns[numbers[number]], joint, lines)
     return found
+
+
+def _may_be_empty(name: str, beside: bool) -> bool:
+    """Whether a cell may be missing, or not be a number; ``beside`` says that other rows were measured otherwise."""
+    if SEEN.fullmatch(name) or name in NAMES:
+        return True
+    return beside and bool(PLACE.fullmatch(name) or LINK.fullmatch(name))
 
 
 def _outside(name: str, values: list[float], joint: Mapping[str, Any], lines: Sequence[int]) -> list[str]:

@@ -65,8 +65,9 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
                 f"Version {version_id} is of robot {version.robot!r}, not of {robot!r}.", code="version_not_found"
             )
         parts, left_out, foreign = _parts(session, stored.id, version_id, wish)
-    if not parts:
-        raise _nothing(robot, version_id, wish, foreign)
+        if not parts:
+            was = AsItWas() if wish.campaigns else AsItWas.by(session, stored.id, version.report)
+            raise _nothing(robot, version_id, wish, was, foreign)
     parts.sort(key=lambda one: -one.campaign.provable_mm)
     decision, worst, lacking = _decision(parts, foreign)
     provable = max(one.campaign.provable_mm for one in parts)
@@ -209,12 +210,14 @@ def _span(parts: Sequence[Part]) -> tuple[list[float], list[float]]:
     return to_mm(low).tolist(), to_mm(high).tolist()
 
 
-def _nothing(robot: str, version_id: str, wish: Wish, foreign: Sequence[Remark] = ()) -> ServiceError:
+def _nothing(robot: str, version_id: str, wish: Wish, was: AsItWas, foreign: Sequence[Remark]) -> ServiceError:
     if foreign:
         return ServiceError(
             f"No row is left to judge: {foreign[0].message}", code="nothing_held_out", version=version_id
         )
     named = f" of {', '.join(wish.campaigns)}" if wish.campaigns else ""
+    if was.campaigns:  # rows from before it show the arm as it was
+        named = f" since {was.since}"
     return ServiceError(
         f"No row{named} with a measured place is left that version {version_id} was not fitted to, and rows that were fitted "
         f"prove nothing. Measure some poses that are only checked (`kilter upload {robot} FILE --role confirmation`), or "

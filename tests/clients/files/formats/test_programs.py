@@ -374,8 +374,8 @@ def test_tool_and_last_target_of_a_program_with_subprograms(
     assert (use.near is not None) == from_joints
 
 
-@pytest.mark.parametrize(("between", "known"), [("", True), ("grip(1)", True), ("away( )", False)])
-def test_a_subprogram_of_the_same_file_may_move_the_arm(tmp_path: Path, between: str, known: bool) -> None:
+@pytest.mark.parametrize(("between", "known"), [("", True), ("BAS(#VEL_PTP,50)", True), ("grip(1)", False), ("away( )", False)])
+def test_a_subprogram_may_move_the_arm(tmp_path: Path, between: str, known: bool) -> None:
     lines = [
         "DEF a()",
         "PTP {A1 1,A2 2}",

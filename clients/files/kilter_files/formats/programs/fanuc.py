@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, line_at, sign
+from kilter_files.formats.programs.found import DATA, NUMBER, Dialect, Mark, Program, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans
 from kilter_files.formats.programs.poses.fanuc import OFFSET, OTHER_FRAME, pose_of
 
@@ -18,6 +18,9 @@ MOVE = re.compile(
 )
 NOTHING = re.compile(r"^\s*\d*\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
 NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
+TOUCH = re.compile(r"^\s*\d*\s*:\s*Touch Offset(?! End)\b", re.I | re.M)
+TOUCH_END = re.compile(r"^\s*\d*\s*:\s*Touch Offset End\b", re.I | re.M)
+ANY = "any"  # of a move that computes which
 GROUPS = "motion groups beside GP1 are left out: what they move belongs to the base or the tool"
 
 
@@ -47,37 +50,64 @@ def find(program: Program) -> None:
             raise program.refuse(match.start(), what, "Correct the position, or export it again.")
         numbers = [(part[2], part.span(2)) for part in arm]
         known[match[1]] = program.add(f"P[{match[1]}]", numbers, line=line_at(text, match.start()))
-    _follow(program, known, poses)
-    _name_other_uses(program, known, poses)
+    gone = _follow(program, known, poses)
+    _name_other_uses(program, known, poses, gone)
     program.notes.append("FANUC reads J3 against the horizontal: the robot needs --follows J3=J2")
 
 
-def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget]) -> None:
-    """Take the moves of the program, and name those that go beside their position, or to one that it does not hold."""
+def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget]) -> set[str]:
+    """Take the moves of the program, and name those that go beside their position, or to one that it does not hold.
+
+    Returns:
+        The numbers of the positions to which a move may go.
+
+    """
     text, moves = program.text, list(MOVE.finditer(program.text))
-    displaced: set[str] = set()
+    beside: set[str] = set()
+    plain: set[str] = set()
+    touched = _displaced(text)
     for k, match in enumerate(moves):
         later = moves[k + 1] if k + 1 < len(moves) else None
         second = later is not None and match[1][0] == "C" and later[1][0] == "P"  # the line with the end of an arc
         said = f"{match[4]} {later[4]}" if second and later is not None else match[4]
         number = match[3] if match[2] == "P" else ""
         program.moves += [known.get(number)] if number else []
+        number = ANY if match[2] == "P" and not number.isdigit() else number
+        displaced = OFFSET.search(said) is not None or match.start() in touched
+        (beside if displaced else plain).add(number)
         if number not in known and number not in poses:
             program.leave(match.start(1), f"{match[1]}: no position of this file")
-        elif OFFSET.search(said):
+        elif displaced:
             program.leave(match.start(1), f"{match[1]}: moves beside it")
-            displaced.add(number)
         elif number in poses:
             program.moves_to_poses.append((line_at(text, match.start(1)), match[1], poses[number]))
         if number in poses and OTHER_FRAME.search(said):
             poses[number].problem = poses[number].problem or "a move to it has another frame (RTCP, COORD)"
-    plain = {id(pose) for _, _, pose in program.moves_to_poses}
-    for pose in (poses[number] for number in displaced & poses.keys()):
-        if id(pose) not in plain:
-            pose.problem = pose.problem or "the moves to it have an offset"
+    rest = {*known, *poses} - beside - plain  # to which only moves go that compute which
+    only_beside = beside - plain | (rest if ANY in beside and ANY not in plain else set())
+    _leave(program, known, poses, only_beside, "the moves to it have an offset")
+    return beside | plain | (rest if ANY in beside | plain else set())
 
 
-def _name_other_uses(program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget]) -> None:
+def _displaced(text: str) -> Spans:
+    """The parts of a program whose positions are all displaced by what the robot touched."""
+    ends = [match.start() for match in TOUCH_END.finditer(text)]
+    starts = [match.start() for match in TOUCH.finditer(text)]
+    spans = [(at, next((end for end in ends if end > at), len(text))) for at in starts]
+    return Spans([span for k, span in enumerate(spans) if k == 0 or span[1] != spans[k - 1][1]])
+
+
+def _leave(
+    program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget], numbers: set[str], why: str
+) -> None:
+    program.leave_targets({known[number]: why for number in numbers & known.keys()})
+    for number in numbers & poses.keys():
+        poses[number].problem = poses[number].problem or why
+
+
+def _name_other_uses(
+    program: Program, known: dict[str, JointTarget], poses: dict[str, PoseTarget], gone: set[str]
+) -> None:
     """Name the lines that use a position otherwise than as the goal of a move."""
     text = NOTHING.sub(lambda match: " " * len(match[0]), program.text)
     own = Spans(sorted(match.span() for pattern in (POSITION, MOVE) for match in pattern.finditer(program.text)))
@@ -89,6 +119,8 @@ def _name_other_uses(program: Program, known: dict[str, JointTarget], poses: dic
         )
         if match[2] and match[1] in poses:
             poses[match[1]].problem = poses[match[1]].problem or "the program changes it"
+        if match[1] not in gone:
+            _leave(program, known, poses, {match[1]}, DATA)
 
 
 DIALECT = Dialect(

@@ -16,6 +16,7 @@ from kilter_files.ground.faults import fault
 # every repeat is bounded: a damaged file must not make the search slow
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 SAME_DEG = 5e-10  # a joint that moves less keeps its characters
+DATA = "no move of the program goes to these joints, and it uses them otherwise"
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,11 @@ class Program:
         self.cartesian.append(pose)
         self.poses += [(pose.name, pose.line)] if counted else []
         return pose
+
+    def leave_targets(self, reasons: Mapping[JointTarget, str]) -> None:
+        """Name the joint targets that stay as they are, each with its reason."""
+        self.left += [(one.line, f"{one.name}: {reasons[one]}") for one in self.targets if one in reasons]
+        self.targets = [one for one in self.targets if one not in reasons]
 
     def leave_poses(self, reasons: Mapping[PoseTarget, str]) -> None:
         """Name the poses that stay as they are, each with its reason, and the moves to them."""

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
-from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept
+from kilter_files.formats.programs.found import DATA, NUMBER, Dialect, Mark, Program, blanked, line_at, sign
+from kilter_files.formats.programs.krl_lines import MOTIONS, given, not_kept, used_as_data
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.krl import NAME, POSE, key, note_changes, note_computed, pose_of
 from kilter_files.formats.programs.poses.krl_frames import KrlFrames
@@ -29,10 +29,16 @@ LINE_END = re.compile(r"\n")
 
 @dataclass
 class _Known:
-    """What a program moves to: by name, by place where it is written into a move (None: left), and what came last."""
+    """What a program moves to: by name, by place where it is written into a move (None: left), and what came last.
 
-    joints: dict[str, JointTarget]
+    ``joints`` are the values that a name is given along the text, with their places; ``given`` names may have others too.
+    ``moved`` are names to which a motion goes, without their index.
+    """
+
+    joints: dict[str, list[tuple[int, JointTarget]]]
     poses: dict[str, PoseTarget]
+    given: set[str] = field(default_factory=set)
+    moved: set[str] = field(default_factory=set)
     written: dict[int, JointTarget | PoseTarget | None] = field(default_factory=dict)
     last: tuple[int, JointTarget | PoseTarget] | None = None
 
@@ -50,24 +56,41 @@ def find(program: Program) -> None:
     declared = program.beside
     known = _Known({}, {})
     if declared is not None:
-        known.joints |= {target.name.upper(): target for target in declared.targets}
+        known.joints |= {target.name.upper(): [(-1, target)] for target in declared.targets}
         known.poses |= {pose.name.upper(): pose for pose in declared.cartesian}
-    away = Spans(relative)
+    known.given = given(text)
+    away, inline = Spans(relative), Spans([match.span(2) for match in moves])
     count = max((len(one.joints_deg) for one in declared.targets), default=0) if declared is not None else 0
     count = max([count, *(len(ARM_AXIS.findall(match[2])) for match in lists)])
     for match in lists:
-        if match.start() in away:
+        at = match.start()
+        if at in away:
             continue
-        target = known.written[match.start()] = _take(program, match, count)
-        if target is not None:
-            known.joints[key(match[1] or "")] = target
+        if not match[1] and at not in inline and not text[max(0, at - 99) : at].rstrip(" \t").endswith("="):
+            program.leave(at, f"{match[0][:40]}: axes within another list")
+            continue
+        target = known.written[at] = _take(program, match, count)
+        if target is not None and match[1]:
+            known.joints.setdefault(key(match[1]), []).append((at, target))
     frames = KrlFrames(program, text)
     _take_poses(program, text, moves, relative, frames, known)
     for match in moves:
         _follow(program, match, known, frames)
+    _leave_data(program, text, known)
     note_changes(text, known.poses)
     inside = {found.end() for match in lists for found in LINE_END.finditer(text, *match.span())}
     program.left += not_kept(text, known.joints, known.poses, inside)
+
+
+def _leave_data(program: Program, text: str, known: _Known) -> None:
+    """Leave axes to which no motion goes and which the program uses otherwise: as an amount, or one by one."""
+    data = used_as_data(text) - known.moved
+    reasons = {
+        target: DATA for name, values in known.joints.items() if name.partition("[")[0] in data for _, target in values
+    }
+    for one in (program, program.beside):
+        if one is not None:
+            one.leave_targets(reasons)
 
 
 def _take_poses(
@@ -123,24 +146,40 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
     if goal is not None:
         name = key(goal[1])
         at = match.start(2) + goal.start(1)
-        target = known.written.get(at) if name[0] == "{" else known.joints.get(name) or known.poses.get(name)
+        known.moved.add(name.partition("[")[0])
+        target = known.written.get(at) if name[0] == "{" else _joints_of(known, name, at) or known.poses.get(name)
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
         where = " or of its .dat" if program.beside is not None else ""
         if goal is None or match.start(2) + goal.start(1) not in known.written:
             program.leave(match.start(), f"{said}: not a target of this file{where}")
-            note_computed(match[2], known.poses)
+            known.moved |= note_computed(match[2], known.poses)
         program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
     elif isinstance(target, JointTarget):
         program.moves.append(target)
     else:
         straight = "PTP" not in match[1].upper()
-        joined = known.last is not None and frames.base.joined(known.last[0], match.start())
+        joined = known.last is not None and frames.way.joined(known.last[0], match.start())
         near = known.last[1] if known.last is not None and joined else None
         target.uses.append(Use(*frames.at(match.start()), near, straight))
         program.moves_to_poses.append((line_at(program.text, match.start()), said, target))
-    known.last = None if target is None else (match.start(), target)
+    sure = not isinstance(target, JointTarget) or goal is None or _is_sure(known, frames, key(goal[1]), match.start())
+    known.last = None if target is None or not sure else (match.start(), target)
     program.visits += [] if target is None else [target]
+
+
+def _joints_of(known: _Known, name: str, at: int) -> JointTarget | None:
+    """The joints that a name was given last before a place, by the text."""
+    values = known.joints.get(name, [])
+    return next((target for place, target in reversed(values) if place < at), values[-1][1] if values else None)
+
+
+def _is_sure(known: _Known, frames: KrlFrames, name: str, at: int) -> bool:
+    """Whether the arm surely stands at the joints of a name after a motion to it: no other value may be in force."""
+    values = known.joints.get(name, [])
+    if name.partition("[")[0] in known.given:
+        return False
+    return len(values) < 2 or frames.way.chosen(values, at) == _joints_of(known, name, at)
 
 
 def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | None:

@@ -26,6 +26,35 @@ CALLED = re.compile(r"(?<![\w.$])(\w{1,64})\s{0,9}\(([^()]{1,1000})\)")
 HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?(?!\w|\s{0,9}[.(])")
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
+GIVEN = re.compile(
+    r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)(?![ \t]*\{[^{}\r\n]{0,500}\}[ \t]*\r?$)", re.I | re.M
+)
+EXTERNAL_PART = re.compile(r"\s*\.\s*E\d", re.I)
+RELATIVE = re.compile(r"^[ \t]*S?(?:PTP|LIN|CIRC)_REL[ \t]+(\w{1,64})", re.I | re.M)
+PART_READ = re.compile(r"(?<![\w$.])(\w{1,64})(?:[ \t]*\[[^\]\r\n]{0,60}\])?[ \t]*\.[ \t]*A\d\b(?![ \t]*=(?!=))", re.I)
+SUBPROGRAM = re.compile(r"^[ \t]*(?:\w{1,64}[ \t]*=[ \t]*)?(\w{1,64})[ \t]*\(", re.M)
+REST = frozenset(
+    ("BAS", "ABS", "SQRT", "SIN", "COS", "TAN", "ACOS", "ATAN2", "INV_POS", "INVERSE", "FORWARD")
+)  # never move
+
+
+def given(text: str) -> set[str]:
+    """Return the variables, in capitals, that a statement gives another value than a list, or hands to a subprogram."""
+    found = {match[1].upper() for match in GIVEN.finditer(text) if not EXTERNAL_PART.match(match[2])}
+    for at in subprograms(text):
+        inside = text[at : text.find("\n", at) % (len(text) + 1)].partition("(")[2]
+        found |= {one[1].upper() for one in HANDED.finditer(inside)}
+    return found
+
+
+def used_as_data(text: str) -> set[str]:
+    """Return the variables, in capitals, that are the amount of a relative motion, or of which an axis is read."""
+    return {match[1].upper() for pattern in (RELATIVE, PART_READ) for match in pattern.finditer(text)}
+
+
+def subprograms(text: str) -> list[int]:
+    """Return where statements call subprograms, of this file or of others: they may move the arm."""
+    return [match.start() for match in SUBPROGRAM.finditer(text) if match[1].upper() not in KEPT | REST]
 
 
 def not_kept(

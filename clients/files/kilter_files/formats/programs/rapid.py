@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import DATA, NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans, Use
 from kilter_files.formats.programs.poses.rapid import (
     CONFIGURATION_OFF,
@@ -28,6 +28,7 @@ MOVE = re.compile(
 TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
 TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld
 SEVERAL_TIMES = "it is declared several times"
+PART_READ = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*robax\b", re.I)
 EXTERNAL = re.compile(r"\.\s*extax\b", re.I)
 CONSTANT = re.compile(r"\bCONST\s+robtarget\s+(\w+)", re.I)
 HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*(?:\{[\w,\s]*\})?\s*:=[^;]{0,200000}", re.I)
@@ -35,7 +36,7 @@ COMPUTED = re.compile(r"[A-Za-z_]\w{2,}")
 INDEX = r"\{\s*\d+\s*(?:,\s*\d+\s*){0,2}\}"
 WRITTEN = re.compile(rf"\w+(?:\s*{INDEX})?|\[.*\]", re.S)
 WITH = re.compile(r"(\w+)\s*((?:\\[^\\]{1,80})*)")
-WORK_OBJECT = re.compile(r"\\\s*WObj\s*:=\s*(\w+)", re.I)
+WORK_OBJECT = re.compile(r"\\\s*WObj\b\s*(?::=\s*(\w+)\s*(?=\\|$))?", re.I)
 GOAL = re.compile(rf"(\w+)\s*({INDEX}|\{{[^}}]{{0,80}}\}})?\s*(?:\\.*)?", re.S)
 
 # by the name of the variable, and there by that of the element, both in small letters
@@ -54,6 +55,9 @@ def find(program: Program) -> None:
     known: Known = {}
     for match in DECLARED.finditer(text):
         pairs = [*PAIR.finditer(text, match.start(3), match.end(3))]
+        if any(max(abs(float(value)) for value in pair.groups()[:6]) > UNUSED_AXIS for pair in pairs):
+            program.leave(match.start(), f"{match[1]}, a jointtarget without the robot's joints")
+            continue
         if not pairs and match[4] == ";" and COMPUTED.search(match[3]):
             what = f"{match[1]}, a jointtarget that the program computes"
             program.leave(match.start(), what)
@@ -70,18 +74,21 @@ def find(program: Program) -> None:
     frames = RapidFrames(text, program.stated)
     goals: set[int] = set()
     computed = Computed(program, text, lambda said: _declared(said, poses))
+    moved: set[str] = set()
     left = [
         match.span()
         for match in MOVE.finditer(text)
         if not _to_poses(program, text, match, poses, frames, goals, computed)
-        and not _follow(program, text, match, known, goals)
+        and not _follow(program, text, match, known, goals, moved)
     ]
     goals |= computed.named
     # one from which moves only compute others is not a goal itself
     origins = {one.computed.of for one in program.cartesian if one.computed is not None}
     program.cartesian = [pose for pose in program.cartesian if pose.uses or pose not in origins]
     _note_problems(text, program, poses)
-    _note_other_uses(text, program, poses, known, goals, Spans(left))
+    data = _note_other_uses(text, program, poses, known, goals, Spans(left))
+    data |= {match[1].lower() for match in PART_READ.finditer(text)} - {match[1].lower() for match in changed(text)}
+    program.leave_targets({one: DATA for name in data - moved for one in known.get(name, {}).values()})
 
 
 def _poses(program: Program, text: str) -> Poses:
@@ -120,9 +127,9 @@ def _to_poses(
     goals = [_goal(program, text, match[1], at, one, poses, computed) for at, one in said[:count]]
     if len(said) <= with_tool or None in goals:
         return False
-    held = WITH.match(said[with_tool][1])
+    held = WITH.fullmatch(said[with_tool][1])
     work = WORK_OBJECT.search(held[2]) if held else None
-    base = frames.base(work[1] if work else "wobj0")
+    base = "its work object is not understood" if work and not work[1] else frames.base(work[1] if work else "wobj0")
     tool = frames.tool(held[1]) if held else "its tool is not understood"
     for goal in goals:
         assert goal is not None
@@ -171,8 +178,13 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
 
 def _note_other_uses(
     text: str, program: Program, poses: Poses, known: Known, understood: set[int], left: Spans
-) -> None:
-    """Name what uses targets otherwise than as the goals of moves; ``left`` are moves that are named already."""
+) -> set[str]:
+    """Name what uses targets otherwise than as the goals of moves; ``left`` are moves that are named already.
+
+    Returns:
+        The names that are handed to what may do with them anything, but for routines of the file that take values.
+
+    """
     for match in declared_again(text, poses.keys() | known.keys()):
         program.leave(match.start(), f"{match[1]}: declared several times")
         for pose in poses.get(match[1].lower(), {}).values():
@@ -181,8 +193,10 @@ def _note_other_uses(
         if match[1].lower() in known and not EXTERNAL.search(match[0]):
             program.leave(match.start(), f"{match[1]}: the program changes this jointtarget")
     constant = {match[1].lower() for match in CONSTANT.finditer(text)}
+    data: set[str] = set()
     for use in other_uses(text, poses.keys() | known.keys(), understood):
         name, by = use.name.lower(), use.handed_to
+        data |= {name} if by else set()
         if use.at not in left:
             program.leave(
                 use.at, f"{use.name}: used{f' by {by}' if by else ''} otherwise than as the goal of a known move"
@@ -195,10 +209,13 @@ def _note_other_uses(
         at = written.start()
         if not (at in understood or at in own or at in left or is_assigned(text, at)):
             program.leave(at, f"{written[0][:40]}: the goal of no known move")
+    return data
 
 
-def _follow(program: Program, text: str, match: re.Match[str], known: Known, understood: set[int]) -> bool:
-    """Take the joints of a move, and note their place, or name its line; whether they are known."""
+def _follow(
+    program: Program, text: str, match: re.Match[str], known: Known, understood: set[int], moved: set[str]
+) -> bool:
+    """Take the joints of a move, and note their place and name, or name its line; whether they are known."""
     joints = match[1].lower() == "moveabsj"
     at, said = next(((at, one) for at, one in arguments(match[2]) if not one.startswith("\\")), (0, ""))
     at += match.start(2)
@@ -208,6 +225,7 @@ def _follow(program: Program, text: str, match: re.Match[str], known: Known, und
     if written is not None:
         program.moves.append(_take(program, match[1], written))
     elif goal is not None and targets:
+        moved.add(goal[1].lower())
         program.moves.append(targets.get("".join(f"{goal[1]}{goal[2] or ''}".lower().split())))
     else:
         program.leave(match.start(), f"{match[1]} {said[:40]}: no target of this file")

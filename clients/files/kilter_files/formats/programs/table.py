@@ -9,6 +9,7 @@ from kilter_files.formats.programs.found import NUMBER, Dialect, Program, lines_
 CELL = re.compile(
     r'[ \t]*"(?:[^"]|"")*"[^,\r\n]*(?:,|$|(?=[\r\n]))|[^,\r\n]*(?:,|$|(?=[\r\n]))'
 )  # a quoted one has commas
+BOM = "\xef\xbb\xbf"  # of UTF-8, as it is read byte for byte
 JOINT = re.compile(r"q(\d+)_(deg|rad)")
 
 
@@ -20,8 +21,10 @@ def find(program: Program) -> None:
 
     """
     lines = lines_of(program.text)
-    names = [cell[0].strip(' \t,"') for cell in CELL.finditer(lines[0])]
+    names = [cell[0].strip(' \t,"') for cell in CELL.finditer(lines[0].removeprefix(BOM))]
     joints = {int(match[1]): (k, match[2]) for k, name in enumerate(names) if (match := JOINT.fullmatch(name))}
+    if not joints and lines[0].count(";") > lines[0].count(","):
+        raise program.refuse(0, "parts its columns with semicolons", "Write it with commas, and points in numbers.")
     if sorted(joints) != [*range(1, len(joints) + 1)] or len({unit for _, unit in joints.values()}) != 1:
         raise program.refuse(0, "lacks joints, or has them in two units", "Name its columns q1_deg, q2_deg, ...")
     at = len(lines[0])

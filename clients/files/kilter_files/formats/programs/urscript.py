@@ -8,26 +8,19 @@ from dataclasses import replace
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, Span
-from kilter_files.formats.programs.poses.urscript import CHANGED, Poses, inside
+from kilter_files.formats.programs.poses.urscript import CALLED, CHANGED, KNOWN, Poses, inside, inverse_arguments
 
 DECLARED = re.compile(r"^[ \t]*(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*=[ \t]*([^\r\n]*)", re.M)
 MOVE = re.compile(
-    r"\b((?:optimove|move|servo|speed)[jlpc])\s?\(\s*(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?"
+    r"\b((?:optimove|move|servo|speed)[jlpc])[ \t]{0,9}\(\s*(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?"
 )
 TO_JOINTS = frozenset(("movej", "movel", "movep"))  # along a line too the arm comes to these joints
-INVERSE = re.compile(r"get_inverse_kin\s?\(([^)]{0,500})\)")
 POSE = re.compile(r"p\s?\[|get_inverse_kin\s?\(")
-NEAR = re.compile(r"\bqnear\s?=\s?(?:(\w{1,64})|(\[[^\]]{0,500}\]))")
+WHERE_IT_IS = re.compile(r"get_(?:actual|target)_joint_positions\s?\(")
 CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
 PARAMETERS = re.compile(r"^[ \t]*(?:def|thread)[ \t]+\w{1,64}[ \t]*\(([^)\n]{1,500})\)", re.M)
 TARGET = re.compile(rf"p?\s?\[\s*{NUMBER}(?:\s*,\s*{NUMBER}){{5}}\s*\]")
-CALLED = re.compile(r"(?<![\w.])(\w{1,64})\s?\(")
 INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
-# functions that only reckon, set or tell, and words before a bracket
-KNOWN = re.compile(
-    r"(?:set|get|pose|is|force|socket|rtde|rpc|to|read|write|str|tool|path|wrench|point|integer|modbus)_\w{1,64}"
-    r"|interpolate_pose|textmsg|popup|norm|length|dot|cross|transpose|inv|if|elif|while|and|or|not|return|def|thread|run|join"
-)
 MOST_RAD = 4.2 * math.pi
 
 Places = dict[str, list[tuple[int, str]]]
@@ -57,13 +50,16 @@ def find(program: Program) -> None:
             name = match[1] if goal.startswith("[") else goal
             taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
             target = taken[_before(match.start(), places)]
-            poses.last = None if target is None else (match.start(), target)
+            sure = goal.startswith("[") or poses.is_sure(goal, match.start(), places)
+            poses.last = (match.start(), target) if target is not None and sure else None
             program.moves.append(target and replace(target, line=line_at(text, match.start())))
             if target is None and not goal.startswith("["):
                 program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
-        hint = _hint(program, text, match, declared) if match[1] == "movej" else None
-        if not poses.take(match, hint):
+        hint, doubt = _hint(program, text, match, declared, poses)
+        taken_here = poses.take(match, hint, doubt)
+        hint = hint if match[1] == "movej" else None
+        if not taken_here:
             program.leave(match.start(), f"{match[1]}({goal[:40]}: no target of this file")
             poses.last = None
         near += hint is not None
@@ -99,23 +95,31 @@ def _name_other(program: Program, match: re.Match[str], goal: str, places: list[
         program.unknown.append((line, what, f"Write {goal} = [...] before it, or the joints instead."))
 
 
-def _hint(program: Program, text: str, match: re.Match[str], declared: Places) -> JointTarget | None:
-    """The joints beside which a pose is looked for; they are never rewritten."""
-    inverse = INVERSE.match(text, match.start(2)) if match[2] else None
-    near = None if inverse is None else NEAR.search(text, *inverse.span(1))
-    if near is None:
-        return None
-    places = [(near.start(2), near[2])] if near[2] else declared.get(near[1], [])
+def _hint(
+    program: Program, text: str, match: re.Match[str], declared: Places, poses: Poses
+) -> tuple[JointTarget | None, str]:
+    """The joints beside which a pose is looked for, which are never rewritten; and what is not known of how it is."""
+    stated = inverse_arguments(text, match.start(2)) if match[2] else {}
+    at, tool = stated.get("tcp", (0, ""))
+    if "tcp" in stated and (tool or program.text[at : at + 12] != '"active_tcp"'):
+        return None, f"its inverse is that of another tool, {tool[:40]}"
+    at, said = stated.get("qnear", (0, ""))
+    if not said or WHERE_IT_IS.match(said):
+        return None, ""
+    places = [(at, said)] if said.startswith("[") else declared.get(said, [])
     if not places or not all(written.startswith("[") for _, written in places):
-        return None
+        return None, f"its qnear is not known, {said[:40]}"
+    if not poses.is_sure(said, match.start(), places):
+        return None, f"its qnear {said[:40]} depends on the way that the program took"
     at = _before(match.start(), places)
     numbers, radians = _numbers(program.text, at, dict(places)[at])
     if not numbers:
         what = f"qnear is {dict(places)[at][:40]!r}, no list of numbers"
         program.unknown.append((line_at(text, match.start()), what, "Write the joints in rad."))
-        return None
+        return None, f"its {what}"
     joints = [math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, radians, strict=True)]
-    return JointTarget(near[1] or "movej", line_at(text, match.start()), tuple(joints))
+    name = "movej" if said.startswith("[") else said
+    return JointTarget(name, line_at(text, match.start()), tuple(joints)), ""
 
 
 def _name_calls(program: Program, text: str, declared: Places) -> None:

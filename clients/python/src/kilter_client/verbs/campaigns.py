@@ -113,10 +113,7 @@ def send_rows(
 
     """
     try:
-        if into is None:
-            for known in (yield from calls.list_campaigns(robot)):
-                if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
-                    into = str(known["id"])
+        into = into or (yield from stored_in(robot, wanted, prepared))
         if into is not None:
             begun((into, False))
             return (yield from calls.upload(into, prepared, sent, robot))
@@ -132,6 +129,15 @@ def send_rows(
     except ObservationError as error:
         raise _placed(error, prepared, file) from error
     return done
+
+
+def stored_in(robot: str, wanted: Mapping[str, Any], prepared: Prepared) -> Steps[str | None]:
+    """Return the id of the campaign that has these rows already, as they are wanted; the last of several."""
+    found = None
+    for known in (yield from calls.list_campaigns(robot)):
+        if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
+            found = str(known["id"])
+    return found
 
 
 def _placed(error: ObservationError, prepared: Prepared, file: str) -> ObservationError:

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.errors import KilterError, ObservationError
+from kilter_client.errors import ApiError, CalibrationError, ConflictError, KilterError, NotFoundError, PayloadError
 from kilter_client.files import files_refusals, files_summary
 from kilter_client.requests.calls import campaigns, robots
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.dry_run import DryRun
-from kilter_client.verbs.campaigns import conditions_of
-from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.verbs.campaigns import conditions_of, stored_in
+from kilter_client.verbs.inputs import Data, name_of, rows_of
 from kilter_client.verbs.references import ResourceReference, reference
 
 if TYPE_CHECKING:
     from kilter_client.results.dry_run import DryRun
     from kilter_files import Prepared
 
-MIXED_UP = ("foreign_observations", "markers_swapped")
+REFUSALS = (CalibrationError, ConflictError, NotFoundError, PayloadError)  # that an upload would meet, too
 
 
 def dry_run(
@@ -51,27 +51,57 @@ def dry_run(
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
     prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
-    found = yield from checked_rows(reference("robot", robot), prepared, conditions)
+    wanted = {"name": name_of(data), "numbered": True, "device": device or preset or "", "conditions": conditions}
+    found = yield from checked_rows(reference("robot", robot), prepared, wanted)
     told = {"columns": prepared.columns, "notes": prepared.notes, "warnings": prepared.warnings}
     return DryRun.read(told | {"rows": prepared.rows} | found)
 
 
-def checked_rows(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Steps[Document]:
-    """Return ranges, poses, repeats, loads, directions, and what would be refused, here and by the server."""
+def checked_rows(
+    robot: str,
+    prepared: Prepared,
+    wanted: Mapping[str, Any],
+    into: str | None = None,
+    worded: Callable[[str], str] = str,
+) -> Steps[Document]:
+    """Return ranges, poses, repeats, loads, directions, and what would be refused, here and by the server.
+
+    ``wanted`` is the campaign that an upload would make; ``into`` is the id of the one that it would add to instead.
+    ``worded`` says a refusal of the server in the words of whoever asked.
+    """
+    conditions = wanted.get("conditions") or {}
     try:
         known = list((yield from robots.one(robot))["joints"])
     except KilterError as error:
         return checked_here(prepared, conditions, error)
     found = checked_here(prepared, conditions, None, known)
     try:
-        odd = (yield from campaigns.check(robot, prepared)).get("warnings", ())
-    except ObservationError as error:
+        odd, unknown = yield from _by_server(robot, prepared, wanted, into)
+    except REFUSALS as error:
         # Readings outside the limits are named here row by row; a mix-up that explains them says more.
-        refused = [error.detail] if error.code in MIXED_UP or not found["refused"] else found["refused"]
-        return found | {"refused": refused}
+        limits = error.code == "observations_invalid" and found["refused"]
+        return found | {"refused": found["refused"] if limits else [worded(error.detail)]}
     except KilterError as error:
         return found | {"not_checked": f"whether the rows belong to the robot ({error.detail.rstrip('.')})"}
-    return found | {"odd": [one["message"] for one in odd]}
+    return found | {"refused": [], "odd": [one["message"] for one in odd], "not_checked": unknown}
+
+
+def _by_server(
+    robot: str, prepared: Prepared, wanted: Mapping[str, Any], into: str | None
+) -> Steps[tuple[list[Document], str]]:
+    """What the server finds odd in rows that it would store, and what it did not look at."""
+    into = into or (yield from stored_in(robot, wanted, prepared))
+    try:
+        done = yield from campaigns.check(robot, prepared, wanted if into is None else None, into)
+    except ApiError as error:
+        if error.code != "media_type_unsupported" or into is not None:
+            raise
+        # A server that is older than this client checks the rows alone.
+        done = yield from campaigns.check(robot, prepared)
+        return list(
+            done.get("warnings", ())
+        ), "name, conditions and instrument, which this server looks at in an upload only"
+    return list(done.get("warnings", ())), ""
 
 
 def checked_here(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 
@@ -52,6 +52,17 @@ class InForce:
         between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
         return not between and self.owner(first) == self.owner(second)
 
+    def chosen(self, values: Sequence[tuple[int, object]], place: int) -> object | None:
+        """Return which of the values that a variable is given along the text it has at a place; None where that is not sure."""
+        if all(value == values[0][1] for _, value in values):
+            return values[0][1]
+        force = InForce(self.control, self.starts, self.owners)
+        for at, value in values:
+            force.set(at, value)
+        known, found = force.at(place)
+        alone = len({self.owner(at) for at in (place, *(at for at, _ in values))}) == 1
+        return found if known and alone else None
+
     def owner(self, place: int) -> int:
         """Return the number of the subprogram in which a place is."""
         k = bisect_right(self.starts, place)
@@ -80,6 +91,21 @@ def calls_of_own(text: str, named: re.Pattern[str]) -> list[int]:
     heads = {match.start(1) for match in named.finditer(text)}
     calls = re.finditer(r"(?<![\w.$])(\w{1,64})[ \t]*\(", text)
     return [match.start() for match in calls if match[1].upper() in names and match.start() not in heads]
+
+
+def calls_that_set(
+    text: str, named: re.Pattern[str], owner: Callable[[int], int], settings: Sequence[int]
+) -> list[tuple[int, str]]:
+    """Return the calls of subprograms that set something at one of these places, themselves or by a call: place and name."""
+    names = {owner(match.start()): match[1].upper() for match in named.finditer(text)}
+    calls = [(at, re.match(r"\w+", text[at : at + 64])) for at in calls_of_own(text, named)]
+    called = [(at, found[0]) for at, found in calls if found is not None]
+    setting = {names.get(owner(at), "") for at in settings} - {""}
+    while (
+        more := {names.get(owner(at), "") for at, name in called if name.upper() in setting} - {"", *setting}
+    ) != set():
+        setting |= more
+    return [(at, name) for at, name in called if name.upper() in setting]
 
 
 def _place(control: tuple[int, int | None]) -> int:

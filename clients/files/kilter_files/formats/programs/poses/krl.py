@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN
 from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import StatusTurn
@@ -14,7 +15,7 @@ INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants
 NAME = rf"\w{{1,64}}(?:{INDEX})?"
 POSE = re.compile(
     rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?"
-    r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}",
+    r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}(?![ \t]*:)",
     re.I,
 )
 PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
@@ -57,12 +58,13 @@ def _value(text: str) -> float:
     return float(int(text.strip("'")[1:], 2)) if text.startswith("'") else float(text)
 
 
-def note_computed(said: str, poses: Mapping[str, PoseTarget]) -> None:
-    """Note poses of arrays to one of which a move goes that computes which."""
+def note_computed(said: str, poses: Mapping[str, PoseTarget]) -> set[str]:
+    """Note poses of arrays to one of which a move goes that computes which; return the names of such arrays."""
     bases = {match[1].upper() for match in COMPUTED_INDEX.finditer(said)}
     for name, pose in poses.items() if bases else ():
         if name.partition("[")[0] in bases:
             pose.problem = pose.problem or "a move to it has a computed index"
+    return bases
 
 
 def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
@@ -70,8 +72,7 @@ def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
     bases: dict[str, list[PoseTarget]] = {}
     for name, pose in poses.items():
         bases.setdefault(name.partition("[")[0], []).append(pose)
-    change = re.compile(r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)(?![ \t]*\{)", re.I | re.M)
-    for match in change.finditer(text):
+    for match in GIVEN.finditer(text):
         for pose in bases.get(match[1].upper(), ()):
-            if not re.match(r"\s*\.\s*E\d", match[2], re.I):
+            if not EXTERNAL_PART.match(match[2]):
                 pose.problem = pose.problem or "the program changes it"

@@ -7,18 +7,22 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, blanked
+from kilter_files.formats.programs.krl_lines import given, subprograms
 from kilter_files.formats.programs.notations import KRL, Frame
-from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own
+from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.krl import NAME, key
 
 NULL = Frame(KRL, (0.0,) * 6)
 BRACES = r"\{([^{}\r\n]{0,500})\}"
+ALONE = rf"{BRACES}(?![ \t]*:)"  # not the first part of a longer expression
 FRAME = re.compile(
-    rf"(\$(?:BASE|TOOL)|(?:BASE|TOOL)_DATA\[\d{{1,4}}\]|\bFRAME\s{{1,9}}{NAME})\s{{0,9}}=\s{{0,9}}{BRACES}", re.I
+    rf"(?<![\w.$])(\$(?:BASE|TOOL)|(?:BASE|TOOL)_DATA\s{{0,9}}\[\s{{0,9}}\d{{1,4}}\s{{0,9}}\]|{NAME})\s{{0,9}}=\s{{0,9}}{ALONE}",
+    re.I,
 )
+FRAMES = re.compile(r"\bFRAME[ \t]+(\w[^=\r\n]{0,300})", re.I)
 PART = re.compile(rf"\s{{0,9}}(?:(?:FRAME|(?:E6)?POS)\s{{0,9}}:\s{{0,9}})?([XYZABC])\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 SET = re.compile(
-    rf"^[ \t]*(?:\$(BASE|TOOL)[ \t]*(?:=|(?=\.))[ \t]*([^\r\n]{{1,200}})|FDAT_ACT[ \t]*=[ \t]*({NAME})"
+    r"^[ \t]*(?:\$(BASE|TOOL)[ \t]*(?:=|(?=\.))[ \t]*([^\r\n]{1,200})|FDAT_ACT[ \t]*(?:=|(?=\.))[ \t]*([^\r\n]{1,300})"
     r"|BAS[ \t]*\([ \t]*#(BASE|TOOL|\w{1,30})[ \t]*,[ \t]*(\w{1,30}))",
     re.I | re.M,
 )
@@ -31,7 +35,11 @@ CONTROL = re.compile(
     re.I | re.M,
 )
 START = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w{1,64})?[ \t]+(\w{1,64})", re.I | re.M)
-CHANGED = re.compile(r"^[ \t]*(BASE|TOOL)_DATA[ \t]*\[([^\]\r\n]{1,60})\][ \t]*(?:\.|=(?!=)(?![ \t]*\{))", re.I | re.M)
+CHANGED = re.compile(
+    r"^[ \t]*(BASE|TOOL)_DATA[ \t]*\[([^\]\r\n]{1,60})\][ \t]*"
+    r"(?:\.|=(?!=)(?![ \t]*\{[^{}\r\n]{0,500}\}[ \t]*\r?$))",
+    re.I | re.M,
+)
 WITH = re.compile(
     r"[ \t,]\$(BASE|TOOL)[ \t]*=[ \t]*((?:\{[^{}\r\n]{0,500}\}|[^,(\r\n]|\([^()\r\n]{0,200}\)){1,300})", re.I
 )
@@ -48,11 +56,16 @@ class KrlFrames:
         """Read the frames of a program and of the file beside it; ``text`` has its comments blanked."""
         self._stated = program.stated
         texts = [text, *([blanked(program.beside.text, ";")] if program.beside is not None else [])]
-        self.literals = {match.start(2) - 1 for match in FRAME.finditer(text)}
+        self._named = {name for one in texts for name in _declared(one)}
+        self.literals = {match.start(2) - 1 for match in FRAME.finditer(text) if self._is_frame(match[1])}
         self._frames: dict[str, Frame | str] = {}
         self._data: dict[str, str] = {}
+        self._given = {name for one in texts for name in given(one)}
         for one in texts:
             self._read(one)
+        self._set_at = {
+            key(match[1]): match.start() for match in reversed([*FRAME.finditer(text)]) if "_DATA" in match[1].upper()
+        }
         self._changed = {(match[1].upper(), match[2].strip()) for one in texts for match in CHANGED.finditer(one)}
         self._text, self._blocks = text, list(BLOCK.finditer(text))
         self._stands = STANDING.search(text) is not None
@@ -60,34 +73,51 @@ class KrlFrames:
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
         control = sorted([*control, *((at, 0) for at in calls_of_own(text, START))], key=lambda one: one[0])
         starts = [match.start() for match in START.finditer(text)]
+        self.way = InForce(sorted({*control, *((at, 0) for at in subprograms(text))}, key=lambda one: one[0]), starts)
         self.base, self.tool = InForce(control, starts), InForce(control, starts)
         for match in SET.finditer(text):
             self._set(match)
+        for which, force in (("base", self.base), ("tool", self.tool)):
+            if len({value for _, value in force.settings}) > 1:
+                calls = calls_that_set(text, START, force.owner, [at for at, _ in force.settings])
+                force.settings += [(at, f"{name}() sets its {which}") for at, name in calls]
+                force.settings.sort(key=lambda one: one[0])
+
+    def _is_frame(self, name: str) -> bool:
+        name = key(name)
+        return name[0] == "$" or name.startswith(("BASE_DATA[", "TOOL_DATA[")) or name.partition("[")[0] in self._named
 
     def _read(self, text: str) -> None:
         for match in FRAME.finditer(text):
-            name = re.sub(r"\s|FRAME\s", "", match[1], flags=re.I).upper()
+            name = key(match[1])
+            if not self._is_frame(name):
+                continue
             found = six_of(match[2])
             new = Frame(KRL, found) if found else f"{match[1]} is not X, Y, Z, A, B, C with numbers"
             if not name.startswith("$"):
                 several = name in self._frames and self._frames[name] != new
                 self._frames[name] = f"{match[1]} is set several times" if several else new
         for match in FDAT.finditer(text):
-            self._data[key(match[1])] = match[2]
+            name = key(match[1])
+            self._data[name] = match[2] if self._data.get(name, match[2]) == match[2] else ""
 
     def _set(self, match: re.Match[str]) -> None:
         at = match.start()
         if match[1]:
-            (self.base if match[1].upper() == "BASE" else self.tool).set(at, self._value(match[1].upper(), match[2]))
+            (self.base if match[1].upper() == "BASE" else self.tool).set(
+                at, self._value(match[1].upper(), match[2], at)
+            )
         elif match[3]:
             for which, force in (("BASE", self.base), ("TOOL", self.tool)):
-                force.set(at, self._by_data(which, match[3]))
+                force.set(at, self._by_data(which, match[3].strip(), at))
         elif match[4].upper() in ("BASE", "TOOL"):
-            (self.base if match[4].upper() == "BASE" else self.tool).set(at, self._numbered(match[4].upper(), match[5]))
+            (self.base if match[4].upper() == "BASE" else self.tool).set(
+                at, self._numbered(match[4].upper(), match[5], at)
+            )
         elif match[4].upper() in ("EX_BASE", "IPO_M"):
             self.base.set(at, "its base moves, or its tool stands still")
 
-    def _value(self, which: str, said: str) -> Frame | str:
+    def _value(self, which: str, said: str, at: int) -> Frame | str:
         said = said.strip()
         if said.startswith("."):
             return f"the program changes ${which}"
@@ -97,37 +127,55 @@ class KrlFrames:
             return Frame(KRL, found) if found else f"${which} is not X, Y, Z, A, B, C with numbers"
         number = re.fullmatch(rf"{which}_DATA\[(\d+)\]", said, re.I)
         if number:
-            return self._numbered(which, number[1])
+            return self._numbered(which, number[1], at)
         data = BY_DATA.fullmatch(said)
         if data:
-            return self._by_data(which, data[1])
-        if said.upper() in ("$NULLFRAME", "$WORLD", "$ROBROOT"):
+            return self._by_data(which, data[1], at)
+        if said.upper() in ("$NULLFRAME", "$WORLD"):
             return NULL
-        return self._frames.get(said.upper(), f"${which}={said[:40]} is not known")
+        if said.upper() == "$ROBROOT":
+            return self._numbered(which, "$ROBROOT", at)
+        if key(said).partition("[")[0] in self._given:
+            return f"the program changes {said[:40]}"
+        return self._frames.get(key(said), f"${which}={said[:40]} is not known")
 
-    def _by_data(self, which: str, name: str) -> Frame | str:
+    def _by_data(self, which: str, name: str, at: int) -> Frame | str:
         """The frame that an ``FDAT`` names, as a spline motion takes it."""
+        if name.startswith("."):
+            return "the program changes FDAT_ACT"
+        if key(name).partition("[")[0] in self._given:
+            return f"the program changes {name[:40]}"
         fields = self._fields(name)
         if fields.get("IPO_FRAME", "").upper() == "#TCP":
             return TOOL_STANDS
         number = fields.get(f"{which}_NO")
-        return self._numbered(which, number) if number else f"{name} is not in this program, which says base and tool"
+        return (
+            self._numbered(which, number, at)
+            if number
+            else f"{name[:40]} is not in this program, which says base and tool"
+        )
 
     def _fields(self, name: str) -> dict[str, str]:
-        found = re.findall(r"(\w+)\s+([^,\s]+)", self._data.get(key(name), ""))
+        literal = re.fullmatch(BRACES, name)
+        found = re.findall(r"(\w+)\s+([^,\s]+)", literal[1] if literal else self._data.get(key(name), ""))
         return {field.upper(): value for field, value in found}
 
-    def _numbered(self, which: str, number: str | None) -> Frame | str:
+    def _numbered(self, which: str, number: str | None, at: int) -> Frame | str:
         if any(one == which and (said == number or not said.isdigit()) for one, said in self._changed):
             return f"the program changes {which}_DATA[{number}]"
         found = self._frames.get(f"{which}_DATA[{number}]")
+        first = self._set_at.get(f"{which}_DATA[{number}]", at)
+        if at < first and self.base.owner(at) == self.base.owner(first):
+            return f"{which}_DATA[{number}] is set after it"
         stated = (self._stated.bases if which == "BASE" else self._stated.tools).get(str(number))
         if found is None and stated is not None:
             return Frame(KRL, stated)
         if found is None and number == "0":
             return NULL
         option = which.lower()
-        return found or f"{option} {number} is not in this program: state it, --{option} {number}=X,Y,Z,A,B,C"
+        said = f"{number}=X,Y,Z,A,B,C"
+        said = said if str(number).isalnum() else f"'{said}'"  # a shell reads $
+        return found or f"{option} {number} is not in this program: state it, --{option} {said}"
 
     def at(self, place: int) -> tuple[tuple[Frame, ...] | str, Frame | str]:
         """Return base and tool of the motion at a place, or why they are not known."""
@@ -146,7 +194,7 @@ class KrlFrames:
         for said in (block, own):
             _, _, with_ = f" {said.strip()}".upper().partition(" WITH ")
             frames |= {
-                match[1].upper(): self._value(match[1].upper(), match[2]) for match in WITH.finditer(f" {with_}")
+                match[1].upper(): self._value(match[1].upper(), match[2], place) for match in WITH.finditer(f" {with_}")
             }
         return frames
 
@@ -158,6 +206,13 @@ class KrlFrames:
             return value
         stated = (self._stated.bases if which == "base" else self._stated.tools).get("")
         return Frame(KRL, stated) if stated else f"its {which} is not set before it: state it, --{which} X,Y,Z,A,B,C"
+
+
+def _declared(text: str) -> Iterator[str]:
+    """Yield the names, in capitals, that are declared as frames."""
+    for match in FRAMES.finditer(text):
+        for one in re.sub(r"\[[^\]]*\]", "", match[1]).split(","):
+            yield one.strip().upper()
 
 
 def six_of(inside: str) -> tuple[float, ...] | None:

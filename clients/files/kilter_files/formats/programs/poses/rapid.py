@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_at
 from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import ConfData
-from kilter_files.formats.programs.rapid_uses import changed, declared_again
+from kilter_files.formats.programs.rapid_uses import ROUTINE, changed, declared_again, other_uses
 
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 UNUSED_AXIS = 8e9
+MOVES = re.compile(
+    r"Move|Arc|Trigg|Search|Paint|Disp|Spot|GripLoad|SetSysData", re.I
+)  # beginnings of instructions that move with a tool
 
 
 def _list(count: int) -> str:
@@ -71,6 +74,9 @@ class RapidFrames:
             self._tools[name] = f"the program changes tool {name}"
         for name in set_anew & self._objects.keys():
             self._objects[name] = f"the program changes work object {name}"
+        for name, by in _handed_on(text, self._tools.keys() | self._objects.keys(), set_anew):
+            self._tools |= {name: f"{by} may change tool {name}"} if name in self._tools else {}
+            self._objects |= {name: f"{by} may change work object {name}"} if name in self._objects else {}
         for match in declared_again(text, self._tools.keys() | self._objects.keys()):
             name, why = match[1].lower(), f"{match[1]} is declared several times"
             self._tools |= {name: why} if name in self._tools else {}
@@ -80,7 +86,7 @@ class RapidFrames:
         """Return a tool."""
         found = self._tools.get(name.lower())
         stated = self._stated.tools.get(name)
-        if found is None and stated is not None:
+        if not isinstance(found, Frame) and stated is not None:
             return Frame(RAPID, stated)
         if found is None and name.lower() == "tool0":
             return NULL
@@ -90,11 +96,24 @@ class RapidFrames:
         """Return a work object: its user frame and, in it, its object frame."""
         found = self._objects.get(name.lower())
         stated = self._stated.bases.get(name)
-        if found is None and stated is not None:
+        if not isinstance(found, tuple) and stated is not None:
             return (Frame(RAPID, stated),)
         if found is None and name.lower() == "wobj0":
             return (NULL,)
         return found or f"work object {name} is not in this program: state it, --base {name}=x,y,z,q1,q2,q3,q4"
+
+
+def _handed_on(text: str, names: Collection[str], changed_names: set[str]) -> Iterator[tuple[str, str]]:
+    """Yield each tool or work object that something is given which may change it: no move, and no routine that does not."""
+    keep = {
+        match[1].lower()
+        for match in ROUTINE.finditer(text)
+        if not changed_names & {name.lower() for name in re.findall(r"(\w+)\s*(?:,|$)", match[2])}
+    }
+    for use in other_uses(text, names, ()):
+        by = use.handed_to
+        if by and by.lower() not in keep and not MOVES.match(by):
+            yield use.name.lower(), by
 
 
 def _frame(match: re.Match[str], first: int) -> Frame:

@@ -21,6 +21,7 @@ SHIFT = re.compile(
 TURN = re.compile(rf"R([xyz])\s*:=\s*({VALUE})", re.I)
 CONSTANT = re.compile(rf"\bCONST\s+num\s+(\w+)\s*:=\s*({NUMBER})\s*;", re.I)
 NUM = re.compile(r"\bnum\s+(\w+)", re.I)
+LOOP = re.compile(r"\bFOR\s+(\w+)\s+FROM\b", re.I)  # which declares its variable
 
 
 class Computed:
@@ -29,7 +30,7 @@ class Computed:
     def __init__(self, program: Program, text: str, declared: Callable[[str], PoseTarget | None]) -> None:
         """Take a program, its text with comments blanked, and what finds a declared target by what a move says."""
         self._program, self._text, self._declared = program, text, declared
-        several = [match[1].lower() for match in NUM.finditer(text)]
+        several = [match[1].lower() for pattern in (NUM, LOOP) for match in pattern.finditer(text)]
         constants = {match[1].lower(): float(match[2]) for match in CONSTANT.finditer(text)}
         self._constants = {name: value for name, value in constants.items() if several.count(name) == 1}
         self.named: set[int] = set()

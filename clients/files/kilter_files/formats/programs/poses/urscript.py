@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Use
-from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own
+from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.rapid import arguments
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]")
-INVERSE = re.compile(r"get_inverse_kin\s?\(")
-IN_FRAME = re.compile(r"pose_trans\s?\(")
-CALL = re.compile(r"\b(move[jlpc])\s?\(")
-SET_TCP = re.compile(r"\bset_tcp\s?\(")
+INVERSE = re.compile(r"get_inverse_kin[ \t]{0,9}\(")
+IN_FRAME = re.compile(r"pose_trans[ \t]{0,9}\(")
+CALL = re.compile(r"\b(move[jlpc])[ \t]{0,9}\(")
+SET_TCP = re.compile(r"\bset_tcp[ \t]{0,9}\(")
+CALLED = re.compile(r"(?<![\w.])(\w{1,64})[ \t]{0,9}\(")
+# functions that only reckon, set or tell, and words before a bracket
+KNOWN = re.compile(
+    r"(?:set|get|pose|is|force|socket|rtde|rpc|to|read|write|str|tool|path|wrench|point|integer|modbus)_\w{1,64}"
+    r"|interpolate_pose|textmsg|popup|norm|length|dot|cross|transpose|inv|if|elif|while|and|or|not|return|def|thread|run|join"
+    r"|sleep|sync|abs|a?(?:sin|cos|tan)|atan2|sqrt|pow|exp|log|floor|ceil|random|d2r|r2d|zero_ftsensor|size|enter_critical"
+    r"|end_force_mode|powerdown|varmsg|request_\w{1,64}"
+)
+MOVES = re.compile(r"(?:optimove|move|servo|speed)[jlpc]")
+DISPLACED = re.compile(r"\b(?:path_offset_(?:set|enable)|track_conveyor_\w{1,20})[ \t]{0,9}\(")
+OF_INVERSE = ("qnear", "maxpositionerror", "maxorientationerror", "tcp")
+FIXED_ORIENTATION = re.compile(r"mode\s?=(?!\s?0\b)")
 CONTROL = re.compile(
     r"^[ \t]*(?:(if|while)\b|(end)\b|(def|thread|sec|elif|else|halt|return|break|continue|join|run|kill)\b)", re.M
 )
@@ -25,7 +37,7 @@ OPENS = frozenset(("if", "while", "def", "thread", "sec"))
 PARTS = frozenset(("def", "thread", "sec"))
 CHANGED = re.compile(r"^[ \t]*(\w{1,64})[ \t]*\[[^\]\n]{1,40}\][ \t]*=(?!=)", re.M)
 
-NAMED = re.compile(r"\w{1,16}\s?=(?!=)\s?")
+NAMED = re.compile(r"\w{1,32}\s?=(?!=)\s?")
 
 Places = Mapping[str, list[tuple[int, str]]]
 
@@ -39,29 +51,27 @@ class Poses:
         self._taken: dict[int, PoseTarget] = {}
         self._framed: list[tuple[PoseTarget, str]] = []
         self._changed = {match[1] for match in CHANGED.finditer(text)}
+        self._displaced = DISPLACED.search(text) is not None
         ways = (1, -1, 0)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
         calls = [(at, 0) for at in calls_of_own(text, OWN)]
         starts, owners = _parts(text)
         self._tool = InForce(sorted([*control, *calls]), starts, owners)
-        for at, tool in sorted(self._tools(text, dict(zip(starts, owners, strict=True))), key=lambda one: one[0]):
+        others = [(at, 0) for at in _other_calls(text)]
+        self._way = InForce(sorted({*control, *calls, *others}), starts, owners)
+        for at, tool in sorted(self._tools(text), key=lambda one: one[0]):
             self._tool.set(at, tool)
         self.last: tuple[int, JointTarget | PoseTarget] | None = None
 
-    def _tools(self, text: str, parts: Mapping[int, int]) -> list[tuple[int, Frame | str]]:
+    def _tools(self, text: str) -> list[tuple[int, Frame | str]]:
         """The tools that the program sets, and the calls of subprograms that set another."""
         found: list[tuple[int, Frame | str]] = []
         for match in SET_TCP.finditer(text):
             _, said = next(arguments(inside(text, match.end())))
             found.append((match.start(), self._frame(said)))
         if len({tool for _, tool in found}) > 1:
-            heads = {match.start(): match for match in OWN.finditer(text)}
-            setting = {max((at for at in parts if at < place), default=-1) for place, _ in found}
-            own = {heads[at][1] for at in setting if at in heads}
-            for at in calls_of_own(text, OWN):
-                name = re.match(r"\w+", text[at : at + 64])
-                if name and name[0] in own:
-                    found.append((at, f"{name[0]}() sets the tool"))
+            calls = calls_that_set(text, OWN, self._tool.owner, [at for at, _ in found])
+            found += [(at, f"{name}() sets the tool") for at, name in calls]
         return found
 
     def _frame(self, said: str) -> Frame | str:
@@ -69,8 +79,16 @@ class Poses:
         whole = SIX.fullmatch(places[0][1] if len(places) == 1 else said)
         return Frame(URSCRIPT, tuple(map(float, whole.groups()))) if whole else f"set_tcp({said[:40]}) is not known"
 
-    def take(self, match: re.Match[str], hint: JointTarget | None) -> bool:
-        """Take the poses of a move; whether all that it goes to are such. ``hint`` are joints that the move states."""
+    def is_sure(self, name: str, at: int, places: Sequence[tuple[int, str]]) -> bool:
+        """Say whether a variable surely has the last of its values before a place there."""
+        before = [(place, value) for place, value in places if place < at]
+        return name not in self._changed and self._way.chosen(places, at) == (before or places)[-1][1]
+
+    def take(self, match: re.Match[str], hint: JointTarget | None, doubt: str = "") -> bool:
+        """Take the poses of a move; whether all that it goes to are such.
+
+        ``hint`` are joints that the move states, ``doubt`` is what is not known of how it finds joints.
+        """
         call = CALL.match(self._text, match.start())
         if call is None:
             return False
@@ -83,6 +101,11 @@ class Poses:
             pose, base = goal
             near = hint or self.before(match.start())
             pose.uses.append(Use(base, self._held(match.start()), near, call[1] != "movej"))
+            turned = call[1] == "movec" and any(FIXED_ORIENTATION.match(one) for _, one in said)
+            pose.problem = pose.problem or doubt or ("its orientation is not kept (mode)" if turned else "")
+            pose.problem = pose.problem or (
+                "the program displaces it (path offset, conveyor)" if self._displaced else ""
+            )
             what = f"{call[1]}({said[0][1][:40]}"
             self._program.moves_to_poses.append((line_at(self._text, match.start()), what, pose))
             self.last = (match.start(), pose)
@@ -90,7 +113,7 @@ class Poses:
 
     def before(self, at: int) -> JointTarget | PoseTarget | None:
         """Return the target from which the program always comes to a place, if there is one."""
-        return self.last[1] if self.last is not None and self._tool.joined(self.last[0], at) else None
+        return self.last[1] if self.last is not None and self._way.joined(self.last[0], at) else None
 
     def _held(self, at: int) -> Frame | str:
         known, value = self._tool.at(at)
@@ -135,16 +158,8 @@ class Poses:
         if any(whole is None for _, whole in values) or said in self._changed:
             return None
         frames = [(place, Frame(URSCRIPT, tuple(map(float, whole.groups())))) for place, whole in values if whole]
-        if len({frame for _, frame in frames}) == 1:
-            return frames[0][1]
-        force = InForce(self._tool.control, self._tool.starts, self._tool.owners)
-        for place, frame in frames:
-            force.set(place, frame)
-        known, found = force.at(at)
-        alone = len({force.owner(place) for place in (at, *(place for place, _ in frames))}) == 1
-        if known and alone and isinstance(found, Frame):
-            return found
-        return f"its frame {said} depends on the way that the program took"
+        found = self._tool.chosen(frames, at)
+        return found if isinstance(found, Frame) else f"its frame {said} depends on the way that the program took"
 
     def _pose(self, at: int, said: str) -> PoseTarget | None:
         places = self._declared.get(said, []) or ([(at, said)] if said.startswith("p") else [])
@@ -187,6 +202,30 @@ def _unnamed(at: int, said: str) -> tuple[int, str]:
     """An argument and its place without its name: ``pose=``."""
     named = NAMED.match(said)
     return (at + named.end(), said[named.end() :]) if named else (at, said)
+
+
+def _other_calls(text: str) -> list[int]:
+    """Where a program calls what its text does not hold, which may move the arm."""
+    own = {match.start(1) for match in OWN.finditer(text)}
+    return [
+        match.start()
+        for match in CALLED.finditer(text)
+        if match.start() not in own and not KNOWN.fullmatch(match[1]) and not MOVES.fullmatch(match[1])
+    ]
+
+
+def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
+    """Return what ``get_inverse_kin`` is given beside the pose, by name in small letters: places and values."""
+    call = INVERSE.match(text, at)
+    if call is None:
+        return {}
+    found = {}
+    for k, (place, one) in enumerate([*arguments(inside(text, call.end()))][1:]):
+        named = NAMED.match(one)
+        name = one[: named.end()].split("=")[0].strip() if named else OF_INVERSE[min(k, 3)]
+        start, value = _unnamed(call.end() + place, one)
+        found["".join(name.lower().split("_"))] = (start, value)
+    return found
 
 
 def inside(text: str, at: int) -> str:

@@ -7,7 +7,9 @@ from typing import Any
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.references import resolved
 from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.wording import in_words, parameters_of
 from kilter_client.errors import KilterError
 from kilter_client.verbs.dry_run import checked_here, checked_rows
 from kilter_files import Prepared
@@ -17,15 +19,25 @@ Document = dict[str, Any]
 LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 
-def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
-    """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse."""
+def what_it_holds(
+    robot: str, prepared: Prepared, wanted: Mapping[str, Any], campaign: str | None = None, as_json: bool = False
+) -> Document:
+    """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse.
+
+    ``wanted`` is the campaign that an upload would make, or ``campaign`` the one that it would add to.
+    """
     known = {"rows": prepared.rows, "sha256": prepared.sha256}
     try:
         kilter = Kilter()
     except KilterError as error:  # a dry run needs no server
-        return known | checked_here(prepared, conditions, error)
+        return known | checked_here(prepared, wanted["conditions"], error)
     with kilter:
-        return known | kilter.run(checked_rows(robot, prepared, conditions))
+        into = resolved(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
+        return known | kilter.run(checked_rows(robot, prepared, wanted, into, _worded))
+
+
+def _worded(detail: str) -> str:
+    return in_words(detail, parameters_of(["upload"]))
 
 
 def show_dry_run(document: Document) -> None:

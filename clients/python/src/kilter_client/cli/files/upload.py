@@ -145,7 +145,7 @@ def upload(
         "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
     }  # fmt: skip
     done = (
-        what_it_holds(robot, prepared, conditions)
+        what_it_holds(robot, prepared, wanted, campaign, as_json)
         if dry_run
         else send(robot, campaign, wanted, file, prepared, as_json)
     )

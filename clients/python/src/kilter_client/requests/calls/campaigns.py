@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import binascii
+import hashlib
+import json
+import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -27,13 +30,17 @@ UPLOAD_TIMEOUT_S = 600.0
 
 
 def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
-    """Add a campaign to a robot; what is false or not stated is not sent, so that an earlier server takes it."""
-    body = {
+    """Add a campaign to a robot."""
+    return post(address("robots", robot, "campaigns"), _stated(wanted), idempotency_header())
+
+
+def _stated(wanted: Mapping[str, Any]) -> Document:
+    """A campaign as it is sent: without what is false or not stated, so that an earlier server takes it."""
+    return {
         key: value
         for key, value in wanted.items()
         if value or key not in ("staged", "numbered", "measured_at", "instrument")
     }
-    return post(address("robots", robot, "campaigns"), body, idempotency_header())
 
 
 def list_campaigns(robot: str, staged: bool = False, retired: bool = False) -> Steps[list[Document]]:
@@ -81,20 +88,36 @@ def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str |
         "POST",
         path,
         content=file.content,
-        headers={"Content-Type": file.content_type, "Content-Digest": _digest(file)} | idempotency_header(),
+        headers={"Content-Type": file.content_type, "Content-Digest": _digest(file.sha256)} | idempotency_header(),
         timeout_s=UPLOAD_TIMEOUT_S,
         sent=sent,
     )
     return (yield from read(request))
 
 
-def check(robot: str, file: Prepared) -> Steps[Document]:
-    """Check observations as an upload would; nothing is stored."""
+def check(
+    robot: str, file: Prepared, wanted: Mapping[str, Any] | None = None, into: str | None = None
+) -> Steps[Document]:
+    """Check observations as an upload to the campaign ``wanted``, or to the one with the id ``into``; nothing is stored."""
     path = address("robots", robot, "observations", "check")
-    headers = {"Content-Type": file.content_type, "Content-Digest": _digest(file)}
-    return (yield from read(Request("POST", path, content=file.content, headers=headers, timeout_s=UPLOAD_TIMEOUT_S)))
+    content, headers = file.content, {"Content-Type": file.content_type, "Content-Digest": _digest(file.sha256)}
+    if wanted is not None:
+        content, kind = _form(_stated(wanted), file)
+        headers = {"Content-Type": kind, "Content-Digest": _digest(hashlib.sha256(content).hexdigest())}
+    params = {} if into is None else {"campaign": into}
+    asked = Request("POST", path, params=params, content=content, headers=headers, timeout_s=UPLOAD_TIMEOUT_S)
+    return (yield from read(asked))
 
 
-def _digest(file: Prepared) -> str:
+def _form(campaign: Document, file: Prepared) -> tuple[bytes, str]:
+    """A campaign and its rows as one body (RFC 7578), and its media type."""
+    mark = os.urandom(16).hex()
+    part = f"--{mark}\r\nContent-Disposition: form-data; name="
+    head = f'{part}"campaign"\r\nContent-Type: application/json\r\n\r\n{json.dumps(campaign)}\r\n'
+    head += f'{part}"rows"; filename="rows"\r\nContent-Type: {file.content_type}\r\n\r\n'
+    return head.encode() + file.content + f"\r\n--{mark}--\r\n".encode(), f"multipart/form-data; boundary={mark}"
+
+
+def _digest(sha256: str) -> str:
     """The hash of what is sent (RFC 9530): the server refuses bytes that changed on their way."""
-    return f"sha-256=:{binascii.b2a_base64(bytes.fromhex(file.sha256), newline=False).decode()}:"
+    return f"sha-256=:{binascii.b2a_base64(bytes.fromhex(sha256), newline=False).decode()}:"
