@@ -134,9 +134,8 @@ def upload(
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     # The robot's joints, where a bag names its joints and nobody said which is the first.
     asks = joints is not None and column_map is None and not joint_order and recognised(joints, "bag")
-    hints = LogHints(
-        topic, arguments.split_names([joint_order]) if joint_order else [], joints_of(robot) if asks else []
-    )
+    order = arguments.split_names([joint_order]) if joint_order else []
+    hints = LogHints(topic, order, joints_of(robot) if asks else [])
     read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
     prepared = checked_markers(file, read, unchecked)
     if calibration:
@@ -155,9 +154,10 @@ def upload(
     odd = [str(one["message"]) for one in done.get("warnings", ())]  # what the server found in rows that it stored
     for text in odd:
         note(f"  Warning: {text}", as_json)
-    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes), "warnings": []}
-    report = understood | done | {"warnings": [*prepared.warnings, *odd]}
-    emit(report, as_json, show_dry_run if dry_run else _show_upload)
+    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes)}
+    emit(
+        understood | done | {"warnings": [*prepared.warnings, *odd]}, as_json, show_dry_run if dry_run else _show_upload
+    )
     if dry_run and done["refused"]:
         raise typer.Exit(1)
 
