@@ -134,6 +134,7 @@ def test_what_is_no_message_of_a_robot_is_none_and_other_joint_counts_have_no_jo
         other = wire.read(robot_message(wrong))
         assert other is not None
         assert other.joints is None
+    assert wire.counts["joints_unusable"] == 4
     assert wire.read(robot_message([1.0] * 3, None)) is None
     rng = np.random.default_rng(4)
     for _ in range(3000):

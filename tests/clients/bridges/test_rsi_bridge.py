@@ -15,8 +15,9 @@ import zenoh
 
 from kilter_client import Kilter
 from kilter_client.bridges.news import Kind
-from kilter_client.bridges.versions import Followed, look
+from kilter_client.bridges.versions import Followed, first, look
 from kilter_client.cli import run
+from kilter_client.errors import ConflictError, NotFoundError
 from kilter_client.streaming.corrector import session_config
 from kilter_core.correct.file import from_bytes
 from tests.clients.answered import document
@@ -188,6 +189,13 @@ def test_a_controller_that_may_correct_already_is_refused_in_words(
         bridge.heard("starting")
 
 
+def test_a_version_of_another_robot_is_refused_at_the_start(arm: str, own_arm: str, kilter: Kilter) -> None:
+    foreign = kilter.robots.get(arm)["active_version"]
+    with pytest.raises(NotFoundError, match=f"is of robot {arm}, not of {own_arm}: name one of") as refused:
+        first(own_arm, foreign, False)
+    assert refused.value.code == "version_not_found"
+
+
 def test_the_version_that_a_bridge_follows_is_the_active_one_or_that_it_was_told(
     own_arm: str, kilter: Kilter, tmp_path: Path
 ) -> None:
@@ -200,6 +208,9 @@ def test_the_version_that_a_bridge_follows_is_the_active_one_or_that_it_was_told
     assert [(kind, from_bytes(text).version_id) for kind, text in news] == [(Kind.PROGRAM, new["id"])]
     assert look(own_arm, old["id"], False, known) == (known, [], "")  # told, it stays
     kilter.versions.retire(old["id"])
+    with pytest.raises(ConflictError, match="is retired: restore it") as retired:
+        first(own_arm, old["id"], False)
+    assert retired.value.code == "retired"
     off, news, _ = look(own_arm, old["id"], False, known)
     assert news == [(Kind.OFF, f"version {old['id']} is retired".encode())]
     assert look(own_arm, old["id"], False, off) == (off, [], "")  # it is said once

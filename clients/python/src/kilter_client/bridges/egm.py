@@ -48,7 +48,10 @@ class EgmWire:
         joints = protobuf.message_of(data, FEEDBACK, JOINTS)
         degrees = [] if joints is None else protobuf.doubles_of(joints, JOINTS)
         good = len(degrees) == len(self._signs) and all(map(math.isfinite, degrees))
-        return radians(degrees, self._signs) if good else None
+        if not good:  # the plan goes on: it needs the arm's joints at its beginning only
+            self._setpoints.counts["joints_unusable"] += 1
+            return None
+        return radians(degrees, self._signs)
 
     def cycles(self, stamps: int) -> int | None:
         """Return the cycles between sequence numbers so far apart: as many."""

@@ -39,6 +39,7 @@ def first(robot: str, version: str | None, force: bool) -> Found:
 
     Raises:
         ConflictError: the controller corrects already or nobody said whether it does, or no version can be used.
+        NotFoundError: the version is of another robot.
 
     """
     with Kilter() as kilter:
@@ -53,9 +54,14 @@ def first(robot: str, version: str | None, force: bool) -> Found:
             )  # fmt: skip
         found = kilter.versions.get(version or arm["active_version"], robot=robot)
         if found["robot"] != robot:
-            raise ConflictError(f"Version {found['id']} is of robot {found['robot']}, not of {robot}.", robot=robot)
+            raise NotFoundError(
+                f"Version {found['id']} is of robot {found['robot']}, not of {robot}: name one of `kilter versions {robot}`.",
+                code="version_not_found", robot=robot,
+            )  # fmt: skip
         if version is not None and found["retired_at"] is not None:
-            raise ConflictError(f"Version {found['id']} is retired: restore it, or name another.", robot=robot)
+            raise ConflictError(
+                f"Version {found['id']} is retired: restore it, or name another.", code="retired", robot=robot
+            )
         program = kilter.versions.export(found["id"], FORM)
     kinds = tuple(joint["kind"] for joint in arm["joints"])
     limits = tuple((*(joint.get("limits_deg") or (None, None)),) for joint in arm["joints"])
