@@ -13,6 +13,7 @@ from kilter_client.requests.steps import Document, Steps
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
+    from kilter_files.formats.joints.lerobot.calibration import Calibration
 
 CONDITION = "calibration_sha256"
 
@@ -28,7 +29,16 @@ def stated(
     """
     if calibration is None:
         return {}, prepared
-    found = files_beside_rows.of_follower(Path(fspath(calibration)))
+    return (yield from compared(robot, files_beside_rows.of_follower(Path(fspath(calibration))), prepared, file))
+
+
+def compared(robot: str, found: Calibration, prepared: Prepared, file: str) -> Steps[tuple[Document, Prepared]]:
+    """Return the condition that a follower's calibration is, and the rows with what was not compared.
+
+    Raises:
+        FileError: it is of another arm, or its servos do not reach a reading.
+
+    """
     joints = [str(joint["name"]) for joint in (yield from robots.one(robot))["joints"]]
     servos = files_beside_rows.servos_of(found, joints)
     shown = {

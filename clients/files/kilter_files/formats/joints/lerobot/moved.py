@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kilter_files.formats.joints.lerobot.calibration import TICKS, TURN_TICKS
 from kilter_files.formats.joints.lerobot.episodes import Episodes
 from kilter_files.ground.arrays import Floats
 
@@ -24,7 +25,7 @@ NORMAL, ROOT_2 = 1.4826, math.sqrt(2.0)  # a normal standard deviation in median
 TRIMMED = 0.82  # mean distance of neighbours, the largest eighth left out, in standard deviations
 ZERO, POSTURE, LAG, ROTATION = "zero", "posture", "lag", "rotation"
 POSTURES = ("start", "end", "low", "high")
-WHOLE_ROTATION_DEG = 4096 * 360.0 / 4095.0  # LeRobot counts 4095 ticks to 360 degrees
+WHOLE_ROTATION_DEG = TICKS * 360.0 / TURN_TICKS
 NEAR_ROTATION_DEG = 30.0  # by which what is usual of an episode scatters from task to task
 
 

@@ -11,7 +11,7 @@ from kilter_client import Kilter
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.errors import FileError, KilterError
 from kilter_client.files import files_beside_rows, files_calibration
-from kilter_client.verbs.servo_calibration import CONDITION, stated
+from kilter_client.verbs.servo_calibration import CONDITION, compared
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
@@ -76,13 +76,13 @@ def stated_servos(
 
     """
     check_numpy()
-    condition = servo_conditions(calibration)
+    found = files_beside_rows.of_follower(calibration)
     try:
         with Kilter() as kilter:
-            return kilter.run(stated(robot, calibration, prepared, str(file)))
+            return kilter.run(compared(robot, found, prepared, str(file)))
     except FileError:
         raise
     except KilterError:
         if not dry_run:
             raise
-        return condition, prepared
+        return {CONDITION: found.sha256}, prepared
