@@ -138,26 +138,22 @@ def upload(
     hints = LogHints(topic, order, joints_of(robot) if asks else [])
     read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
     prepared = checked_markers(file, read, unchecked)
-    if calibration:
-        servos, prepared = stated_servos(robot, calibration, prepared, file, dry_run)
-        conditions |= servos
+    servos, prepared = stated_servos(robot, calibration, prepared, file, dry_run) if calibration else ({}, prepared)
     _tell(file, prepared, as_json)
     wanted = {
-        "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions,
+        "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions | servos,
         "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
     }  # fmt: skip
-    done = (
-        what_it_holds(robot, prepared, wanted, campaign, as_json)
-        if dry_run
-        else send(robot, campaign, wanted, file, prepared, as_json)
-    )
+    if dry_run:
+        done = what_it_holds(robot, prepared, wanted, campaign, as_json)
+    else:
+        done = send(robot, campaign, wanted, file, prepared, as_json)
     odd = [str(one["message"]) for one in done.get("warnings", ())]  # what the server found in rows that it stored
     for text in odd:
         note(f"  Warning: {text}", as_json)
-    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes)}
-    emit(
-        understood | done | {"warnings": [*prepared.warnings, *odd]}, as_json, show_dry_run if dry_run else _show_upload
-    )
+    report = {"columns": list(prepared.columns), "notes": list(prepared.notes)} | done
+    report["warnings"] = [*prepared.warnings, *odd]
+    emit(report, as_json, show_dry_run if dry_run else _show_upload)
     if dry_run and done["refused"]:
         raise typer.Exit(1)
 
