@@ -13,7 +13,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.requests.connection import Connection
-from kilter_client.requests.steps import Request
+from kilter_client.requests.steps import Request, Step
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
@@ -154,13 +154,14 @@ def test_the_client_sends_keys_digests_and_states(
 ) -> None:
     server = serve(create_app(settings))
     seen: list[Request] = []
-    sent = Connection._sent
+    done = Connection._done
 
-    def noted(self: Connection, step: Request) -> Any:
-        seen.append(step)
-        return sent(self, step)
+    def noted(self: Connection, step: Step) -> Any:
+        if isinstance(step, Request):
+            seen.append(step)
+        return done(self, step)
 
-    monkeypatch.setattr(Connection, "_sent", noted)
+    monkeypatch.setattr(Connection, "_done", noted)
     (tmp_path / "rows.csv").write_bytes(CSV)
     with Kilter(str(server.base_url), token=admin_token(settings)) as kilter:
         kilter.robots.add(Katana.document)
