@@ -13,6 +13,7 @@
 #include <sys/mman.h>
 #include <time.h>
 
+enum { WARM_UP = 1000 };
 static unsigned char content[1 << 20];
 static double memory[(KC_MOST_ROWS + 256) * KC_COLUMNS];
 
@@ -52,7 +53,7 @@ int main(int argc, char **argv)
     double *empty = calloc((size_t)(count > 0 ? count : 1), sizeof *empty);
     kc_corrector corrector;
     const int code = kc_load(&corrector, content, bytes, memory, sizeof memory / sizeof *memory, 0);
-    if (!took || !empty || count < 1000 || code) {
+    if (!took || !empty || count < WARM_UP || code) {
         fprintf(stderr, "c_corrector PROGRAM COUNT [PRIORITY]: %s\n", code ? kc_sentence(code) : "COUNT is 1000 or more");
         return 2;
     }
@@ -62,12 +63,11 @@ int main(int argc, char **argv)
     double q[KC_MOST_JOINTS], out[KC_MOST_JOINTS];
     kc_answer answer;
     long refused = 0;
-    /* As many rounds of the empty loop as take the time of a setpoint, by the fastest of each. */
-    double fastest = INFINITY, round_ns = INFINITY;
+    /* As many rounds of the empty loop as take the time of a setpoint, by the medians of WARM_UP of each. */
     long rounds = 1000;
     /* Linux takes real-time processes that never rest off the processor, for 50 ms of each second: a controller rests. */
     const struct timespec rest = {0, 1000000};
-    for (long k = -1000; k < count; k++) {
+    for (long k = -WARM_UP; k < count; k++) {
         struct timespec begun;
         if (real_time && k % 250 == 0) nanosleep(&rest, NULL);
         for (int i = 0; i < corrector.joints; i++) q[i] = 0.7 * sin(0.001 * (1.0 + 0.3 * i) * (double)k + i);
@@ -77,13 +77,13 @@ int main(int argc, char **argv)
         clock_gettime(CLOCK_MONOTONIC, &begun);
         run_empty(rounds);
         const double other = since(&begun);
-        if (k < 0) {
-            fastest = fmin(fastest, one);
-            round_ns = fmin(round_ns, other / 1000.0);
-            if (k == -1) rounds = (long)(fastest / round_ns);
-        } else {
-            took[k] = one;
-            empty[k] = other;
+        took[k < 0 ? k + WARM_UP : k] = one;
+        empty[k < 0 ? k + WARM_UP : k] = other;
+        if (k == -1) {
+            qsort(took, WARM_UP, sizeof *took, by_size);
+            qsort(empty, WARM_UP, sizeof *empty, by_size);
+            rounds = (long)(1000.0 * took[WARM_UP / 2] / empty[WARM_UP / 2]);
+            refused = 0;
         }
     }
     printf("%d %d %ld", locked, real_time, refused);
