@@ -44,6 +44,7 @@ from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.start_model import begin_with, refuse_missing_columns
+from kilter_core.identify.uncertainty.by_views import place_beside
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses
 from kilter_core.identify.uncertainty.held_arm import beside_held_arm
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
@@ -342,7 +343,7 @@ def _reported(
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
         predictive=predictive_of(fit_of_all, scatter)
-        or predictive(marginal(predicted), repeats, options.noise_m, Structure.of(plain)),
+        or predictive(marginal(predicted), repeats, options.noise_m, Structure.of(plain), place_beside(plain)),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
         warnings=(

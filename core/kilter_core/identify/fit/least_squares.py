@@ -332,15 +332,22 @@ def freedom_by_group(fit: Fit) -> dict[str, float]:
     A fit follows ten points of a tracker beside thousands of corners far more closely than these. Corrected as all of them
     together, their noise came out five times too small.
     """
-    problem, start = fit.problem, 0
-    numbers: dict[str, float] = {}
-    taken: dict[str, float] = {}
-    if len(problem.measurement.kinds) == 1:
+    measurement = fit.problem.measurement
+    if len(measurement.kinds) == 1:
         return {}
+    numbers: dict[str, float] = {}
     for block in fit.residual.blocks:
-        J = fit.J[start : start + problem.numbers_of(block)]
-        start += len(J)
-        seen = np.count_nonzero(~np.isnan(block.r)) / problem.measurement.redundancy_of(block.group)
+        seen = np.count_nonzero(~np.isnan(block.r)) / measurement.redundancy_of(block.group)
         numbers[block.group] = numbers.get(block.group, 0.0) + seen
-        taken[block.group] = taken.get(block.group, 0.0) + float(np.sum((J.T @ J) * fit.covariance))
+    taken = taken_by_group(fit)
     return {group: float(max(count - taken[group], 1.0)) for group, count in numbers.items()}
+
+
+def taken_by_group(fit: Fit) -> dict[str, float]:
+    """How many numbers of each noise group the parameters took."""
+    start, taken = 0, dict[str, float]()
+    for block in fit.residual.blocks:
+        J = fit.J[start : start + fit.problem.numbers_of(block)]
+        start += len(J)
+        taken[block.group] = taken.get(block.group, 0.0) + float(np.sum((J.T @ J) * fit.covariance))
+    return taken

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit, taken_by_group
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
 from kilter_core.identify.uncertainty.predictive import CHANCE, Predictive
@@ -31,6 +31,22 @@ def view_scatter(fit: Fit) -> ViewScatter:
     assert views is not None
     inner = sum(unknown.what != "pose" for unknown, _ in _unknowns(fit))
     return views.tool_errors(fit.calibration()).scatter(fit.effective - inner, inner)
+
+
+def place_beside(fit: Fit) -> float | None:
+    """Standard deviation (m) of a coordinate of the tool by views beside a tracker; None where no view tells.
+
+    Corners say how noisy a view is, whatever a model lacks. So views say how far off the tool is where a tracker's points, each
+    pose visited once, cannot tell that from their noise.
+    """
+    views = fit.problem.measurement.pixels
+    if views is None or views.observes_tool:
+        return None
+    errors = views.tool_errors(fit.calibration())
+    inner = sum(unknown.what != "pose" for unknown, _ in _unknowns(fit))
+    if not len(errors.rows) or errors.numbers <= inner:
+        return None
+    return errors.scatter(max(taken_by_group(fit)[views.group] - inner, 0.0), inner).place
 
 
 def by_views(fit: Fit, found: ViewScatter) -> Fit:

@@ -161,13 +161,18 @@ def acting(calibration: Calibration, rows: Observations) -> Calibration:
 
 
 def predictive(
-    fit: Fit, repeats: Repeats, stated: float | None = None, structure: Structure | None = None
+    fit: Fit,
+    repeats: Repeats,
+    stated: float | None = None,
+    structure: Structure | None = None,
+    by_views: float | None = None,
 ) -> Predictive:
     """What a clustered ``fit`` knows, with the noise of its ``repeats``, or as ``stated`` (m) for a coordinate.
 
     The noise tells what is left beyond it, and the ``structure`` of what is left which part follows the joints: the larger
     counts, since a noise from few repeats hides much. Where no noise is known the structure alone tells; as soon as it shows
-    that the model lacks something, all that is left counts, for what is rough in it looks like noise.
+    that the model lacks something, all that is left counts, for what is rough in it looks like noise; beside views no more of
+    that than these say that the tool is off (``by_views`` m of a coordinate).
     """
     of_noise = freedom_by_group(fit).get(POINTS, fit.freedom or np.inf)
     left, freedom, kind = left_of(fit), repeats.freedom, fit.problem.measurement.tool.name
@@ -176,7 +181,8 @@ def predictive(
     if noise is None and sigma is not None:
         noise = float(np.sqrt(np.mean(sigma**2)))
     if noise is None:
-        share = 1.0 if structure is None else structure.at_most
+        rough = np.inf if by_views is None or left <= 0.0 else (by_views / left) ** 2
+        share = 1.0 if structure is None else structure.at_most(rough)
         inadequacy = _reaching(share * left**2, left, structure)
         return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, of_noise, kind)
     known = EXACT if stated is not None or repeats.between is None else freedom

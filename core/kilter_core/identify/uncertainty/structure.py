@@ -42,10 +42,12 @@ class Structure:
     lacking: float
     reach: float = 1.0
 
-    @property
-    def at_most(self) -> float:
-        """Share that may be the model's where no noise is known: all as soon as it lacks something."""
-        return self.lacking + (1.0 - self.lacking) * self.share
+    def at_most(self, rough: float = float("inf")) -> float:
+        """Share that may be the model's where no noise is known: all as soon as it lacks something.
+
+        What is rough in it looks like noise; where something else says how large that may be, a ``rough`` share at most.
+        """
+        return min(self.lacking + (1.0 - self.lacking) * self.share, self.share + self.lacking * rough)
 
     @staticmethod
     def of(fit: Fit) -> Structure | None:

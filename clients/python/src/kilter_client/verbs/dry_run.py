@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from kilter_client.results.dry_run import DryRun
     from kilter_files import Prepared
 
+PIXEL = re.compile(r"[uv]\d+_px")
 REFUSALS = (CalibrationError, ConflictError, NotFoundError, PayloadError)  # that an upload would meet, too
 
 
@@ -103,14 +105,28 @@ def _by_server(
     try:
         done = yield from campaigns.check(robot, prepared, wanted if into is None else None, into)
     except ApiError as error:
-        if error.code != "media_type_unsupported" or into is not None:
+        if not _knows_rows_alone(error):
             raise
-        # A server that is older than this client checks the rows alone.
         done = yield from campaigns.check(robot, prepared)
-        return list(
-            done.get("warnings", ())
-        ), "name, conditions and instrument, which this server looks at in an upload only"
+        return list(done.get("warnings", ())), _left_to_upload(prepared, into)
     return list(done.get("warnings", ())), ""
+
+
+def _knows_rows_alone(error: ApiError) -> bool:
+    """Whether a server refused the question and not the rows: one that is older than this client checks rows alone."""
+    if error.code == "media_type_unsupported":
+        return True
+    places = [one.get("place") for one in error.context.get("errors", ())]
+    return error.code == "payload_invalid" and places == ["query.campaign"]
+
+
+def _left_to_upload(prepared: Prepared, into: str | None) -> str:
+    """What such a server looks at in an upload only."""
+    parts = ["name", "conditions", "instrument"] if into is None else ["columns of the campaign"]
+    if any(map(PIXEL.fullmatch, files_summary.columns_of(prepared))):
+        parts.append("what its cameras and boards can show")
+    listed = ", ".join(parts[:-1]) + " and " if len(parts) > 1 else ""
+    return f"{listed}{parts[-1]}, which this server looks at in an upload only, for it is older than this program"
 
 
 def checked_here(
