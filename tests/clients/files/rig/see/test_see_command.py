@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -225,3 +226,29 @@ def test_the_real_pictures(shared_data: Path, tmp_path: Path, capsys: pytest.Cap
     swapped = board(("--columns", "7", "--rows", "5", *sizes))[0]
     refused = seen(tmp_path, capsys, str(folder), "--board", str(swapped), code=1)
     assert refused["code"] == "columns_rows_swapped"
+
+
+class Bar:
+    """What a terminal would show."""
+
+    def __init__(self) -> None:
+        self.titles: list[str] = []
+        self.done: list[tuple[int, int]] = []
+
+    def add_task(self, title: str, **_: object) -> int:
+        self.titles.append(title)
+        return 0
+
+    def update(self, _: int, *, completed: int, total: int) -> None:
+        self.done.append((completed, total))
+
+
+def test_the_bar_says_that_pictures_are_looked_through(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bar = Bar()
+    monkeypatch.setattr("kilter_client.cli.terminal.progress._watched", lambda as_json: not as_json)
+    monkeypatch.setattr("kilter_client.cli.terminal.progress.bars", lambda **_: nullcontext(bar))
+    assert run(["see", str(pictures), "--board", own_board(), "-o", str(tmp_path / "views.csv")]) == 0
+    assert bar.titles == ["looking through 3 pictures"]
+    assert bar.done == [(1, 3), (2, 3), (3, 3)]

@@ -166,7 +166,8 @@ def _looked(looker: Looker, source: Pictures, output: Path, camera_name: str | N
     part, whole = (output.with_name(output.name + ending) for ending in (".part", ".whole"))
     total = source.count()
     try:
-        with upload_bar(f"{total} pictures", as_json) as told, part.open("w", encoding="utf-8", newline="") as stream:
+        bar = upload_bar(f"{total} pictures", as_json, "looking through")
+        with bar as told, part.open("w", encoding="utf-8", newline="") as stream:
             seen = looker.look(source, stream, camera_name, lambda done: told(done, total))
         if output.suffix.lower() == PARQUET:
             write_parquet(part, whole)

@@ -12,13 +12,13 @@ from kilter_client.verbs.progress import bars
 
 
 @contextmanager
-def upload_bar(name: str, as_json: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show the bytes sent."""
+def upload_bar(name: str, as_json: bool, doing: str = "sending") -> Iterator[Callable[[int, int], None]]:
+    """Show how much is done of the total: bytes sent, or what else is being done."""
     if not _watched(as_json):
         yield lambda sent, total: None
         return
     with bars(stderr=True) as bar:
-        task = bar.add_task(f"sending {name}", total=None)
+        task = bar.add_task(f"{doing} {name}", total=None)
         yield lambda sent, total: bar.update(task, completed=sent, total=total)
 
 
