@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.errors import ConflictError, FileError
+from kilter_client.errors import ConflictError, FileError, PayloadError
 from kilter_files import prepare
 from tests.clients.files.formats.test_lerobot import calibration, dataset, recorded, ticks_of
 from tests.clients.test_cli import Command
@@ -81,6 +81,17 @@ def test_views_and_points_state_the_calibration_of_the_servos_that_read_their_jo
     folder = dataset(tmp_path / "set", "v3.0", [recorded(ticks_of([20])[0], "DEGREES")])
     refused = command.json("upload", robot, rows, "--calibration", folder / "meta/info.json", code=1)
     assert "servo 'codebase_version' does not have whole numbers" in refused["detail"]
+
+
+@pytest.mark.parametrize("stated", ["", "AB" * 32, "ab" * 31, "my_arm.json"])
+def test_a_hash_that_is_none_is_refused_with_what_to_send(kilter: Kilter, robot: str, stated: str) -> None:
+    with pytest.raises(PayloadError) as caught:
+        kilter.campaigns.add(robot, "malformed", conditions=of(stated))
+    assert caught.value.code == "payload_invalid"
+    told = caught.value.detail
+    assert "body.conditions.calibration_sha256: Is not the SHA-256 of a file" in told
+    assert "Give what `sha256sum my_arm.json` prints first, or null where it is not known" in told
+    kilter.campaigns.add(robot, "malformed", conditions=of(FIRST))
 
 
 LEADERS = (

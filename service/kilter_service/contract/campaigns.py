@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, Field
+from pydantic import AfterValidator, AwareDatetime, Field, WithJsonSchema
+from pydantic_core import PydanticCustomError
 
 from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.remarks import Remark
@@ -15,6 +17,21 @@ Role = Literal["train", "validation", "confirmation"]
 Text = Annotated[str, Field(max_length=200)]
 ODD = "What looks odd in the rows and may be right: they are stored."
 SHA256 = "SHA-256 of the bytes that were sent, 64 hexadecimal digits."
+HASH = "^[0-9a-f]{64}$"
+
+
+def _hash_of_servos(text: str) -> str:
+    if re.fullmatch(HASH[1:-1], text) is None:
+        raise PydanticCustomError(
+            "string_pattern_mismatch",
+            "Is not the SHA-256 of a file: 64 of the digits 0 to 9 and a to f, letters small. Give what "
+            "`sha256sum my_arm.json` prints first, or null where it is not known; `kilter upload --calibration my_arm.json` states it by itself.",
+        )
+    return text
+
+
+# Says what to send where a pattern would only be repeated.
+HashOfServos = Annotated[str, AfterValidator(_hash_of_servos), WithJsonSchema({"type": "string", "pattern": HASH})]
 
 
 MOST_CAMERAS, MOST_CORNERS = 64, 999
@@ -74,7 +91,7 @@ class Conditions(Strict):
     tool_moment_nm: tuple[NewtonMetre, NewtonMetre, NewtonMetre] | None = Field(
         None, description="Moment on the tool point in the tool frame, N m."
     )
-    calibration_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
+    calibration_sha256: HashOfServos | None = Field(
         None,
         description="SHA-256 of the file with the zeros of the arm's servos (LeRobot's calibration), 64 hexadecimal digits: "
         "all campaigns of a robot have the same; null: not stated.",
@@ -146,9 +163,9 @@ class Campaign(_Campaign):
 class Parts(Strict):
     """The content hashes of all parts of a staged campaign."""
 
-    sha256: Annotated[
-        list[Annotated[str, Field(pattern="^[0-9a-f]{64}$")]], Field(min_length=1, max_length=100_000)
-    ] = Field(description="SHA-256 of each part, 64 hexadecimal digits.")
+    sha256: Annotated[list[Annotated[str, Field(pattern=HASH)]], Field(min_length=1, max_length=100_000)] = Field(
+        description="SHA-256 of each part, 64 hexadecimal digits."
+    )
 
 
 class CampaignList(Listed):

@@ -371,6 +371,28 @@ def test_memory_is_that_of_a_block_however_long_the_data_set(tmp_path: Path) -> 
     assert peaks[1] < 1.5 * peaks[0]
 
 
+def test_what_a_leader_recorded_is_refused_unless_its_own_calibration_says_that_it_is_meant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taught = dataset(tmp_path / "taught", "v3.0", [recorded(ticks_of([20])[0], "DEGREES")], robot="so101_leader")
+    leader = calibration(tmp_path / "calibration/teleoperators/so101_leader")
+    command, degrees = Command(capsys), ("--norm-mode", "DEGREES")
+    document = command.json("inspect", taught, code=1)
+    (problem,) = document["problems"]
+    assert problem["what"].startswith(
+        "is of a leader, so101_leader. Give the data set of the follower, or the calibration"
+    )
+    assert document["rows"] == 20
+    for asked in (("episodes", taught, *degrees), ("episodes", taught), ("inspect", taught, "--zero", "old")):
+        refused = command.json(*asked, code=1)
+        assert refused["code"] == "file_invalid"
+        assert refused["detail"].startswith(
+            f"{taught}: is of a leader, so101_leader. Give the data set of the follower"
+        )
+    for verb in ("inspect", "episodes"):
+        command(verb, taught, "--calibration", leader, *degrees)
+
+
 def test_inspect_says_what_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = dataset(tmp_path / "set", "v3.0", [recorded(ticks_of([40])[0], "DEGREES")])
     path = calibration(tmp_path / "calibration/robots/so101_follower")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.lerobot.calibration import NORM_MODES, read_calibration
 from kilter_files.formats.joints.lerobot.dataset import Dataset, open_dataset, refuse_unfinished
-from kilter_files.formats.joints.lerobot.log import joints_of, log_of_dataset
+from kilter_files.formats.joints.lerobot.log import joints_of, log_of_dataset, refuse_leader
 from kilter_files.formats.reader import Document, LogHints
 from kilter_files.ground.errors import FileError
 
@@ -25,17 +27,18 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
     modes = " or ".join(NORM_MODES)
     warnings = [
         f"nothing says what its numbers mean: give --calibration JSON and --norm-mode {modes}",
-        *_arms(dataset, hints),
+        *_refused(dataset, partial(joints_of, dataset, hints.order)),
     ]
+    problems = [{"what": text} for text in _refused(dataset, partial(refuse_leader, dataset))]
     duration_s = dataset.frames / dataset.fps if dataset.fps else None
     return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "duration_s": duration_s, "notes": notes,
-            "warnings": warnings}  # fmt: skip
+            "warnings": warnings, "problems": problems}  # fmt: skip
 
 
-def _arms(dataset: Dataset, hints: LogHints) -> list[str]:
-    """What is to be said of a data set of two arms, until the joints of one are named."""
+def _refused(dataset: Dataset, check: Callable[[], object]) -> list[str]:
+    """What ``check`` has against a data set, without its name; nothing where it passes."""
     try:
-        joints_of(dataset, hints.order)
+        check()
     except FileError as error:
         return [error.detail.removeprefix(f"{dataset.folder}: ").rstrip(".")]
     return []

@@ -55,7 +55,8 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
         return Refusal(picture, "picture_blurred", what, board=target.name)
     sure = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(pixels).all(axis=1)
     if sure.sum() < LEAST_CORNERS:
-        what = f"{int(sure.sum())} corners of {target.name} are seen"
+        count = int(sure.sum())
+        what = f"{count or 'no'} corner{' of' if count == 1 else 's of'} {target.name} {'is' if count == 1 else 'are'} seen"
         if not sure.any() and len(numbers) >= LEAST_CORNERS:
             what = f"no corner of {target.name} is seen well enough, or {len(numbers)} on one line"
         return Refusal(picture, "too_few_corners", what, corner=numbers[0], board=target.name)

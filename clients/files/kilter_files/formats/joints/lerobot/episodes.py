@@ -14,7 +14,15 @@ import numpy as np
 
 from kilter_files.formats.joints.lerobot.calibration import DEGREES, refuse_outside
 from kilter_files.formats.joints.lerobot.dataset import STATE, open_dataset, parquet_file, refuse_unfinished
-from kilter_files.formats.joints.lerobot.log import BLOCK, Block, Recorded, joints_of, opened, refuse_whole_rotations
+from kilter_files.formats.joints.lerobot.log import (
+    BLOCK,
+    Block,
+    Recorded,
+    joints_of,
+    opened,
+    refuse_leader,
+    refuse_whole_rotations,
+)
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
@@ -63,6 +71,7 @@ def _opened(path: Path, hints: LogHints) -> Recorded:
     if hints.calibration is not None or hints.norm_mode != DEGREES:
         return opened(path, hints)
     dataset = open_dataset(path)
+    refuse_leader(dataset)
     joints = joints_of(dataset, hints.order)
     return Recorded(dataset, joints, tuple(dataset.names.index(name) for name in joints), None, DEGREES)
 

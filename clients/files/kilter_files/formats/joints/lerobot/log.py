@@ -68,6 +68,8 @@ def opened(path: Path, hints: LogHints) -> Recorded:
 
     """
     dataset = open_dataset(path)
+    if hints.calibration is None:
+        refuse_leader(dataset)
     if hints.topic not in (None, STATE):
         what = f"{hints.topic!r} is not what the arm's servos read: an action is what the leader commanded"
         raise fault(path, what, f"Leave --topic out: {STATE} is read.")
@@ -88,14 +90,25 @@ def opened(path: Path, hints: LogHints) -> Recorded:
     if calibration.of_a_leader and "leader" not in dataset.robot_type:
         what = f"is of a leader, the data set of {dataset.robot_type or 'a follower'}"
         raise fault(calibration.path, what, "Give the calibration of the follower, in .../calibration/robots/.")
-    if "leader" in dataset.robot_type and not calibration.of_a_leader:
-        what = f"is of a leader, {dataset.robot_type}, and nothing says that {calibration.path} is"
+    if not calibration.of_a_leader:
+        refuse_leader(dataset, f", and nothing says that {calibration.path} is")
+    servos = tuple(servo_of(calibration, joint) for joint in joints)
+    return Recorded(dataset, joints, places, calibration, hints.norm_mode, servos)
+
+
+def refuse_leader(dataset: Dataset, besides: str = "") -> None:
+    """Refuse what a leader recorded where its own calibration does not say that it is meant.
+
+    Raises:
+        FileError: the data set is of a leader.
+
+    """
+    if "leader" in dataset.robot_type:
+        what = f"is of a leader, {dataset.robot_type}{besides}"
         remedy = (
             "Give the data set of the follower, or the calibration of the leader, in .../calibration/teleoperators/."
         )
         raise fault(dataset.folder, what, remedy)
-    servos = tuple(servo_of(calibration, joint) for joint in joints)
-    return Recorded(dataset, joints, places, calibration, hints.norm_mode, servos)
 
 
 def blocks(recorded: Recorded) -> Iterator[Block]:
