@@ -90,7 +90,7 @@ def test_a_hash_that_is_none_is_refused_with_what_to_send(kilter: Kilter, robot:
     assert caught.value.code == "payload_invalid"
     told = caught.value.detail
     assert "body.conditions.calibration_sha256: Is not the SHA-256 of a file" in told
-    assert "Give what `sha256sum my_arm.json` prints first, or null where it is not known" in told
+    assert "Give what `sha256sum my_arm.json` prints first, or null where it is unknown" in told
     kilter.campaigns.add(robot, "malformed", conditions=of(FIRST))
 
 

@@ -25,7 +25,8 @@ def _hash_of_servos(text: str) -> str:
         raise PydanticCustomError(
             "string_pattern_mismatch",
             "Is not the SHA-256 of a file: 64 of the digits 0 to 9 and a to f, letters small. Give what "
-            "`sha256sum my_arm.json` prints first, or null where it is not known; `kilter upload --calibration my_arm.json` states it by itself.",
+            "`sha256sum my_arm.json` prints first, or null where it is unknown; "
+            "`kilter upload --calibration my_arm.json` states it by itself.",
         )
     return text
 

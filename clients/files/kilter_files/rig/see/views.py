@@ -56,7 +56,7 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
     sure = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(pixels).all(axis=1)
     if sure.sum() < LEAST_CORNERS:
         count = int(sure.sum())
-        what = f"{count or 'no'} corner{' of' if count == 1 else 's of'} {target.name} {'is' if count == 1 else 'are'} seen"
+        what = f"one corner of {target.name} is seen" if count == 1 else f"{count} corners of {target.name} are seen"
         if not sure.any() and len(numbers) >= LEAST_CORNERS:
             what = f"no corner of {target.name} is seen well enough, or {len(numbers)} on one line"
         return Refusal(picture, "too_few_corners", what, corner=numbers[0], board=target.name)
