@@ -103,4 +103,4 @@ class CpuSeconds:
             fixtures = {
                 module: Took(seconds, self._fixtures_clock_s[module]) for module, seconds in self._fixtures_s.items()
             }
-            write(rows_of(tests, fixtures))
+            write(rows_of(tests, fixtures), fixtures.keys())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,9 +57,13 @@ def rows_of(tests: Mapping[str, Took], fixtures: Mapping[str, Took]) -> list[Row
     return sorted(kept, key=lambda row: (-row.took.cpu_s, row.name))
 
 
-def write(rows: list[Row]) -> None:
-    """Write down what was measured."""
+def write(rows: list[Row], modules: Collection[str]) -> None:
+    """Write down what was measured of these modules; what stands there of others stays, while there are such modules."""
+    root = SECONDS.parent.parent
+    names = {row: row.name.partition("::")[0] for row in measured()}
+    others = [row for row, module in names.items() if module not in modules and (root / module).is_file()]
     lines = [
-        f"{row.took.cpu_s:6.1f} {row.took.clock_s:6.1f} {'long' if row.is_long else '-':4} {row.name}\n" for row in rows
+        f"{row.took.cpu_s:6.1f} {row.took.clock_s:6.1f} {'long' if row.is_long else '-':4} {row.name}\n"
+        for row in sorted([*rows, *others], key=lambda row: (-row.took.cpu_s, row.name))
     ]
     SECONDS.write_text(HEAD + "".join(lines), encoding="utf-8")

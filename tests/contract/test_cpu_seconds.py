@@ -37,7 +37,8 @@ def test_a_child_counts_where_it_ends(tmp_path: Path, shared: list[str]) -> None
         "from tests.cpu_seconds import CpuSeconds\n"
         "def pytest_configure(config): config.pluginmanager.register(CpuSeconds())\n"
     )
-    command = [sys.executable, "-m", "pytest", "-p", "xdist", "-c", "/dev/null", f"--rootdir={tmp_path}", *shared, str(tmp_path)]
+    alone = ["-p", "xdist", "-c", "/dev/null", f"--rootdir={tmp_path}"]
+    command = [sys.executable, "-m", "pytest", *alone, *shared, str(tmp_path)]
     plain = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # three processes would import hypothesis and others
     done = subprocess.run(command, cwd=REPOSITORY, env=plain, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -66,11 +67,18 @@ def test_what_takes_long_is_left_to_the_gate_but_for_the_shortest_of_a_module_wi
 
 
 def test_what_is_written_down_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measured_seconds, "SECONDS", tmp_path / "seconds.txt")
+    (tmp_path / "tests").mkdir()
+    monkeypatch.setattr(measured_seconds, "SECONDS", tmp_path / "tests" / "seconds.txt")
     assert measured_seconds.measured() == []
     rows = [Row(Took(12.3, 45.6), True, "a.py::test_it[one two]"), Row(Took(1.0, 2.0), False, "b.py")]
-    measured_seconds.write(rows)
+    measured_seconds.write(rows, ["a.py", "b.py"])
     assert measured_seconds.measured() == rows
+    (tmp_path / "a.py").touch()  # a run of some modules leaves the rows of others, but of those that are gone
+    more = Row(Took(3.0, 4.0), True, "c.py::test_it")
+    measured_seconds.write([more], ["c.py"])
+    assert measured_seconds.measured() == [rows[0], more]
+    measured_seconds.write([], ["a.py"])
+    assert measured_seconds.measured() == []  # a.py has become quick, and there is no c.py
 
 
 def test_a_long_test_waits_for_its_target_unless_it_is_asked_for_by_name() -> None:
