@@ -39,9 +39,14 @@ OTHER_CORE ?= Sandybridge
 OTHER_CORE_TESTS := tests/core/identify/test_identify.py tests/core/identify/test_identifiability.py tests/core/identify/test_valley.py \
 	tests/core/measurement/test_contacts.py tests/core/measurement/test_distances.py tests/core/procedures
 
+# What make check runs, and what a run of all tests leaves out where it has just been green (CHECKED=1).
+CHECK_TESTS := tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
+DONE_BY_CHECK := $(addprefix --ignore=,$(CHECK_TESTS)) \
+	--deselect=tests/contract/test_options.py::test_the_contract_of_effects_is_up_to_date
+
 test: $(KERNELS) ## run the tests, the numeric part first under another kind of processor (OTHER_CORE=Sandybridge, LONG=1 for all)
 	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(subst -n $(TESTERS),-n 2,$(SHARED)) $(OTHER_CORE_TESTS)
-	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST))
+	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK))
 
 test-long: $(KERNELS) ## run the tests that only the gate runs, by make test LONG=1: those that take longest (tests/seconds.txt)
 	$(BIN)/python -m pytest -m "long and not slow and not bench" $(SHARED)
@@ -91,17 +96,22 @@ coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report
 
-check: $(READY) ## style, types, import rules
+check: check-types check-rest ## style, types, import rules (make --jobs=2 check: both parts at once)
+
+check-types: $(READY) ## the first part of make check: style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# It imports the core: before its kernels are compiled it would compile them itself.
+check-rest: $(KERNELS) ## the second part of make check: imports, what is generated, the shape of the repository
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.contract --check
 	$(BIN)/python -m tools.draw_rooms --check
 	$(BIN)/python -m tools.licences --check
 	$(BIN)/python -m tools.bundle_page --check
 	$(BIN)/python -m tools.c_corrector --check
-	$(BIN)/python -m pytest -q -m "not slow" tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
+	$(BIN)/python -m pytest -q -m "not slow" $(CHECK_TESTS)
 
 page: $(READY) ## bundle the page's scripts and styles (needs Node.js, for whoever changes the page only)
 	$(BIN)/python -m tools.bundle_page
