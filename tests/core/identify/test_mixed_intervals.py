@@ -72,3 +72,14 @@ def test_what_a_model_lacks_is_as_large_as_views_say() -> None:
         rows = beside(scene, scene.observed(scene.poses(25, rng), rng, STATED_PX), rng)
         told.append(identify(robot, rows, None, options).predictive.inadequacy)
     assert 1.0 < np.sqrt(np.mean(np.square(told))) / lacks < 2.0, (told, lacks)
+
+
+def test_views_of_corners_on_one_line_tell_nothing_of_it() -> None:
+    """Nothing says how the tool is rotated about that line: they made what a model lacks no number at all."""
+    scene, rng = eye_to_hand({}, yielding=np.zeros(6)), np.random.default_rng(5)
+    views = scene.observed(scene.poses(25, rng), rng, STATED_PX)
+    pixels = views.pixels.copy()
+    pixels[:5, 8:] = np.nan  # the first row of the board
+    rows = beside(scene, replace(views, pixels=pixels), rng)
+    told = identify(robot_from_document(scene.drawn.document()), rows, None, IdentifyOptions(fix=("beta_*",)))
+    assert told.predictive.inadequacy < 0.5 * TRACKER_M

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 ROUNDS = 80
 STILL = 1e-10  # share of a width that a round changes it by where it has ended
@@ -23,6 +23,7 @@ SMALLEST_M, SMALLEST_RAD = 1e-8, 1e-8
 GRID = 60
 LEVEL = 0.95
 FEWEST_CORNERS = 4  # of a view that tells a pose
+ON_A_LINE = 1e-11  # smallest eigenvalue of what derivatives correlate by; rounding leaves 1e-16 of corners on a line
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,13 @@ def _log_likelihood(e: Floats, noise: Floats, places: Floats, turn: float) -> Fl
     return np.asarray(-0.5 * (np.log(whole).sum(axis=(1, 2)) + (own**2 / whole).sum(axis=(1, 2))))
 
 
+def _tell_a_pose(A: Floats) -> Bools:
+    """Which views (N,) tell all six of a pose, by derivatives ``A (N, R, 6)``."""
+    H = A.transpose(0, 2, 1) @ A
+    size = np.sqrt(np.maximum(np.diagonal(H, axis1=1, axis2=2), np.finfo(np.float64).tiny))
+    return np.asarray(np.linalg.eigvalsh(H / (size[:, :, None] * size[:, None, :]))[:, 0] > ON_A_LINE)
+
+
 @dataclass(frozen=True)
 class ToolErrors:
     """Motions ``motion (K, 6)`` m, rad that explain the views ``rows (K,)``, and their ``covariance`` for corners of 1 px.
@@ -132,11 +140,16 @@ class ToolErrors:
 
     @staticmethod
     def of(left: Floats, by_tool: Floats) -> ToolErrors:
-        """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``."""
+        """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``.
+
+        Corners on one line tell no pose: nothing says how the tool is rotated about that line.
+        """
         told = ~np.isnan(left)
         rows = np.flatnonzero(told.sum(axis=(1, 2)) >= 2 * FEWEST_CORNERS)
-        A = (by_tool * told[..., None])[rows].reshape(len(rows), -1, 6)
-        flat = np.nan_to_num(left[rows]).reshape(len(rows), -1, 1)
+        A = (by_tool * told[..., None])[rows].reshape(len(rows), 2 * left.shape[1], 6)
+        tells = _tell_a_pose(A)
+        rows, A = rows[tells], A[tells]
+        flat = np.nan_to_num(left[rows]).reshape(len(rows), 2 * left.shape[1], 1)
         C: Floats = np.asarray(np.linalg.inv(A.transpose(0, 2, 1) @ A), dtype=np.float64)
         e = C @ (A.transpose(0, 2, 1) @ flat)
         count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
