@@ -17,7 +17,8 @@ MOVE = re.compile(
     re.M,
 )
 NOTHING = re.compile(r"^\s*\d*\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
-NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
+NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?:,\s?\w{1,9}\s?)?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
+ELSEWHERE = re.compile(r"^\s*\d*\s*:\s*([JLCAS]\s+(?!PR?\[)\w[^;\n]{0,80})", re.M)  # as PAL_3[A_1] of a pallet
 TOUCH = re.compile(r"^\s*\d*\s*:\s*Touch Offset(?! End)\b", re.I | re.M)
 TOUCH_END = re.compile(r"^\s*\d*\s*:\s*Touch Offset End\b", re.I | re.M)
 ANY = "any"  # of a move that computes which
@@ -83,6 +84,8 @@ def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, Po
             program.moves_to_poses.append((line_at(text, match.start(1)), match[1], poses[number]))
         if number in poses and OTHER_FRAME.search(said):
             poses[number].problem = poses[number].problem or "a move to it has another frame (RTCP, COORD)"
+    for match in ELSEWHERE.finditer(text):
+        program.leave(match.start(1), f"{match[1].strip()[:40]}: no position of this file")
     rest = {*known, *poses} - beside - plain  # to which only moves go that compute which
     only_beside = beside - plain | (rest if ANY in beside and ANY not in plain else set())
     _leave(program, known, poses, only_beside, "the moves to it have an offset")

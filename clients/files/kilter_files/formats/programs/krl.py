@@ -162,6 +162,8 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
         joined = known.last is not None and frames.way.joined(known.last[0], match.start())
         near = known.last[1] if known.last is not None and joined else None
         target.uses.append(Use(*frames.at(match.start()), near, straight))
+        if straight and not frames.keeps_orientation(match.start()):
+            target.problem = target.problem or "its orientation is not kept ($ORI_TYPE)"
         program.moves_to_poses.append((line_at(program.text, match.start()), said, target))
     sure = not isinstance(target, JointTarget) or goal is None or _is_sure(known, frames, key(goal[1]), match.start())
     known.last = None if target is None or not sure else (match.start(), target)

@@ -11,6 +11,12 @@ from dataclasses import dataclass
 TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"
 DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*\{{[\w,*\s]*\}})?\s*(:=)?", re.I)
 ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=")
+PART_GIVEN = re.compile(
+    r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*[A-Za-z_][\w.]{0,80}(?:\{[^}\n]{0,40}\})?(?=\s*[,;\\])"
+)
+READS = re.compile(
+    r"WHILE|FOR|TEST|CASE|RETURN|(?:Set|TP|UI|Write|Wait|Pulse|Err|Pack|Move|Arc|Trigg|Search)\w*", re.I
+)  # such leave what they are given as it is; a short IF may hold any instruction
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
 OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
@@ -41,9 +47,29 @@ def elements(name: str, size: str | None, count: int) -> list[str]:
 
 
 def changed(text: str) -> Iterator[re.Match[str]]:
-    """Yield the assignments of a module, its name as group 1; declarations and named arguments are not among them."""
+    """Yield what changes a variable, its name as group 1: assignments, and instructions that are given a part of it.
+
+    Declarations and named arguments are not among them.
+    """
     declared = {match.start(1) for match in DECLARES.finditer(text)}
-    return (match for match in ASSIGNS.finditer(text) if match.start(1) not in declared)
+    yield from (match for match in ASSIGNS.finditer(text) if match.start(1) not in declared)
+    by_value = _by_value(text)
+    yield from (match for match in PART_GIVEN.finditer(text) if _gives_back(text, match.start(), by_value))
+
+
+def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:
+    """Say whether an instruction may change the part of a variable that it is given, as ``Add p10.trans.z, 5`` does."""
+    before = text[_begin(text, at) : at]
+    if ":=" in before.rpartition(",")[2] or before.count("(") != before.count(")") or ASSIGNS.search(before):
+        return False
+    by = _instruction(before, by_value)
+    second = by.lower() == "add" and "," in before  # what is added
+    return bool(by) and not second and READS.fullmatch(by) is None
+
+
+def _by_value(text: str) -> set[str]:
+    """The routines of the file, in small letters, that change nothing which they are given."""
+    return {match[1].lower() for match in ROUTINE.finditer(text) if GIVES_BACK.search(match[2]) is None}
 
 
 def declared_again(text: str, names: Collection[str]) -> Iterator[re.Match[str]]:
@@ -69,7 +95,7 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
     components are left out: what is made of them is named where a move goes to it.
     """
     declared = {match.start(1) for match in DECLARES.finditer(text)}
-    by_value = {match[1].lower() for match in ROUTINE.finditer(text) if GIVES_BACK.search(match[2]) is None}
+    by_value = _by_value(text)
     for match in WORD.finditer(text):
         at = match.start()
         if match[1].lower() in names and at not in understood and at not in declared:

@@ -21,6 +21,7 @@ CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
 PARAMETERS = re.compile(r"^[ \t]*(?:def|thread)[ \t]+\w{1,64}[ \t]*\(([^)\n]{1,500})\)", re.M)
 TARGET = re.compile(rf"p?\s?\[\s*{NUMBER}(?:\s*,\s*{NUMBER}){{5}}\s*\]")
 INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
+ENDED = re.compile(r"\s*(?:[,)]|\Z)")  # nothing is added to a list
 MOST_RAD = 4.2 * math.pi
 
 Places = dict[str, list[tuple[int, str]]]
@@ -46,7 +47,13 @@ def find(program: Program) -> None:
     for match in MOVE.finditer(text):
         goal = (match[2] or "").strip()
         places = [(match.start(2), goal)] if goal.startswith("[") else declared.get(goal, [])
-        if match[1] in TO_JOINTS and places and all(written.startswith("[") for _, written in places):
+        listed = bool(places) and all(written.startswith("[") for _, written in places)
+        if listed and goal.startswith("[") and not ENDED.match(text, match.end(2)):
+            program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
+            poses.last = None
+            program.moves.append(None)
+            continue
+        if match[1] in TO_JOINTS and listed:
             name = match[1] if goal.startswith("[") else goal
             taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
             target = taken[_before(match.start(), places)]

@@ -14,7 +14,8 @@ PART = re.compile(rf"\b([XYZWPR]|E\d)\s{{0,9}}=\s{{0,9}}({NUMBER})\s{{0,9}}(mm|d
 FRAME_NUMBER = re.compile(r"\b(UF|UT)\s?:\s{0,9}(\w{1,3})")
 TURN = r"\s{0,9}(-?\d)\s{0,9}"
 CONFIG = re.compile(rf"\bCONFIG\s?:\s?'\s{{0,9}}([NF])\s{{1,9}}([UD])\s{{1,9}}([TB])\s{{0,9}},{TURN},{TURN},{TURN}'")
-SET = re.compile(r"\b(UFRAME|UTOOL)\s?\[[^\]\n]{1,40}\]\s?=", re.I)
+SET = re.compile(r"(?:\bU|\$MNU)(FRAME|TOOL)\s?\[[^\]\n]{1,40}\]\s?=", re.I)
+TRACKS = re.compile(r"^\s*LINE_TRACK_SCHEDULE(?:_NUMBER)?\s*:\s*0*[1-9]", re.I | re.M)
 OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
 OTHER_FRAME = re.compile(r"\b(?:RTCP|COORD)\b", re.I)
 
@@ -28,6 +29,8 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     problem = f"without {', '.join(missing)}" if missing else "" if config else "its CONFIG is not understood"
     if any(name[0] == "E" and float(match[2]) for name, match in parts.items()):
         problem = problem or "an external axis may move its base"
+    if TRACKS.search(text):
+        problem = problem or "it moves with what the program tracks (LINE_TRACK)"
     whole = [parts[name] for name in FANUC.names if name in parts]
     numbers = tuple(float(match[2]) for match in whole)
     pose = PoseTarget(
@@ -39,8 +42,8 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
         pose.configuration = Config(config[1] == "F", config[2] == "U", config[3] == "T", turns, spans)
     named = {match[1]: match[2] for match in FRAME_NUMBER.finditer(text, *span)}
     changed = {match[1].upper() for match in SET.finditer(text)}
-    base = "the program sets UFRAME" if "UFRAME" in changed else _frame(program, "base", named.get("UF"))
-    tool = "the program sets UTOOL" if "UTOOL" in changed else _frame(program, "tool", named.get("UT"))
+    base = "the program sets UFRAME" if "FRAME" in changed else _frame(program, "base", named.get("UF"))
+    tool = "the program sets UTOOL" if "TOOL" in changed else _frame(program, "tool", named.get("UT"))
     pose.uses.append(Use(base if isinstance(base, str) else (base,), tool))
     return pose
 

@@ -46,6 +46,12 @@ WITH = re.compile(
 BLOCK = re.compile(r"^[ \t]*(?:((?:PTP_)?SPLINE)\b([^\r\n]{0,500})|ENDSPLINE\b)", re.I | re.M)
 BY_DATA = re.compile(rf"S(?:BASE|TOOL2?)[ \t]*\([ \t]*({NAME})(?:\.(?:BASE|TOOL)_NO)?[ \t]*\)", re.I)
 STANDING = re.compile(r"\$IPO_MODE\s{0,9}=\s{0,9}#TCP", re.I)
+ORIENTATION = re.compile(
+    r"^[ \t]*(?:\$ORI_TYPE[ \t]*=[ \t]*(#\w{1,20})|LDAT_ACT[ \t]*=[ \t]*(\w{1,64}|\{[^{}\r\n]{0,500}\}))", re.I | re.M
+)
+OWN_ORIENTATION = re.compile(r"\$ORI_TYPE[ \t]*=[ \t]*(#\w{1,20})", re.I)
+MOVE_DATA = re.compile(r"\b(\w{1,64})\s{0,9}=\s{0,9}(\{[^{}\r\n]{0,500}\bORI_TYP\b[^{}\r\n]{0,500}\})", re.I)
+NOT_TAKEN = re.compile(r"#(?:CONST\w*|IGNORE)\b", re.I)  # the arm keeps the orientation that it has, or finds its own
 TOOL_STANDS = "its tool stands still (#TCP)"
 
 
@@ -77,6 +83,11 @@ class KrlFrames:
         self.base, self.tool = InForce(control, starts), InForce(control, starts)
         for match in SET.finditer(text):
             self._set(match)
+        self._orientation = InForce(control, starts)
+        data = {match[1].upper(): match[2] for one in texts for match in MOVE_DATA.finditer(one)}
+        for match in ORIENTATION.finditer(text):
+            said = match[1] or data.get(match[2].upper(), match[2])
+            self._orientation.set(match.start(), NOT_TAKEN.search(said) is not None)
         for which, force in (("base", self.base), ("tool", self.tool)):
             if len({value for _, value in force.settings}) > 1:
                 calls = calls_that_set(text, START, force.owner, [at for at, _ in force.settings])
@@ -184,14 +195,25 @@ class KrlFrames:
         tool = TOOL_STANDS if self._stands else own.get("TOOL") or self._one("tool", self.tool, place)
         return base if isinstance(base, str) else (base,), tool
 
+    def keeps_orientation(self, place: int) -> bool:
+        """Say whether a motion along a line or arc surely takes the orientation of its target."""
+        known, not_taken = self._orientation.at(place)
+        for said in self._said(place):
+            own = OWN_ORIENTATION.search(said)
+            known, not_taken = (True, NOT_TAKEN.search(own[1]) is not None) if own else (known, not_taken)
+        return known and not not_taken
+
+    def _said(self, place: int) -> tuple[str, str]:
+        """What begins the spline in which a motion stands, and what the motion itself says."""
+        k = bisect_right(self._blocks, place, key=re.Match.start) - 1
+        end = self._text.find("\n", place)
+        block = self._blocks[k][2] if k >= 0 and self._blocks[k][1] else ""
+        return block, self._text[place : end if end >= 0 else None]
+
     def _with(self, place: int) -> dict[str, Frame | str]:
         """Frames that a spline motion sets for itself by WITH, or the block that it stands in."""
-        k = bisect_right(self._blocks, place, key=re.Match.start) - 1
-        block = self._blocks[k][2] if k >= 0 and self._blocks[k][1] else ""
-        end = self._text.find("\n", place)
-        own = self._text[place : end if end >= 0 else None]
         frames: dict[str, Frame | str] = {}
-        for said in (block, own):
+        for said in self._said(place):
             _, _, with_ = f" {said.strip()}".upper().partition(" WITH ")
             frames |= {
                 match[1].upper(): self._value(match[1].upper(), match[2], place) for match in WITH.finditer(f" {with_}")

@@ -166,10 +166,9 @@ class Poses:
     def _pose(self, at: int, said: str) -> PoseTarget | None:
         places = self._declared.get(said, []) or ([(at, said)] if said.startswith("p") else [])
         whole = [SIX.match(self._text, place) for place, _ in places]
-        if not whole or any(one is None for one in whole) or (len(whole) > 1):
+        one = whole[0] if len(whole) == 1 else None
+        if one is None or places[0][1][one.end() - places[0][0] :].strip(" \t;"):  # as p[...] + p[...]
             return None
-        one = whole[0]
-        assert one is not None
         found = self._taken.get(one.start())
         if found is None:
             name = said if len(said) < 40 and said in self._declared else "a pose"
