@@ -200,6 +200,28 @@ def test_a_version_that_is_off_foreign_or_damaged_gives_nothing_until_a_good_one
     assert correction.document()["version_id"] == "v9"
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (content(robot="cell8"), "version v0 is of robot cell8, not of cell7"),
+        (content(preset="katana450-chapter4", robot="cell8"), "version v0 is of robot cell8, not of cell7"),
+        (content(preset="katana450-chapter4"), "version v0 is for 5 joints, not 6"),
+    ],
+)
+def test_one_that_begins_with_the_version_of_another_arm_says_so_and_offsets_nothing(
+    correction: Correction, text: bytes, said: str
+) -> None:
+    q = [math.radians(value) for value in Q_DEG]
+    wrong = Correction(from_bytes(text), "cell7", Guard(6, LARGEST_RAD, RATE_RAD_S, 0.1, CYCLE_S), CYCLE_S)
+    assert wrong.joints == 6
+    assert settle(wrong, q).tolist() == [0.0] * 6
+    assert wrong.document()["state"] == "off"
+    assert wrong.document()["why"] == said
+    wrong.hear(Kind.PROGRAM, content())
+    assert np.allclose(settle(wrong, q), settle(correction, q), atol=1e-9)
+    assert wrong.document()["version_id"] == "v0"
+
+
 def test_a_controller_that_sends_nonsense_gets_bounded_offsets_that_go_out(
     correction: Correction, controllers: Make
 ) -> None:

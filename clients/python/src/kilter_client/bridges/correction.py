@@ -42,8 +42,8 @@ class Correction:
 
     @property
     def joints(self) -> int:
-        """Number of joints."""
-        return self._track.program.n_joints
+        """Number of joints that are offset."""
+        return len(self._guard.offset)
 
     @property
     def out(self) -> bool:
@@ -79,7 +79,9 @@ class Correction:
         foreign = self._foreign(stored)
         if not foreign and self.off:
             self._track.restart(settled=True)  # the guard ramps it in
-        if not foreign and stored.number != self._stored.number:
+        if not foreign and self._track.program.n_joints != self.joints:  # it began with that of another arm
+            self._track, self._stored = Track(stored.program, settled=True), stored
+        elif not foreign and (stored.number, stored.robot) != (self._stored.number, self._stored.robot):
             self._track.change(stored.program)
             self._stored = stored
         self.off = foreign
