@@ -14,6 +14,7 @@ from kilter_files.robots.katana import read_katana
 from kilter_files.robots.table import read_table
 from kilter_files.robots.text import read_text
 from kilter_files.robots.universal import read_universal
+from kilter_files.robots.urdf_chain import chain_of
 
 URDF = (".urdf", ".xml")
 TABLES = (".csv", ".tsv", ".txt", ".xlsx")
@@ -98,15 +99,9 @@ def _name(path: Path, described: Described) -> str:
 
 
 def _urdf(path: Path, described: Described) -> dict[str, Any]:
-    if not (described.name and described.base_link and described.tip_link):
-        raise UsageError("A URDF needs --name, --base-link and --tip-link: it may hold a bigger tree than the arm.")
-    return {
-        "name": described.name,
-        "convention": "urdf",
-        "urdf": read_text(path),
-        "base_link": described.base_link,
-        "tip_link": described.tip_link,
-    }
+    name, text = _name(path, described), read_text(path)
+    base_link, tip_link = chain_of(path, text, described.base_link, described.tip_link)
+    return {"name": name, "convention": "urdf", "urdf": text, "base_link": base_link, "tip_link": tip_link}
 
 
 def _json(path: Path) -> dict[str, Any]:

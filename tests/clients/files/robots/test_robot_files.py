@@ -334,3 +334,39 @@ def test_a_document_takes_what_is_said_beside_it_and_refuses_what_belongs_to_a_f
     ):
         with pytest.raises(UsageError, match=says):
             described_document(document, told)
+
+
+def _urdf(*joints: tuple[str, str]) -> str:
+    links = dict.fromkeys(link for pair in joints for link in pair)
+    return (
+        "<robot name='arm'>"
+        + "".join(f"<link name='{link}'/>" for link in links)
+        + "".join(
+            f"<joint name='{parent}-{child}' type='revolute'><parent link='{parent}'/><child link='{child}'/></joint>"
+            for parent, child in joints
+        )
+        + "</robot>"
+    )
+
+
+def test_the_only_chain_of_a_urdf_needs_no_links_said(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(_urdf(("world", "upper"), ("upper", "tool0")))
+    found = read_robot(path, Described(name="arm"))
+    assert (found["base_link"], found["tip_link"]) == ("world", "tool0")
+    found = read_robot(path, Described(name="arm", base_link="upper"))
+    assert (found["base_link"], found["tip_link"]) == ("upper", "tool0")
+
+
+def test_where_a_urdf_leaves_a_choice_its_links_are_listed(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(_urdf(("base", "upper"), ("upper", "tool0"), ("upper", "camera")))
+    with pytest.raises(UsageError, match=r"say which is the arm by --tip-link \(tool0, camera\)\.$"):
+        read_robot(path, Described(name="arm"))
+    assert read_robot(path, Described(name="arm", tip_link="camera"))["base_link"] == "base"
+    path.write_text(_urdf(("a", "b"), ("b", "a")))
+    with pytest.raises(UsageError, match=r"--base-link \(none was found\) and --tip-link \(none was found\)"):
+        read_robot(path, Described(name="arm"))
+    path.write_text("<robot xmlns:xacro='http://www.ros.org/wiki/xacro'><link name=</robot>")
+    with pytest.raises(FileError, match="is not XML"):
+        read_robot(path, Described(name="arm"))

@@ -24,8 +24,12 @@ OPTIONS: dict[str, Any] = {
     "name": Annotated[str | None, typer.Option(help="Name to give it; only robot.json has one.")],
     "payload_kg": Annotated[float | None, typer.Option(min=0.0, help="Payload where none is stated, kg.")],
     "payload_com_mm": PayloadCentre,
-    "base_link": Annotated[str | None, typer.Option(help="URDF: first link of the chain.")],
-    "tip_link": Annotated[str | None, typer.Option(help="URDF: last link of the chain.")],
+    "base_link": Annotated[
+        str | None, typer.Option(help="URDF: first link of the chain; left out where only one can be it.")
+    ],
+    "tip_link": Annotated[
+        str | None, typer.Option(help="URDF: last link of the chain; left out where only one can be it.")
+    ],
     "convention": Annotated[str | None, typer.Option(help="Table: dh or mdh (Craig).", metavar="dh|mdh")],
     "model": Annotated[
         str | None, typer.Option(help="UR calibration: the model that it must match, for example ur10e.")
