@@ -7,8 +7,9 @@ a swap pass (one for one, and two for one) and a backward pass; and an effect th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Selector(CandidateSets):
         beyond = float(np.sum(self.extra[list(places)])) + FAMILY_MARGIN * self.names(places)
         return float(sum(degrees)) * float(np.log(self.rows)) + beyond
 
-    @property
+    @cached_property
     def extra(self) -> Floats:
         """What a candidate (K,) costs beside its parameters: a shape the margin, an event its choice of a place."""
         return np.asarray(MARGIN * self.scorer.empirical + self.scorer.paid)
@@ -166,6 +167,9 @@ class Selector(CandidateSets):
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
+        return self._known(gram, "divided", chosen, critical, self._divided)
+
+    def _divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
             rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
             variance = self.variance(problem, chosen)
@@ -182,6 +186,9 @@ class Selector(CandidateSets):
 
     def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Name an effect of most joints as a family, one of few joints by its joints, each significant alone."""
+        return self._known(gram, "merged", chosen, critical, self._merged)
+
+    def _merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
             family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
@@ -202,6 +209,9 @@ class Selector(CandidateSets):
 
     def dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Drop members that, given the others, noise could be, or whose sign contradicts physics."""
+        return self._known(gram, "dropped", chosen, critical, self._dropped)
+
+    def _dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         while chosen:
             tails = self.tails(gram, chosen)
             worst = int(np.argmax(tails))
@@ -209,6 +219,17 @@ class Selector(CandidateSets):
                 return chosen
             chosen = tuple(m for m in chosen if m != chosen[worst])
         return chosen
+
+    def _known(
+        self, gram: Gram, kind: str, chosen: tuple[int, ...], critical: float,
+        make: Callable[[Gram, tuple[int, ...], float], tuple[int, ...]],
+    ) -> tuple[int, ...]:  # fmt: skip
+        """What a step makes of a set on these data. Sets come back from many entries: each is looked at once."""
+        key = (kind, self.scorer.number, self.closed, self.rows, critical, chosen)
+        if key not in gram.exchanges:
+            gram.exchanges[key] = make(gram, chosen, critical)
+        found: tuple[int, ...] = gram.exchanges[key]
+        return found
 
     def slack(self, chosen: Sequence[int]) -> float:
         """Criterion points that a family in the set may have cost against naming some of its joints."""
