@@ -7,9 +7,9 @@ a swap pass (one for one, and two for one) and a backward pass; and an effect th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -103,8 +103,9 @@ class Selector(CandidateSets):
         """Swap, merge and drop until nothing improves."""
         seen = {chosen}
         while True:
-            after = self.divided(gram, self.swapped(gram, chosen, critical), critical)
-            after = self.dropped(gram, self.merged(gram, after, critical), critical)
+            after = chosen
+            for step in (self.swapped, self.divided, self.merged, self.dropped):  # sets come back: each is looked at once
+                after = gram.found(self._key(step.__name__, after, critical), partial(step, gram, after, critical))
             if after == chosen or after in seen:
                 return after
             seen.add(after)
@@ -132,11 +133,12 @@ class Selector(CandidateSets):
 
         Sets come back in other orders, entry after entry: each is looked at once.
         """
-        key = (self.scorer.number, self.closed, self.rows, critical, frozenset(chosen))
-        if key not in gram.exchanges:
-            gram.exchanges[key] = self._exchange(gram, chosen, critical)
-        out, entered = gram.exchanges[key]
+        make = partial(self._exchange, gram, chosen, critical)
+        out, entered = gram.found(self._key("exchange", frozenset(chosen), critical), make)
         return chosen if entered is None else (*(m for m in chosen if m not in out), entered)
+
+    def _key(self, step: str, chosen: Collection[int], critical: float) -> Hashable:
+        return step, self.scorer.number, self.closed, self.rows, critical, chosen
 
     def _exchange(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[tuple[int, ...], int | None]:
         """Which members leave, and which candidate enters, None where nothing does."""
@@ -167,9 +169,6 @@ class Selector(CandidateSets):
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
-        return self._known(gram, "divided", chosen, critical, self._divided)
-
-    def _divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
             rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
             variance = self.variance(problem, chosen)
@@ -186,9 +185,6 @@ class Selector(CandidateSets):
 
     def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Name an effect of most joints as a family, one of few joints by its joints, each significant alone."""
-        return self._known(gram, "merged", chosen, critical, self._merged)
-
-    def _merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
             family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
@@ -209,9 +205,6 @@ class Selector(CandidateSets):
 
     def dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Drop members that, given the others, noise could be, or whose sign contradicts physics."""
-        return self._known(gram, "dropped", chosen, critical, self._dropped)
-
-    def _dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         while chosen:
             tails = self.tails(gram, chosen)
             worst = int(np.argmax(tails))
@@ -219,17 +212,6 @@ class Selector(CandidateSets):
                 return chosen
             chosen = tuple(m for m in chosen if m != chosen[worst])
         return chosen
-
-    def _known(
-        self, gram: Gram, kind: str, chosen: tuple[int, ...], critical: float,
-        make: Callable[[Gram, tuple[int, ...], float], tuple[int, ...]],
-    ) -> tuple[int, ...]:  # fmt: skip
-        """What a step makes of a set on these data. Sets come back from many entries: each is looked at once."""
-        key = (kind, self.scorer.number, self.closed, self.rows, critical, chosen)
-        if key not in gram.exchanges:
-            gram.exchanges[key] = make(gram, chosen, critical)
-        found: tuple[int, ...] = gram.exchanges[key]
-        return found
 
     def slack(self, chosen: Sequence[int]) -> float:
         """Criterion points that a family in the set may have cost against naming some of its joints."""
@@ -368,8 +350,7 @@ class Selector(CandidateSets):
         reach: Reach | None = None,
     ) -> tuple[int | None, float]:
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
-        columns = self.columns(rest)
-        able = np.ones(len(self.scorer.candidates), dtype=bool)
+        columns, able = self.columns(rest), np.ones(len(self.scorer.candidates), dtype=bool)
         able[list(taken)] = False
         if reach is not None:
             price = self.price(rest, [gram.rank(columns)]) + FAMILY_MARGIN * self.another_name(rest)

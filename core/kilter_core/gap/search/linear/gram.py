@@ -95,6 +95,13 @@ class Gram:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
 
+    def found(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what ``make`` gives, once on these very data: it may depend on them, and is small."""
+        if key not in self.exchanges:
+            self.exchanges[key] = make()
+        known: T = self.exchanges[key]
+        return known
+
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
         """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
         return self.inverses.get(
