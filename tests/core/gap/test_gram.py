@@ -43,7 +43,9 @@ def test_a_direction_at_the_limit_is_judged_by_its_eigenvalue(smallest: float, r
 
 @pytest.mark.parametrize("hidden", [1, 5, 20, 40])
 def test_directions_that_do_not_count_are_left_out_however_many_there_are(hidden: int) -> None:
-    A = with_eigenvalues(np.r_[np.geomspace(1e-15, 0.9 * VISIBLE, hidden), np.geomspace(1.1 * VISIBLE, 3.0, 40 - hidden)])
+    A = with_eigenvalues(
+        np.r_[np.geomspace(1e-15, 0.9 * VISIBLE, hidden), np.geomspace(1.1 * VISIBLE, 3.0, 40 - hidden)]
+    )
     inverse, rank = by_hidden(A)
     known, seen = by_eigenvalues(A)
     assert rank == seen == 40 - hidden

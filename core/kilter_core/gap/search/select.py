@@ -104,7 +104,7 @@ class Selector(CandidateSets):
         seen = {chosen}
         while True:
             after = chosen
-            for step in (self.swapped, self.divided, self.merged, self.dropped):  # sets come back: each is looked at once
+            for step in (self.swapped, self.divided, self.merged, self.dropped):  # each looks at a set once
                 after = gram.found(self._key(step.__name__, after, critical), partial(step, gram, after, critical))
             if after == chosen or after in seen:
                 return after
