@@ -44,6 +44,9 @@ class Valley:
         away = values - PRIOR
         return Seen(r, STEEP * values / radius, 0.5 * (r * r + float(away @ away)))
 
+    def surely_higher(self, values: Floats, loss: float) -> bool:
+        return False
+
     def derivatives(self, values: Floats, here: Seen) -> tuple[Floats, Floats]:
         return np.outer(here.J, here.J) + np.eye(2), self.slope(values, here)
 
@@ -69,3 +72,20 @@ def test_a_valley_that_bends_is_followed_in_a_few_steps(angle: float) -> None:
     assert found.converged
     np.testing.assert_allclose(found.values, RADIUS * PRIOR / np.linalg.norm(PRIOR), atol=1e-3)
     assert valley.asked < 40
+
+
+class Cheap(Valley):
+    """The same, whose loss is known without derivatives."""
+
+    def surely_higher(self, values: Floats, loss: float) -> bool:
+        r, away = STEEP * (RADIUS - float(np.linalg.norm(values))), values - PRIOR
+        return 0.5 * (r * r + float(away @ away)) > loss * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("radius", [0.3, 3.0])
+def test_derivatives_are_not_taken_where_a_shorter_step_still_climbs(radius: float) -> None:
+    start = radius * RADIUS * np.array([np.cos(2.9), np.sin(2.9)])
+    valley, cheap = Valley(), Cheap()
+    found = [minimise(one, start, one.at(start)).values for one in (valley, cheap)]
+    np.testing.assert_array_equal(*found)
+    assert cheap.asked < valley.asked

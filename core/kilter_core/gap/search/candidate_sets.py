@@ -50,7 +50,9 @@ class CandidateSets:
 
     def another_name(self, chosen: Sequence[int]) -> Floats:
         """1 for each candidate (K,) that beside a set is a name more, 0 for one whose effect is in it at other joints."""
-        return np.asarray(~np.isin(self._named, self._named[list(chosen)]), dtype=np.float64)
+        another = np.ones(len(self._named))  # as many names there are at most
+        another[self._named[list(chosen)]] = 0.0
+        return np.asarray(another[self._named])
 
     def faint_families(self, gram: Gram, chosen: Sequence[int]) -> list[int]:
         """Families that a set, of which an effect acts at several joints, may lack, the clearest first.

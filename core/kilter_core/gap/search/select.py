@@ -7,8 +7,9 @@ a swap pass (one for one, and two for one) and a backward pass; and an effect th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Selector(CandidateSets):
         beyond = float(np.sum(self.extra[list(places)])) + FAMILY_MARGIN * self.names(places)
         return float(sum(degrees)) * float(np.log(self.rows)) + beyond
 
-    @property
+    @cached_property
     def extra(self) -> Floats:
         """What a candidate (K,) costs beside its parameters: a shape the margin, an event its choice of a place."""
         return np.asarray(MARGIN * self.scorer.empirical + self.scorer.paid)
@@ -102,8 +103,9 @@ class Selector(CandidateSets):
         """Swap, merge and drop until nothing improves."""
         seen = {chosen}
         while True:
-            after = self.divided(gram, self.swapped(gram, chosen, critical), critical)
-            after = self.dropped(gram, self.merged(gram, after, critical), critical)
+            after = chosen
+            for step in (self.swapped, self.divided, self.merged, self.dropped):  # each looks at a set once
+                after = gram.found(self._key(step.__name__, after, critical), partial(step, gram, after, critical))
             if after == chosen or after in seen:
                 return after
             seen.add(after)
@@ -131,11 +133,12 @@ class Selector(CandidateSets):
 
         Sets come back in other orders, entry after entry: each is looked at once.
         """
-        key = (self.scorer.number, self.closed, self.rows, critical, frozenset(chosen))
-        if key not in gram.exchanges:
-            gram.exchanges[key] = self._exchange(gram, chosen, critical)
-        out, entered = gram.exchanges[key]
+        make = partial(self._exchange, gram, chosen, critical)
+        out, entered = gram.found(self._key("exchange", frozenset(chosen), critical), make)
         return chosen if entered is None else (*(m for m in chosen if m not in out), entered)
+
+    def _key(self, step: str, chosen: Collection[int], critical: float) -> Hashable:
+        return step, self.scorer.number, self.closed, self.rows, critical, chosen
 
     def _exchange(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[tuple[int, ...], int | None]:
         """Which members leave, and which candidate enters, None where nothing does."""
@@ -347,8 +350,7 @@ class Selector(CandidateSets):
         reach: Reach | None = None,
     ) -> tuple[int | None, float]:
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
-        columns = self.columns(rest)
-        able = np.ones(len(self.scorer.candidates), dtype=bool)
+        columns, able = self.columns(rest), np.ones(len(self.scorer.candidates), dtype=bool)
         able[list(taken)] = False
         if reach is not None:
             price = self.price(rest, [gram.rank(columns)]) + FAMILY_MARGIN * self.another_name(rest)

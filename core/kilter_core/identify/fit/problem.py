@@ -138,6 +138,10 @@ class LeastSquares(ABC, Generic[W]):
         """The residuals (R,) that :meth:`at` has."""
         return self.at(values).r
 
+    def surely_higher(self, values: Floats, loss: float) -> bool:
+        """Whether the loss at ``values`` is known to be higher: where residuals alone cost as much as :meth:`at`, never."""
+        return False
+
     @abstractmethod
     def beyond(self, here: W, values: Floats, step: Floats) -> W:
         """What is at ``values``, a small ``step (F,)`` in prior sigmas from ``here``; the Jacobian stays."""

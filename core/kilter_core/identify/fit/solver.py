@@ -81,6 +81,9 @@ class Objective(Protocol[P]):
     def bend(self, values: Floats, here: P, step: Floats) -> Floats:
         """Jᵀ times the second derivative (F,) of the prediction along a step: how far off the tangent the valley bends."""
 
+    def surely_higher(self, values: Floats, loss: float) -> bool:
+        """Whether the loss at ``values`` is known to be higher, without what derivatives need; where it is dear, False."""
+
     def beyond(self, here: P, values: Floats, step: Floats) -> P:
         """Predict what is at ``values``, a tiny ``step`` from ``here``, without asking the model again."""
 
@@ -156,7 +159,7 @@ def _marquardt(
 ) -> _Step[P] | None:
     """Raise the damping until a step lowers the loss; None where no step does: a minimum to rounding."""
     diagonal = np.diag(H)
-    for _ in range(SHORTENINGS):
+    for attempt in range(SHORTENINGS):
         damped = H.copy()
         damped.flat[:: len(H) + 1] += damping * diagonal
         step = np.asarray(np.linalg.solve(damped, g), dtype=np.float64)
@@ -166,10 +169,11 @@ def _marquardt(
             trial = objective.moved(values, step)
             return _Step(trial, objective.beyond(here, trial, step), step, True, damping)
         trial = objective.moved(values, step)
-        # Nearly every step is good, so its Jacobian is taken at once instead of after its loss.
-        there = objective.at(trial)
-        if there.loss < here.loss:
-            return _Step(trial, there, step, False, damping * 0.1)
+        # Nearly every step is good, so its Jacobian is taken at once instead of after its loss; after one that was not, not.
+        if not (attempt and objective.surely_higher(trial, here.loss)):
+            there = objective.at(trial)
+            if there.loss < here.loss:
+                return _Step(trial, there, step, False, damping * 0.1)
         damping = max(damping * 10.0, 1e-9)
     return None
 
@@ -182,7 +186,7 @@ def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floa
     w, V = np.linalg.eigh(H)
     size = np.maximum(np.abs(w), 1.0)  # the prior alone gives 1
     damping = 0.0
-    for _ in range(SHORTENINGS):
+    for attempt in range(SHORTENINGS):
         step = _over(V, size + damping, g)
         if _worthless(objective, here, step, g):
             return None
@@ -190,10 +194,11 @@ def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floa
         if not last:
             step = _bent(objective, values, here, step, g, partial(_over, V, size + damping))
         trial = objective.moved(values, step)
-        there = objective.at(trial)
-        if there.loss < here.loss:
-            # Where the loss has kinks (Huber's) full steps go to and fro across one for ever smaller gains.
-            return _Step(trial, there, step, last or here.loss - there.loss < NOTHING, FIRST_DAMPING)
+        if not (attempt and objective.surely_higher(trial, here.loss)):
+            there = objective.at(trial)
+            if there.loss < here.loss:
+                # Where the loss has kinks (Huber's) full steps go to and fro across one for ever smaller gains.
+                return _Step(trial, there, step, last or here.loss - there.loss < NOTHING, FIRST_DAMPING)
         damping = max(damping * 10.0, 1.0)
     return None
 

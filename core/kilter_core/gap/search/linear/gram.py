@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.linalg.lapack import dpotrf, dsyevx, dtrtri
 
 from kilter_core.gap.search.linear.recent import Recent
 from kilter_core.types import Floats, Ints
@@ -16,6 +16,7 @@ from kilter_core.types import Floats, Ints
 T = TypeVar("T")
 
 SURELY = 0.5  # of the smallest eigenvalue that counts: what rounding may hide of a bound
+BELOW = -1.0  # no eigenvalue of unit columns is below it: rounding makes zeros a little negative
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
 
 
@@ -94,6 +95,13 @@ class Gram:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
 
+    def found(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what ``make`` gives, once on these very data: it may depend on them, and is small."""
+        if key not in self.exchanges:
+            self.exchanges[key] = make()
+        known: T = self.exchanges[key]
+        return known
+
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
         """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
         return self.inverses.get(
@@ -148,7 +156,23 @@ def _inverted(A: Floats) -> tuple[Floats, int]:
     root = triangular(A)
     if root is not None:
         return root.T @ root, len(A)
-    return by_eigenvalues(A)
+    return by_hidden(A)
+
+
+def by_hidden(A: Floats) -> tuple[Floats, int]:
+    """The same as :func:`by_eigenvalues` by the few eigenvectors that do not count, in two thirds of the time.
+
+    Along those the matrix is made 1, inverted by its triangle, and what that gives along them is taken off again.
+    """
+    w, V, count, _, fault = dsyevx(A, range="V", vl=BELOW, vu=VISIBLE, lower=1) if A.size else (A, A, 0, A, 1)
+    if fault or count == len(A):
+        return by_eigenvalues(A)
+    hidden = V[:, :count]
+    factor, fault = dpotrf(A + (hidden * (1.0 - w[:count])) @ hidden.T, lower=1, clean=1)
+    root, beyond = dtrtri(factor, lower=1)
+    if fault or beyond:
+        return by_eigenvalues(A)
+    return np.asarray(root.T @ root - hidden @ hidden.T), len(A) - count
 
 
 def by_eigenvalues(A: Floats) -> tuple[Floats, int]:
@@ -166,7 +190,8 @@ def triangular(A: Floats) -> Floats | None:
     if not A.size:
         return None
     factor, fault = dpotrf(A, lower=1, clean=1)
-    if fault:
+    # The diagonal of the inverse triangle is part of the trace: where it alone is too much nothing is inverted.
+    if fault or not factor.diagonal().min() ** 2 * SURELY > VISIBLE:
         return None
     root, fault = dtrtri(factor, lower=1)
     each = root.ravel(order="K")  # a view: a selection asks tens of thousands of times

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,13 @@ class Stacked:
         """Slices of the rows, whole visits each, and the columns there."""
         for part in parts(len(self.G), len(self.scale), self.size):
             X = np.hstack([self.G[part], self.W[part]]) if self.W.shape[1] else self.G[part]
-            yield part, (X if self.kept is None else X[:, list(self.kept)]) * self._scale
+            X = X if self.kept is None else X[:, list(self.kept)]
+            yield part, X if self._even else X * self._scale
+
+    @cached_property
+    def _even(self) -> bool:
+        """Whether no column is scaled, as of those that are condensed."""
+        return bool(np.all(self._scale == 1.0))
 
     @property
     def _scale(self) -> Floats:

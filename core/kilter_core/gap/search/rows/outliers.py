@@ -11,6 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg.blas import dtrmm
+from scipy.linalg.lapack import dtrtri
 from scipy.stats import chi2, f
 
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on
@@ -105,11 +107,11 @@ def _refuted(settings: ProblemSettings, scale: float) -> bool:
 
 def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
     """Squared studentised distance (V,) of every visit from the weighted fit to all others."""
-    beta, root_inverse = _fit(X, y, weight)
+    beta, upper = _fit(X, y, weight)
     out = np.empty(len(weight))
     for part, columns in X.each():
         visits = slice(part.start // X.size, part.stop // X.size)
-        half = columns @ root_inverse.T  # a product is twice as fast as solving for every row
+        half = dtrmm(1.0, upper, columns.T, trans_a=1).T  # a triangle: half of a product, and faster than solving
         blocks = half.reshape(-1, X.size, X.width)
         w, V = np.linalg.eigh(np.matmul(blocks, blocks.transpose(0, 2, 1)))
         z = np.einsum("vij,vi->vj", V, (y[part] - columns @ beta).reshape(-1, X.size))
@@ -122,13 +124,12 @@ def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
 
 
 def _fit(X: Stacked, y: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Amounts (F,) of the weighted fit within the priors, and the inverse root (F, F) of its matrix."""
+    """Amounts (F,) of the weighted fit within the priors, and the inverse (F, F) of the upper triangle of its matrix."""
     H, b = np.eye(X.width), np.zeros(X.width)
     for part, columns in X.each():
         root = np.repeat(np.sqrt(weight[part.start // X.size : part.stop // X.size]), X.size)
         K = columns * root[:, None]
         H += K.T @ K
         b += K.T @ (y[part] * root)
-    factor, lower = scipy.linalg.cho_factor(H)
-    inverse = scipy.linalg.solve_triangular(factor, np.eye(len(H)), lower=lower, trans=0 if lower else 1)
-    return scipy.linalg.cho_solve((factor, lower), b), inverse
+    factor = scipy.linalg.cholesky(H)
+    return scipy.linalg.cho_solve((factor, False), b), dtrtri(factor)[0]
