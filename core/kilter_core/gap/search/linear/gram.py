@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dsyevx, dtrtri
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from kilter_core.gap.search.linear.recent import Recent
 from kilter_core.types import Floats, Ints
@@ -16,7 +16,6 @@ from kilter_core.types import Floats, Ints
 T = TypeVar("T")
 
 SURELY = 0.5  # of the smallest eigenvalue that counts: what rounding may hide of a bound
-BELOW = -1.0  # no eigenvalue of unit columns is below it: rounding makes zeros a little negative
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
 
 
@@ -156,23 +155,7 @@ def _inverted(A: Floats) -> tuple[Floats, int]:
     root = triangular(A)
     if root is not None:
         return root.T @ root, len(A)
-    return by_hidden(A)
-
-
-def by_hidden(A: Floats) -> tuple[Floats, int]:
-    """The same as :func:`by_eigenvalues` by the few eigenvectors that do not count, in two thirds of the time.
-
-    Along those the matrix is made 1, inverted by its triangle, and what that gives along them is taken off again.
-    """
-    w, V, count, _, fault = dsyevx(A, range="V", vl=BELOW, vu=VISIBLE, lower=1) if A.size else (A, A, 0, A, 1)
-    if fault or count == len(A):
-        return by_eigenvalues(A)
-    hidden = V[:, :count]
-    factor, fault = dpotrf(A + (hidden * (1.0 - w[:count])) @ hidden.T, lower=1, clean=1)
-    root, beyond = dtrtri(factor, lower=1)
-    if fault or beyond:
-        return by_eigenvalues(A)
-    return np.asarray(root.T @ root - hidden @ hidden.T), len(A) - count
+    return by_eigenvalues(A)
 
 
 def by_eigenvalues(A: Floats) -> tuple[Floats, int]:
