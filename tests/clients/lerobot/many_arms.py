@@ -11,7 +11,6 @@ import io
 import json
 import os
 import re
-import subprocess
 import sys
 import tempfile
 import time
@@ -28,11 +27,11 @@ from tests.blind.bounds import Figure, share
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_twin import Twin
 from tests.clients.lerobot.webcam import View, advised, views, views_near, written
+from tools.local_server import local_server
 
 POSES, PAYLOADS, CORNER_PX, PLAY_DEG = 20, (0.0, 0.2), 0.5, 1.0
 LOADED = (2, 3, 4)  # joints that gravity loads
 STIFF = 3000.0
-READY_S = 120.0
 RECORDS = Path(__file__).resolve().parents[3] / "build"
 NAMES = re.compile(r"deg of backlash|sags by|is off by")
 Record = dict[str, Any]  # {"name", "truth": {...}, "report": {...} | None, "error", "seconds"}
@@ -178,24 +177,11 @@ def stiffness_off(record: Record) -> list[float]:
 
 @contextmanager
 def served(data: Path) -> Iterator[Kilter]:
-    """A server of its own, found as a person's own: by KILTER_DATA."""
-    for name in [name for name in os.environ if name.startswith("KILTER_")]:
-        del os.environ[name]
-    os.environ |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
-    data.mkdir(parents=True)
-    with (data / "log").open("wb") as log:
-        process = subprocess.Popen([sys.executable, "-m", "kilter_service", "serve"], stdout=log, stderr=log)
-    try:
-        deadline = time.monotonic() + READY_S
-        while not (data / "server.json").exists():
-            assert process.poll() is None, (data / "log").read_text()
-            assert time.monotonic() < deadline, (data / "log").read_text()
-            time.sleep(0.05)
+    """A server of its own, found as a person's own: by the environment."""
+    with local_server(data) as server:
+        os.environ |= server.environment()
         with Kilter() as kilter:
             yield kilter
-    finally:
-        process.terminate()
-        process.wait()
 
 
 def main() -> None:
