@@ -124,7 +124,9 @@ def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -
 def rows_left(client: httpx.Client, version: str, campaign_id: str) -> dict[str, list[float]]:
     """What a version leaves of each row, by column."""
     asked = {"campaign": campaign_id, "format": "json"}
-    found: dict[str, list[float]] = client.get(f"/v1/versions/{version}/residuals", params=asked).raise_for_status().json()
+    found: dict[str, list[float]] = (
+        client.get(f"/v1/versions/{version}/residuals", params=asked).raise_for_status().json()
+    )
     return found
 
 

@@ -10,6 +10,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
