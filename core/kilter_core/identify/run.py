@@ -53,6 +53,7 @@ from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.view_report import (
     predictive_of,
+    tell_less,
     too_large_to_deploy,
     views_said,
     with_control,
@@ -264,8 +265,9 @@ def _views(
     """What views say, of those held out and of shuffled joints too, and the warnings with theirs."""
     views = with_control(result.views, begin, measurement.observations)
     views = with_held(views, result.calibration, validation, measurement)
-    registered = held["registration_only"].to_document()["rms_mm"] if held else None
-    return {"views": views, "warnings": (*warnings, *too_large_to_deploy(views, registered))}
+    shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}
+    said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(views, shown.get("identified"))
+    return {"views": views, "warnings": (*warnings, *said)}
 
 
 def _in_one_frame(

@@ -18,9 +18,15 @@ from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.held_arm import by_held_arm, holds_arm
+from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
-from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
+from kilter_core.identify.views.camera_report import (
+    cameras_document,
+    left_open_document,
+    pixels_document,
+    tool_document,
+)
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
@@ -46,12 +52,16 @@ def views_said(calibration: Calibration, fit: Fit, found: ViewScatter | None) ->
     if fit.problem.measurement.pixels is None:
         return {}
     said = cameras_document(calibration, sigmas_of(fit))
-    return said if found is None else {**said, "pixels": pixels_document(found)}
+    if found is None:
+        return said
+    open_ = left_open(calibration, predictive_of_views(fit, found), fit.problem.measurement.observations)
+    return {**said, "pixels": {**pixels_document(found), "left_open": left_open_document(open_)}}
 
 
 WRONG_VIEWS = ("views_astray", "camera_moved", "board_scale_differs")  # codes of warnings of :func:`wrong_views`
 TOO_LARGE_MM = 1.0  # an arm that is off by more picks and places, and assembles nothing
 LITTLE = 0.5  # share of the registered nominal robot's error, beyond which a version is hardly worth it
+BEYOND_SHOWN = 1.25  # as much more left open than held-out views show is worth a warning
 LACKING = 1.5  # variance between views over that of their corners, beyond which the model lacks something
 
 
@@ -73,6 +83,20 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
         "message": f"{state}, but the error is too large to deploy: on views held out the tool is off by "
         f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
         "picture, add points of a tracker, or look for what is missing with `kilter gap`.",
+    }  # fmt: skip
+
+
+def tell_less(said: dict[str, Any], held_mm: float | None) -> Iterator[dict[str, Any]]:
+    """Warn where a fit to views leaves more open than views show that were held out, ``held_mm`` rms."""
+    left = (said.get("pixels") or {}).get("left_open")
+    if left is None or held_mm is None or left["rms_mm"] <= BEYOND_SHOWN * held_mm:
+        return
+    yield {
+        "code": "views_tell_less", "rms_mm": left["rms_mm"], "high_mm": left["high_mm"],
+        "message": f"By views held out the tool is off by {held_mm:.3g} mm rms, but these views leave more open: "
+        f"{left['rms_mm']:.3g} mm rms, up to {left['high_mm']:.3g} mm (95 %), most of it along the lines of sight and in how "
+        "large everything is. Take views from nearer, or of a larger board, or measure a length: two points of known distance, "
+        "sockets, a few points of a tracker.",
     }  # fmt: skip
 
 

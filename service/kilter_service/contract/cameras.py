@@ -59,6 +59,13 @@ class ToolScatter(Stored):
     orientation_deg: Deg = Field(description="Root mean square angle, degrees.")
 
 
+class LeftOpen(Stored):
+    """How far off the tool may be by what a fit to views leaves open, with base and tool where they fit best."""
+
+    rms_mm: Mm = Field(description="Root mean square distance that is expected, mm.")
+    high_mm: Mm = Field(description="Upper end of its 95 % interval, mm.")
+
+
 class PixelsFound(Stored):
     """What pixels alone say of their own noise and of the tool."""
 
@@ -68,6 +75,11 @@ class PixelsFound(Stored):
     )
     train: ToolScatter = Field(description="The tool in the views that were fitted.")
     validation: ToolScatter | None = Field(None, description="The tool in views held out; null: none, or folds.")
+    left_open: LeftOpen | None = Field(
+        None,
+        description="How far off the tool may be by what the fit leaves open, most of it along the lines of sight and in how "
+        "large everything is: views hardly see that, held out or not. Null: not known.",
+    )
     given_mm: Mm | None = Field(
         None,
         description="What hand-eye of the arm as it began leaves in the views that were fitted, mm: median, a rotation "

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from kilter_core.identify.uncertainty.left_open import LeftOpen
 from kilter_core.identify.views.cameras import rig_of
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
@@ -61,6 +62,11 @@ def tool_document(found: ViewScatter) -> dict[str, float]:
         "rms_mm": mm(found.rms_m), "low_mm": mm(root * found.place_low), "high_mm": mm(root * found.place_high),
         "orientation_deg": degrees(root * found.turn),
     }  # fmt: skip
+
+
+def left_open_document(found: LeftOpen) -> dict[str, float]:
+    """How far off the tool may be by what the fit leaves open."""
+    return {"rms_mm": mm(found.rms), "high_mm": mm(found.high)}
 
 
 def _frame(mount: str) -> str:

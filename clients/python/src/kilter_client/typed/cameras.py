@@ -86,6 +86,16 @@ class BoardFound(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LeftOpen(Record):
+    """How far off the tool may be by what a fit to views leaves open, with base and tool where they fit best."""
+
+    high_mm: float
+    """Upper end of its 95 % interval, mm."""
+    rms_mm: float
+    """Root mean square distance that is expected, mm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ToolScatter(Record):
     """How far off the tool is in views, the noise of the views taken off."""
 
@@ -107,6 +117,8 @@ class PixelsFound(Record):
     """Variance between views over what their corners explain: 1 where the model lacks nothing."""
     given_mm: float | None
     """What hand-eye of the arm as it began leaves in the views that were fitted, mm: median, a rotation counted 0.3 m off; None: too few views."""
+    left_open: LeftOpen | None
+    """How far off the tool may be by what the fit leaves open, most of it along the lines of sight and in how large everything is: views hardly see that, held out or not. Null: not known."""
     noise_px: float
     """Standard deviation of a corner, px, from within views: no model enters."""
     shuffled_mm: float | None

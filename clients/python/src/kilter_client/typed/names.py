@@ -112,6 +112,7 @@ MODULE_OF = {
     "Layout": "fits",
     "Learned": "identifications",
     "LeftOneOut": "fleet_priors",
+    "LeftOpen": "cameras",
     "Legend": "fits",
     "LoadNumber": "fits",
     "LoginLink": "others",

@@ -122,6 +122,9 @@ def _pixels(pixels: Mapping[str, Any]) -> None:
             low, high = number(tool["low_mm"]), number(tool["high_mm"])
             off = f"{number(tool['rms_mm'])} mm rms (95 %: {low} to {high} mm)"
             say(f"the tool in {where} is off by {off}, the noise of the views taken off")
+    if left := pixels.get("left_open"):
+        may = f"{number(left['rms_mm'])} mm rms (95 %: up to {number(left['high_mm'])} mm)"
+        say(f"by what the fit leaves open the tool may be off by {may}; views hardly see size and distance")
 
 
 def _stage(job: Mapping[str, Any]) -> str:
