@@ -22,7 +22,7 @@ from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.by_kind import by_kind
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
-from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm
+from kilter_core.gap.evidence.held_out.practical_size import floor_mm, misfit, moves_mm
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.held_out.when import event_warnings, events, said_once, settled
@@ -203,7 +203,8 @@ class _Run:
         held = HoldoutEvaluator(found, prepared, self.validation, kept.posterior)
         unseen = unseen_fit(held, floor_mm(rows, self.options))
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
-        effects, control = self._judged(found, fit, left, kept, held, whole)
+        lacking = missing_directions(problem, found.columns)
+        effects, control = self._judged(found, fit, kept, held, whole, bool(lacking))
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -212,7 +213,6 @@ class _Run:
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
         poses, told = self._next_poses(found, effects)
-        lacking = missing_directions(problem, found.columns)
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
@@ -249,8 +249,8 @@ class _Run:
         return {**out, "spikes": spikes}
 
     def _judged(
-        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
-        whole: Callable[[float], bool],
+        self, found: SearchResult, fit: Adequacy, kept: Stored, held: HoldoutEvaluator, whole: Callable[[float], bool],
+        lacking: bool,
     ) -> tuple[tuple[Judged, ...], dict[str, Any]]:  # fmt: skip
         """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
         aliases = {k: aliases_of(found, k) for k in found.chosen}
@@ -258,7 +258,7 @@ class _Run:
         drafts = self._drafts(found, fit, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
-            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm))
+            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
 
         rising = [k for k, evidence in drafts.items() if judged(evidence).verdict != "provisional"]
         shares = inclusion(

@@ -69,6 +69,9 @@ class Gates(Stored):
     negative_control: bool | None = Field(None, description="It vanishes when its labels are shuffled.")
     confirmation: bool | None = Field(None, description="A confirmation does not contradict it.")
     sensor: bool | None = Field(None, description="A sensor at the place shows it; null: none is there.")
+    complete_geometry: bool | None = Field(
+        None, description="False: rotations that the robot's description lacks explain the rows as well; else null."
+    )
 
 
 class Evidence(Stored):

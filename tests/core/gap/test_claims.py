@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from kilter_core.gap.evidence.held_out.holding_out import held_out, parted, shar
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.replication import Confirmation, replication
 from kilter_core.gap.evidence.similarity.testability import testability as judged
+from kilter_core.gap.evidence.verdict import sentence
+from kilter_core.gap.report.report import Remains
 from kilter_core.gap.report.stored import stored
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -238,6 +242,29 @@ def test_a_size_that_is_stated_makes_a_curve_too_small_to_matter(robot):
     assert strict.verdict == "unexplained"
     assert lax.verdict in ("closed", "no_gap")
     assert "too small to matter" in lax.sentence.lower()
+
+
+def told(called: str, verdict: str, moves_mm: float) -> Any:
+    """What a sentence reads of an effect that was judged."""
+    return SimpleNamespace(called=called, verdict=verdict, evidence=SimpleNamespace(moves_mm=moves_mm))
+
+
+def test_the_headline_confirms_no_more_than_was_confirmed():
+    """A small effect that failed a test stood among those that a closed gap calls confirmed."""
+    fit, left = Adequacy(300.0, 300.0, 1.0, 0.5), Misfit(0.0, 0.001, 0.005, True)
+    large, small = told("eccentricity j2", "confirmed", 0.2), told("backlash j4", "provisional", 0.002)
+    both, alone = (sentence("closed", judged, fit, left, "") for judged in ((large, small), (small,)))
+    assert both.startswith("eccentricity j2: confirmed among the causes of the library.")
+    assert both.endswith("Too small to matter: backlash j4.")
+    assert "confirmed" not in alone
+    assert alone.startswith("Nothing that matters is missing")
+    assert alone.endswith("Too small to matter: backlash j4.")
+
+
+def test_what_the_rows_searched_leave_is_no_size_of_what_held_out_rows_refute():
+    """Where the rows searched agree, "something is left (0.0 um)" stood before "0.08 mm are left" of the held-out ones."""
+    assert Remains(Misfit(0.0, 0.001, 0.005, True), None).words == ""
+    assert Remains(Misfit(0.02, 0.03, 0.005, False), None).words == " (20.0 um)"
 
 
 @pytest.mark.parametrize("name", ["bootstraps", "resamples", "permutations", "max_effects", "next_poses"])

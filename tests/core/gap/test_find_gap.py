@@ -176,6 +176,20 @@ def test_without_repeats_every_verdict_is_relative(robot):
     assert report.gap["noise_mm"] == pytest.approx(2e-2, rel=0.2)  # the gap itself is no noise
 
 
+def test_repeats_from_other_sides_are_told_from_none(robot):
+    """Poses visited thrice with other poses before them come from other sides: "no pose was repeated" was said of them."""
+    rows = campaign(robot, revisits=20, loads=(0.0,))
+    sides = np.random.default_rng(3).choice([-1.0, 1.0], rows.q.shape)
+    plain, other = (
+        prepare.prepare_data(Calibration.nominal(robot), one, QUICK).warnings
+        for one in (rows, replace(rows, direction=sides))
+    )
+    assert "no_repeats" not in {w["code"] for w in plain}
+    (said,) = [w["message"] for w in other if w["code"] == "no_repeats"]
+    assert said.startswith("20 poses were visited again, but from another side (dir1 ...), and too few")
+    assert "from the same pose before" in said
+
+
 @pytest.mark.parametrize(("approach_m", "verdict"), [(0.0, "class_confirmed"), (6e-5, "provisional")])
 def test_repeats_without_leaving_the_pose_confirm_only_what_leaves_no_more_than_they_scatter(
     robot, approach_m, verdict

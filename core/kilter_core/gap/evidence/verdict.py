@@ -71,10 +71,13 @@ class Judged:
         return self.claim.words
 
 
-def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool) -> Judged:
+def judge(
+    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool, lacking: bool = False
+) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional.
 
-    ``settled`` as :func:`is_settled`.
+    ``settled`` as :func:`is_settled`; ``lacking`` says that rotations which the robot's description lacks do as well as all
+    that was named.
     """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
@@ -94,6 +97,8 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, library: Libr
     }
     if replication is not None:
         gates["confirmation"] = not replication.contradicted
+    if lacking:
+        gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
     claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled)
     if _sensed(evidence) is not None:
@@ -180,14 +185,17 @@ SURE = {
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit, left: str) -> str:
     """Say the verdict in words; ``left`` says how much remains, and where."""
     names = ", ".join(j.called for j in judged)
+    sure = ", ".join(j.called for j in judged if j.verdict in SURE)
     relative = (
         "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
     )
     noise = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
         "no_gap": "Nothing in the library is significant above the noise.",
-        "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
-        f"{noise}.",
+        "closed": f"{sure}: confirmed among the causes of the library. With this the model agrees with the measurements "
+        f"{noise}."
+        if sure
+        else f"Nothing that matters is missing: the model agrees with the measurements {noise}.",
         "provisional": _risen(judged, adequacy, left) or f"{names}: likely, but not every test was passed.",
         "unexplained": _risen(judged, adequacy, left)
         or f"Something is left that no known effect explains{left}."
