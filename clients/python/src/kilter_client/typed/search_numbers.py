@@ -307,6 +307,8 @@ class Gates(Record):
 
     adequate: bool | None
     """Of earlier searches: the model with it agrees with the rows. It is a statement of its own now."""
+    complete_geometry: bool | None
+    """False: rotations that the robot's description lacks explain the rows as well; else None."""
     confirmation: bool | None
     """A confirmation does not contradict it."""
     held_out: bool | None
