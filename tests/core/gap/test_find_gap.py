@@ -49,7 +49,9 @@ def test_backlash_is_named_with_its_twin_and_its_size(backlash):
     assert p["interval_low"] < np.degrees(3e-4) < p["interval_high"]
     assert effect["p_value"] < 1e-6
     assert backlash.verdict == "closed"
-    assert backlash.sentence.startswith("backlash j2 or friction_windup j2 (these data cannot tell): confirmed")
+    said = "reversal error of joint 2, in the shape of backlash or friction_windup j2: confirmed"
+    assert backlash.sentence.startswith(said)  # the hysteresis of a gear, in no library, does it as well
+    assert "hysteresis of the gear" in effect["physical_class"]["outside"]
 
 
 @pytest.mark.parametrize("measured", ["pose", "markers"])

@@ -55,8 +55,8 @@ class Claim:
     ) -> Claim:
         """Find the narrowest set.
 
-        Members are named only where every piece of evidence is there, and where nothing else is left that may be part
-        of it (``settled``).
+        Members are named only where every piece of evidence is there, where nothing else is left that may be part of it
+        (``settled``), and where no other member of its class does as well.
         """
         physical = candidate.effects[0].class_on(robot)
         evidence, label = _needed(evidence), physical.at(candidate.joints)
@@ -73,7 +73,11 @@ class Claim:
             return Claim(CLASS, f"{member or label} ({'; '.join(doubts)})", *about)
         if member:
             return Claim(CLASS, member, *about)
-        if not settled or not all(e.met for e in evidence):
+        if (
+            not settled
+            or not all(e.met for e in evidence)
+            or (physical.outside and _kin_alone(candidate, robot, rivals))
+        ):
             shapes = [candidate.id.replace("_", " "), *names[1:]]
             shape = f", in the shape of {_some(shapes)}" if physical.shaped else ""
             return Claim(CLASS, label + shape, *about)
@@ -95,6 +99,15 @@ class Claim:
                 "outside": list(self.physical.outside),
             },
         }  # fmt: skip
+
+
+def _kin_alone(candidate: Candidate, robot: Robot, rivals: Sequence[Alias]) -> bool:
+    """Whether what does as well are others of its class at its place: what these data cannot tell from another member,
+    they cannot tell from those of no library.
+    """
+    others = [a.candidate for a in rivals]
+    own = candidate.effects[0].class_on(robot).id
+    return bool(others) and all(o.joints == candidate.joints and o.effects[0].class_on(robot).id == own for o in others)
 
 
 def _doubt(evidence: Separated) -> str:
