@@ -30,6 +30,11 @@ def left_over(found: SearchResult, known: Posterior) -> Predictive | None:
     scale = scale_freedom(found)
     if not settings.trusted:
         return Predictive(known.names, known.covariance, size * float(np.sqrt(ratio)), 0.0, scale, POINTS)
-    by_chance = float(f.isf(CHANCE, nu, min(max(scale, 1.0), EXACT)))
-    beyond = size * float(np.sqrt(ratio - 1.0)) if ratio > by_chance else 0.0
-    return Predictive(known.names, known.covariance, beyond, size, scale, POINTS)
+    known_by = min(max(scale, 1.0), float(EXACT))
+    if ratio > f.isf(CHANCE, nu, known_by):
+        return Predictive(known.names, known.covariance, size * float(np.sqrt(ratio - 1.0)), size, scale, POINTS)
+    if np.isfinite(scale) and ratio > f.ppf(CHANCE, nu, known_by):
+        # A dozen repeats know the noise to a fifth, and hundreds of rows that a model agrees with to some per cent.
+        size *= float(np.sqrt((known_by + nu * ratio) / (known_by + nu)))
+        scale += nu
+    return Predictive(known.names, known.covariance, 0.0, size, scale, POINTS)
