@@ -51,7 +51,7 @@ from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
-from kilter_core.gap.report.told_apart import Proposed, told_apart
+from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
@@ -376,7 +376,8 @@ class _Run:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects or self.budget.over(PLANNING, "poses to measure next"):
             return [], None
-        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
+        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member
+                      and not never_told(j.evidence.candidate, a.candidate, self.robot)]) for j in effects]  # fmt: skip
         asked = next(((j, a) for j, a in open_ if a), None)
         weak = [(j, list[Alias]()) for j in effects if j.verdict == "provisional"]
         if not (asked or weak):

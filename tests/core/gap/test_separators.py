@@ -85,3 +85,14 @@ def test_a_sentence_names_the_nearest_and_counts_the_others() -> None:
         assert claim.words.endswith(end)
         assert claim.words.count(" or ") == 3
     assert Claim.of(chosen, katana(), rivals[:3], (), settled=True).words.count(" or ") == 3
+
+
+def test_what_everything_does_as_well_has_no_name() -> None:
+    """A headline called "twist about the axis of joint 6 under load" what 111 others did as well."""
+    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    chosen = next(c for c in candidates if c.id == "axial_compliance")
+    rivals = [Alias(k, c, 0.0, 0.1, 0.5) for k, c in enumerate(candidates) if not c.empirical and c is not chosen]
+    claim = Claim.of(chosen, katana(), rivals, (), settled=False)
+    assert claim.said == "class"
+    assert claim.words.startswith("an effect that these data cannot name (axial_compliance j1 or ")
+    assert claim.words.endswith(" others do as well)")

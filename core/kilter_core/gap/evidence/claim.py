@@ -15,6 +15,7 @@ from kilter_core.gap.search.candidates import Candidate
 
 MEMBER, ONE_OF, CLASS = "member", "one_of", "class"
 SHOWN = 3  # names in a sentence
+UNNAMED = 20  # names that do as well, from which none of them says anything
 FOLLOWED = (
     Separator.TEMPERATURE,
     Separator.ORDER,
@@ -69,6 +70,8 @@ class Claim:
         member = next((a.member for a in rivals if a.member), "")
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
+        if len(names) > UNNAMED:
+            return Claim(CLASS, f"an effect that these data cannot name ({_some(names)} do as well)", *about)
         if doubts:
             return Claim(CLASS, f"{member or label} ({'; '.join(doubts)})", *about)
         if member:
