@@ -135,6 +135,9 @@ class Claim(Stored):
     said: str = Field(description="Of what it is said: a `member` by its name, `one_of` several, or the `class`.")
     words: str = Field(description="The claim in words.")
     settled: bool | None = Field(None, description="Whether the model as a whole agrees with the rows.")
+    joints: list[int] | None = Field(
+        None, description="Joints that it is said of, from 1, where others are only likely; null: acts at none."
+    )
     evidence: list[Separation] | None = Field(None, description="What a member's name needs beside its shape.")
 
 

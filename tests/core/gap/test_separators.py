@@ -96,3 +96,18 @@ def test_what_everything_does_as_well_has_no_name() -> None:
     assert claim.said == "class"
     assert claim.words.startswith("an effect that these data cannot name (axial_compliance j1 or ")
     assert claim.words.endswith(" others do as well)")
+
+
+def test_no_more_joints_are_claimed_than_the_halves_bear_out() -> None:
+    """Both halves named an error of joint 5 alone, and "smooth error of joints 1, 3, 5" was confirmed."""
+    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    family = next(c for c in candidates if c.id == "encoder_scale" and c.joints == (0, 1, 2, 3, 4))
+    curve = next(c for c in candidates if c.id == "unknown_smooth_curve")
+    class_ = [Alias(0, curve, 0.0, 1.0, 0.5, "smooth error of joints 1, 2, 3, 4, 5")]
+    for rivals in (class_, []):
+        claim = Claim.of(family, katana(), rivals, (), False, (4,))
+        assert claim.words.startswith("smooth error of joint 5, likely of joints 1, 2, 3, 4 too")
+        assert claim.to_document()["claim"]["joints"] == [5]
+        assert claim.to_document()["physical_class"]["label"] == claim.words
+    whole = Claim.of(family, katana(), class_, (), False)
+    assert (whole.words, whole.joints) == ("smooth error of joints 1, 2, 3, 4, 5", (0, 1, 2, 3, 4))

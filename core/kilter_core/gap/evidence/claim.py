@@ -8,7 +8,7 @@ from typing import Any
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.effects.physical import STATION, PhysicalClass, Separator
+from kilter_core.effects.physical import STATION, PhysicalClass, Separator, joint_numbers
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.similarity.similarity import Alias
 from kilter_core.gap.search.candidates import Candidate
@@ -28,7 +28,7 @@ class Claim:
     """``said`` of a member by its name, of one of several, or of the physical class; ``words`` are for people.
 
     ``label`` is the class with its joint, ``members`` are those of the library, ``evidence`` is what separates a member
-    from it, ``settled`` whether nothing is left of which the effect may be a part.
+    from it, ``settled`` whether nothing is left of which the effect may be a part. ``joints`` are those that it is said of.
     """
 
     said: str
@@ -38,6 +38,7 @@ class Claim:
     members: tuple[str, ...]
     evidence: tuple[Separated, ...]
     settled: bool
+    joints: tuple[int, ...] | None = None
 
     @property
     def followed(self) -> bool:
@@ -52,22 +53,31 @@ class Claim:
 
     @staticmethod
     def of(
-        candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool
-    ) -> Claim:
+        candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool,
+        borne: tuple[int, ...] | None = None,
+    ) -> Claim:  # fmt: skip
         """Find the narrowest set.
+
+        ``borne`` are the joints at which its own evidence bears it out, where that is asked for; None: all of it.
 
         Members are named only where every piece of evidence is there, where nothing else is left that may be part of it
         (``settled``), and where no other member of its class does as well.
         """
         physical = candidate.effects[0].class_on(robot)
-        evidence, label = _needed(evidence), physical.at(candidate.joints)
+        joints = candidate.joints if borne is None else borne
+        evidence, label = _needed(evidence), physical.at(joints)
+        rest = [j for j in candidate.joints or () if j not in (joints or ())]
+        if rest:
+            label += f", likely of {joint_numbers(rest)} too"
         if _followed(evidence):
             label += physical.went
         doubts = [_doubt(e) for e in evidence if e.against or (e.separator is Separator.ORDER and not e.met)]
         kin = (e.id for e in EFFECTS.values() if e.physical.id == physical.id and not e.empirical)
-        about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled)
+        about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled, joints)
         names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
         member = next((a.member for a in rivals if a.member), "")
+        if rest and any(a.member and a.candidate.empirical for a in rivals):  # its name has all joints
+            member = label
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
         if len(names) > UNNAMED:
@@ -93,6 +103,7 @@ class Claim:
         return {
             "claim": {
                 "said": self.said, "words": self.words, "settled": self.settled,
+                "joints": None if self.joints is None else [j + 1 for j in self.joints],
                 "evidence": [{"name": e.separator.name.lower(), "words": e.separator.value, "met": e.met,
                               "number": e.number, "told": e.told or None} for e in self.evidence],
             },

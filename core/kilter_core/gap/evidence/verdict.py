@@ -100,7 +100,8 @@ def judge(
     if lacking:
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled)
+    borne = None if settled or evidence.halves is None or not evidence.halves.lasts else evidence.halves.joints
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled, borne)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
