@@ -274,6 +274,19 @@ def test_the_headline_confirms_no_more_than_was_confirmed():
     assert alone.endswith("Too small to matter: backlash j4.")
 
 
+def test_one_error_of_a_joint_is_said_once_and_on_one_level():
+    """Two shapes of it were "smooth error of joint 6: confirmed as a class" and "smooth error of joint 6: likely" at once."""
+    fit, left = Adequacy(500.0, 300.0, 1.7, 1e-6), Misfit(0.05, 0.06, 0.005, False)
+    twice = [told("smooth error of joint 6", verdict, 0.1) for verdict in ("class_confirmed", "provisional")]
+    said = sentence("unexplained", (*twice, told("backlash j1", "provisional", 0.1)), fit, left, "")
+    assert said.count("smooth error of joint 6") == 1
+    assert "smooth error of joint 6: confirmed as a class" in said
+    assert "backlash j1: likely" in said
+    agreed = Adequacy(300.0, 300.0, 1.0, 0.5), Misfit(0.0, 0.001, 0.005, True)
+    both = (twice[0], told("smooth error of joint 6", "replicated", 0.1))
+    assert sentence("closed", both, *agreed, "").startswith("smooth error of joint 6: confirmed")
+
+
 def test_what_the_rows_searched_leave_is_no_size_of_what_held_out_rows_refute():
     """Where the rows searched agree, "something is left (0.0 um)" stood before "0.08 mm are left" of the held-out ones."""
     assert Remains(Misfit(0.0, 0.001, 0.005, True), None).words == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -185,8 +186,8 @@ SURE = {
 
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit, left: str) -> str:
     """Say the verdict in words; ``left`` says how much remains, and where."""
-    names = ", ".join(j.called for j in judged)
-    sure = ", ".join(j.called for j in judged if j.verdict in SURE)
+    names = ", ".join(_once(judged))
+    sure = ", ".join(_once([j for j in judged if j.verdict in SURE]))
     relative = (
         "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
     )
@@ -202,17 +203,23 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
         or f"Something is left that no known effect explains{left}."
         + (f" In part it looks like {names}." if names else ""),
     }
-    small = [j.called for j in judged if not misfit.matters(j.evidence.moves_mm)]
+    small = _once([j for j in judged if not misfit.matters(j.evidence.moves_mm)])
     little = f" Too small to matter: {', '.join(small)}." if small else ""
     if misfit.too_small and verdict == "no_gap":
         little = f" What is left beyond the noise, {misfit.said}, is too small to matter."
     return said[verdict] + little + relative
 
 
+def _once(judged: Sequence[Judged]) -> list[str]:
+    """What they are called: two shapes of one error of a joint are one error."""
+    return list(dict.fromkeys(j.called for j in judged))
+
+
 def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
     """What is sure although the model as a whole is not, each with its level; empty where nothing is."""
-    sure = [f"{j.called}: {SURE[j.verdict]}" for j in judged if j.verdict in SURE]
-    likely = [j.called for j in judged if j.verdict not in SURE]
+    surely = [j for j in judged if j.verdict in SURE]
+    sure = list(dict.fromkeys(f"{j.called}: {SURE[j.verdict]}" for j in surely))
+    likely = [name for name in _once(judged) if name not in _once(surely)]
     if not sure:
         return ""
     rest = f" {', '.join(likely)}: likely, but not every test was passed." if likely else ""
