@@ -17,6 +17,7 @@ from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted, shared_rows
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
+from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.replication import Confirmation, replication
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.evidence.verdict import sentence
@@ -257,9 +258,29 @@ def test_no_share_is_told_of_a_gap_that_noise_would_leave(robot):
     assert large.gap["closure"] == pytest.approx(1.0, abs=0.1)
 
 
-def told(called: str, verdict: str, moves_mm: float) -> Any:
+def told(called: str, verdict: str, moves_mm: float, empirical: bool = False) -> Any:
     """What a sentence reads of an effect that was judged."""
-    return SimpleNamespace(called=called, verdict=verdict, evidence=SimpleNamespace(moves_mm=moves_mm))
+    evidence = SimpleNamespace(moves_mm=moves_mm, candidate=SimpleNamespace(empirical=empirical))
+    return SimpleNamespace(called=called, verdict=verdict, evidence=evidence)
+
+
+def test_a_shape_that_explains_all_leaves_nothing():
+    """The rows agreed with a curve of joint 2, and the headline said "something is left" and "in part it looks like" it."""
+    agreed, misfit = Adequacy(300.0, 300.0, 1.0, 0.5), Misfit(0.0, 0.001, 0.005, True)
+    curve, play = told("unknown_smooth_curve j2", "provisional", 0.1, True), told("backlash j1", "provisional", 0.1)
+    said = sentence("unexplained", (curve, play), agreed, misfit, "")
+    assert said.startswith(
+        "unknown_smooth_curve j2: of no known cause, but with this shape the model agrees with the rows"
+    )
+    assert said.endswith("backlash j1: likely, but not every test was passed.")
+    short = Adequacy(500.0, 300.0, 1.7, 1e-6), Misfit(0.05, 0.06, 0.005, False)
+    assert sentence("unexplained", (curve,), *short, " (50.0 um)").startswith("Something is left that no known effect")
+
+
+def test_held_out_rows_refute_a_run_whatever_it_was_called():
+    fit = UnseenFit(300.0, 90, 1e-9, 30, 1e-4, 5e-5, 5e-6)
+    assert fit.refuted
+    assert {fit.verdict(was) for was in ("no_gap", "closed", "provisional", "unexplained")} == {"unexplained"}
 
 
 def test_the_headline_confirms_no_more_than_was_confirmed():

@@ -200,6 +200,7 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
         else f"Nothing that matters is missing: the model agrees with the measurements {noise}.",
         "provisional": _risen(judged, adequacy, left) or f"{names}: likely, but not every test was passed.",
         "unexplained": _risen(judged, adequacy, left)
+        or _shaped(judged, adequacy)
         or f"Something is left that no known effect explains{left}."
         + (f" In part it looks like {names}." if names else ""),
     }
@@ -208,6 +209,18 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     if misfit.too_small and verdict == "no_gap":
         little = f" What is left beyond the noise, {misfit.said}, is too small to matter."
     return said[verdict] + little + relative
+
+
+def _shaped(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
+    """Say of shapes without a cause that with them the rows leave nothing; empty where there are none, or something is left."""
+    shapes = _once([j for j in judged if j.evidence.candidate.empirical])
+    if not shapes or not adequacy.adequate:
+        return ""
+    rest = [name for name in _once(judged) if name not in shapes]
+    likely = f" {', '.join(rest)}: likely, but not every test was passed." if rest else ""
+    return (
+        f"{', '.join(shapes)}: of no known cause, but with this shape the model agrees with the rows searched.{likely}"
+    )
 
 
 def _once(judged: Sequence[Judged]) -> list[str]:
