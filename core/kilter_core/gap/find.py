@@ -22,7 +22,7 @@ from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.by_kind import by_kind
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
-from kilter_core.gap.evidence.held_out.practical_size import floor_mm, misfit, moves_mm
+from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm, outweighing
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.held_out.when import event_warnings, events, said_once, settled
@@ -204,7 +204,7 @@ class _Run:
         unseen = unseen_fit(held, floor_mm(rows, self.options))
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
         lacking = missing_directions(problem, found.columns)
-        effects, control = self._judged(found, fit, kept, held, whole, bool(lacking))
+        effects, control = self._judged(found, fit, left, kept, held, whole, bool(lacking))
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -249,13 +249,13 @@ class _Run:
         return {**out, "spikes": spikes}
 
     def _judged(
-        self, found: SearchResult, fit: Adequacy, kept: Stored, held: HoldoutEvaluator, whole: Callable[[float], bool],
-        lacking: bool,
+        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
+        whole: Callable[[float], bool], lacking: bool,
     ) -> tuple[tuple[Judged, ...], dict[str, Any]]:  # fmt: skip
         """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
         aliases = {k: aliases_of(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
-        drafts = self._drafts(found, fit, kept, held, whole, aliases)
+        drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
             return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
@@ -276,8 +276,8 @@ class _Run:
         return tuple(out), control_document(found, shuffled, self.options.permutations, self.options.seed)
 
     def _drafts(
-        self, found: SearchResult, fit: Adequacy, kept: Stored, held: HoldoutEvaluator, whole: Callable[[float], bool],
-        aliases: dict[int, tuple[Alias, ...]],
+        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
+        whole: Callable[[float], bool], aliases: dict[int, tuple[Alias, ...]],
     ) -> dict[int, Evidence]:  # fmt: skip
         """All evidence but that of resamples and shuffles, which take longest and only matter where this lets a name rise."""
         sizes = amplitudes(
@@ -292,8 +292,9 @@ class _Run:
             alone = not whole(moved[k]) and not fit.too_large
             late = alone and self.budget.over(MEASURING, "the halves of the campaign")
             own = halves(sides, k, [a.place for a in aliases[k]]) if alone and not late else None
+            borne = None if own is None or not own.lasts else outweighing(found, k, own.joints, left)
             evidence = self._evidence(found, k, aliases[k], sizes, held)
-            out[k] = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
+            out[k] = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own, borne=borne)
         return out
 
     def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:

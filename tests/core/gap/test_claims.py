@@ -14,6 +14,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.evidence.held_out import practical_size
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted, shared_rows
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
@@ -275,6 +276,35 @@ def test_a_shape_that_explains_all_leaves_nothing():
     assert said.endswith("backlash j1: likely, but not every test was passed.")
     short = Adequacy(500.0, 300.0, 1.7, 1e-6), Misfit(0.05, 0.06, 0.005, False)
     assert sentence("unexplained", (curve,), *short, " (50.0 um)").startswith("Something is left that no known effect")
+
+
+def test_a_joint_that_moves_less_than_is_left_is_not_claimed_beside_others(monkeypatch):
+    """Where 0.12 mm were left, a joint that moved the tool by 0.05 mm was confirmed as one of three with such an error."""
+    moved = {0: 0.05e-3, 1: 0.2e-3, 2: 0.13e-3}
+    effects = [SimpleNamespace(joints=(j,), parameters=lambda _: (None,)) for j in moved]
+    candidate = SimpleNamespace(effects=effects, columns=(0, 1, 2))
+    source = SimpleNamespace(observes_tool=True, rms=float, model=SimpleNamespace(robot=None))
+    settings = SimpleNamespace(source=source, used=slice(None))
+    scorer = SimpleNamespace(candidates=[candidate])
+    found: Any = SimpleNamespace(
+        selector=SimpleNamespace(scorer=scorer), problem=SimpleNamespace(settings=settings)
+    )  # fmt: skip
+    monkeypatch.setattr(practical_size, "moved_by", lambda _, own: Rms(moved[own[0]]))
+
+    def claimed(left_mm: float, joints: tuple[int, ...] = (0, 1, 2)) -> tuple[int, ...]:
+        return practical_size.outweighing(found, 0, joints, Misfit(left_mm, left_mm, 0.005, False))
+
+    assert claimed(0.12) == (1, 2)
+    assert claimed(0.01) == (0, 1, 2)
+    assert claimed(0.5) == (0, 1, 2)  # none does: nothing singles one out
+    assert claimed(0.12, (0,)) == (0,)
+
+
+class Rms(float):
+    """A displacement that is its own rms whichever rows are used."""
+
+    def __getitem__(self, _: Any) -> float:
+        return float(self)
 
 
 def test_held_out_rows_refute_a_run_whatever_it_was_called():

@@ -111,3 +111,13 @@ def test_no_more_joints_are_claimed_than_the_halves_bear_out() -> None:
         assert claim.to_document()["physical_class"]["label"] == claim.words
     whole = Claim.of(family, katana(), class_, (), False)
     assert (whole.words, whole.joints) == ("smooth error of joints 1, 2, 3, 4, 5", (0, 1, 2, 3, 4))
+
+
+def test_a_family_of_which_some_joints_make_a_turn_is_claimed_at_all_of_them() -> None:
+    """The eccentricity of joint 7, which turned, was lost in "smooth error of joints 2, 4"."""
+    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    family = next(c for c in candidates if c.id == "eccentricity" and c.joints == (0, 1, 2, 3, 4))
+    curves = [c for c in candidates if c.id == "unknown_smooth_curve" and c.joints in ((0,), (1,))]
+    rivals = [Alias(k, c, 0.0, 1.0, 0.5, "smooth error of joints 1, 2") for k, c in enumerate(curves)]
+    claim = Claim.of(family, katana(), rivals, (), False)
+    assert claim.words == "error curve of joints 1, 2, 3, 4, 5, in the shape of eccentricity"

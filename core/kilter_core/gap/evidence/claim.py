@@ -76,8 +76,9 @@ class Claim:
         about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled, joints)
         names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
         member = next((a.member for a in rivals if a.member), "")
-        if rest and any(a.member and a.candidate.empirical for a in rivals):  # its name has all joints
-            member = label
+        smooth = {j for a in rivals if a.member and a.candidate.empirical for j in a.candidate.joints or ()}
+        if smooth and smooth != set(joints or ()):  # its name has other joints than are claimed
+            member = label + (f", in the shape of {candidate.id.replace('_', ' ')}" if physical.shaped else "")
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
         if len(names) > UNNAMED:

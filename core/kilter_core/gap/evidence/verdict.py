@@ -47,6 +47,7 @@ class Evidence:
     replication: Replication | None = None
     separated: tuple[Separated, ...] = ()  # evidence for the name within its physical class
     halves: Halves | None = None  # where something else is left
+    borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
     def lasts(self) -> bool:
@@ -101,8 +102,7 @@ def judge(
     if lacking:
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
-    borne = None if settled or evidence.halves is None or not evidence.halves.lasts else evidence.halves.joints
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled, borne)
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled, evidence.borne)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)

@@ -25,7 +25,8 @@ NOTHING = 1e-6  # of a unit column: dependent on those kept
 
 def spares(path: Sequence[UrdfJoint]) -> frozenset[str]:
     """Names of the constants that are not identified beside the others, of the moving joints of an arm in order."""
-    before: list[tuple[UrdfJoint, Floats]] = []  # joints whose zero offsets act here alike, and the way (4, 4) from each
+    # Joints whose zero offsets act at the next one alike wherever it stands, and the way (4, 4) there from each.
+    before: list[tuple[UrdfJoint, Floats]] = []
     out: list[str] = []
     last = max(k for k, joint in enumerate(path) if joint.moves)
     for k, joint in enumerate(path):
