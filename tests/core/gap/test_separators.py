@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.effects import EFFECTS
 from kilter_core.effects.physical import Separator
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.claim import Claim
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.similarity.similarity import Alias
 from kilter_core.gap.report.report import effect_row
-from kilter_core.gap.search.candidates import library_of
+from kilter_core.gap.search.candidates import FAMILY, Candidate, library_of
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import Hidden, campaign, katana
 
@@ -121,3 +122,15 @@ def test_a_family_of_which_some_joints_make_a_turn_is_claimed_at_all_of_them() -
     rivals = [Alias(k, c, 0.0, 1.0, 0.5, "smooth error of joints 1, 2") for k, c in enumerate(curves)]
     claim = Claim.of(family, katana(), rivals, (), False)
     assert claim.words == "error curve of joints 1, 2, 3, 4, 5, in the shape of eccentricity"
+
+
+def test_the_class_of_prismatic_and_revolute_joints_is_that_of_those_claimed() -> None:
+    """An error of joint 5, which rotates, was called its scale, since joint 1 of the family slides."""
+    arm = katana()
+    robot = replace(arm, joints=(replace(arm.joints[0], kind="prismatic"), *arm.joints[1:]))
+    effects = tuple(EFFECTS["encoder_scale"].made(joints=(j,)) for j in (0, 4))
+    family = Candidate("encoder_scale", (0, 4), (0, 1), FAMILY, effects=effects)
+    words = {borne: Claim.of(family, robot, [], (), False, borne).words for borne in ((0,), (4,), None)}
+    assert words[(0,)].startswith("scale of joint 1, likely of joint 5 too")
+    assert words[(4,)] == "smooth error of joint 5, likely of joint 1 too"
+    assert words[None] == "smooth error of joints 1, 5"

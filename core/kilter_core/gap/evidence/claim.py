@@ -63,8 +63,8 @@ class Claim:
         Members are named only where every piece of evidence is there, where nothing else is left that may be part of it
         (``settled``), and where no other member of its class does as well.
         """
-        physical = candidate.effects[0].class_on(robot)
         joints = candidate.joints if borne is None else borne
+        physical = _class_at(candidate, robot, joints)
         evidence, label = _needed(evidence), physical.at(joints)
         rest = [j for j in candidate.joints or () if j not in (joints or ())]
         if rest:
@@ -114,6 +114,13 @@ class Claim:
                 "outside": list(self.physical.outside),
             },
         }  # fmt: skip
+
+
+def _class_at(candidate: Candidate, robot: Robot, joints: Sequence[int] | None) -> PhysicalClass:
+    """Class of a candidate at some of its joints: of prismatic and revolute ones together, that which says the least."""
+    own = [e for e in candidate.effects if joints is None or not e.joints or set(e.joints) & set(joints)]
+    classes = list(dict.fromkeys(e.class_on(robot) for e in own or candidate.effects))
+    return next((c for c in classes if not c.shaped), classes[0])
 
 
 def _kin_alone(candidate: Candidate, robot: Robot, rivals: Sequence[Alias]) -> bool:
