@@ -274,6 +274,8 @@ def test_a_shape_that_explains_all_leaves_nothing():
         "unknown_smooth_curve j2: of no known cause, but with this shape the model agrees with the rows"
     )
     assert said.endswith("backlash j1: likely, but not every test was passed.")
+    beside = sentence("unexplained", (told("base_step", "confirmed", 0.2), curve, play), agreed, misfit, "")
+    assert beside.startswith("base_step: confirmed. unknown_smooth_curve j2: of no known cause. backlash j1: likely")
     short = Adequacy(500.0, 300.0, 1.7, 1e-6), Misfit(0.05, 0.06, 0.005, False)
     assert sentence("unexplained", (curve,), *short, " (50.0 um)").startswith("Something is left that no known effect")
 

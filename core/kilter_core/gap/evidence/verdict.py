@@ -232,10 +232,12 @@ def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
     """What is sure although the model as a whole is not, each with its level; empty where nothing is."""
     surely = [j for j in judged if j.verdict in SURE]
     sure = list(dict.fromkeys(f"{j.called}: {SURE[j.verdict]}" for j in surely))
-    likely = [name for name in _once(judged) if name not in _once(surely)]
+    shapes = _once([j for j in judged if j.evidence.candidate.empirical])
+    likely = [name for name in _once(judged) if name not in (*_once(surely), *shapes)]
     if not sure:
         return ""
     rest = f" {', '.join(likely)}: likely, but not every test was passed." if likely else ""
+    rest = (f" {', '.join(shapes)}: of no known cause." if shapes else "") + rest
     other = {False: f"; something else remains{left}.", None: "; whether something else remains is not known."}
     return "; ".join(sure) + other.get(adequacy.adequate, ".") + rest
 
