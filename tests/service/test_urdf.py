@@ -194,6 +194,28 @@ def test_an_arm_of_revolute_joints_has_four_numbers_each_and_two_more() -> None:
     assert rank(kept) == kept.shape[1] == 4 * 6 + 2
 
 
+ROWS = {
+    # kinds, axes, and how many numbers there are beside base and flange
+    "gantry with a wrist": ("pppr", ("1 0 0", "0 1 0", "0 0 1", "0 0 1"), 12),
+    "three guides": ("ppp", ("1 0 0", "0 1 0", "0 0 1"), 10),
+    "guide behind a joint of the same axis": ("rpr", ("0 0 1", "0 0 1", "0 1 0"), 12),
+    "two joints of one axis": ("rrr", ("0 0 1", "0 0 1", "0 1 0"), 14),
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_axes_in_a_row_lose_no_rotation(name: str) -> None:
+    """Zero offsets that say the same shift twice were counted twice: a gantry lost three of its rotations."""
+    kinds, axes, numbers_of_arm = ROWS[name]
+    parts = [LINK.format(name="l0", xyz="0 0 0", rpy="0 0 0", mass=1.0)]
+    for k, (kind, axis) in enumerate(zip(kinds, axes, strict=True)):
+        made = {"kind": "revolute" if kind == "r" else "prismatic", "axis": axis, "xyz": "0 0 0.3", "rpy": "0 0 0"}
+        parts.append(JOINT.format(name=f"j{k}", parent=f"l{k}", child=f"l{k + 1}", mimic="", **made))
+        parts.append(LINK.format(name=f"l{k + 1}", xyz="0 0 0", rpy="0 0 0", mass=1.0))
+    result = chain_document(f'<robot name="row">{"".join(parts)}</robot>', "l0", f"l{len(kinds)}", "row")
+    assert rank(seen(result, spare=False)) == rank(seen(result, spare=True)) == numbers_of_arm
+
+
 def bad() -> Iterator[tuple[str, str, str, str]]:
     good = random_urdf(0)
     yield "not xml at all", "base", "tip", "not XML"

@@ -22,7 +22,7 @@ from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.by_kind import by_kind
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
-from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm
+from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm, outweighing
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
 from kilter_core.gap.evidence.held_out.when import event_warnings, events, said_once, settled
@@ -51,7 +51,7 @@ from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, stored
-from kilter_core.gap.report.told_apart import Proposed, told_apart
+from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
@@ -203,7 +203,8 @@ class _Run:
         held = HoldoutEvaluator(found, prepared, self.validation, kept.posterior)
         unseen = unseen_fit(held, floor_mm(rows, self.options))
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
-        effects, control = self._judged(found, fit, left, kept, held, whole)
+        lacking = missing_directions(problem, found.columns)
+        effects, control = self._judged(found, fit, left, kept, held, whole, bool(lacking))
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -212,7 +213,6 @@ class _Run:
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
         poses, told = self._next_poses(found, effects)
-        lacking = missing_directions(problem, found.columns)
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
@@ -250,15 +250,15 @@ class _Run:
 
     def _judged(
         self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
-        whole: Callable[[float], bool],
+        whole: Callable[[float], bool], lacking: bool,
     ) -> tuple[tuple[Judged, ...], dict[str, Any]]:  # fmt: skip
         """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
         aliases = {k: aliases_of(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
-        drafts = self._drafts(found, fit, kept, held, whole, aliases)
+        drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
-            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm))
+            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
 
         rising = [k for k, evidence in drafts.items() if judged(evidence).verdict != "provisional"]
         shares = inclusion(
@@ -276,8 +276,8 @@ class _Run:
         return tuple(out), control_document(found, shuffled, self.options.permutations, self.options.seed)
 
     def _drafts(
-        self, found: SearchResult, fit: Adequacy, kept: Stored, held: HoldoutEvaluator, whole: Callable[[float], bool],
-        aliases: dict[int, tuple[Alias, ...]],
+        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
+        whole: Callable[[float], bool], aliases: dict[int, tuple[Alias, ...]],
     ) -> dict[int, Evidence]:  # fmt: skip
         """All evidence but that of resamples and shuffles, which take longest and only matter where this lets a name rise."""
         sizes = amplitudes(
@@ -292,8 +292,9 @@ class _Run:
             alone = not whole(moved[k]) and not fit.too_large
             late = alone and self.budget.over(MEASURING, "the halves of the campaign")
             own = halves(sides, k, [a.place for a in aliases[k]]) if alone and not late else None
+            borne = None if own is None or not own.lasts else outweighing(found, k, own.joints, left)
             evidence = self._evidence(found, k, aliases[k], sizes, held)
-            out[k] = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own)
+            out[k] = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own, borne=borne)
         return out
 
     def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:
@@ -376,7 +377,8 @@ class _Run:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects or self.budget.over(PLANNING, "poses to measure next"):
             return [], None
-        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
+        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member
+                      and not never_told(j.evidence.candidate, a.candidate, self.robot)]) for j in effects]  # fmt: skip
         asked = next(((j, a) for j, a in open_ if a), None)
         weak = [(j, list[Alias]()) for j in effects if j.verdict == "provisional"]
         if not (asked or weak):

@@ -52,10 +52,7 @@ class Gates(Stored):
     """The tests an effect passed or did not; all must be passed to be confirmed."""
 
     physical: bool | None = Field(None, description="It is a cause, not a shape.")
-    adequate: bool | None = Field(
-        None,
-        description="Of earlier searches: the model with it agrees with the rows. It is a statement of its own now.",
-    )
+    adequate: bool | None = Field(None, description="Of earlier searches: the model with it agrees with the rows.")
     lasts: bool | None = Field(
         None,
         description="Nothing else is left; or halves of the campaign, or a confirmation, bear it out all the same.",
@@ -69,6 +66,7 @@ class Gates(Stored):
     negative_control: bool | None = Field(None, description="It vanishes when its labels are shuffled.")
     confirmation: bool | None = Field(None, description="A confirmation does not contradict it.")
     sensor: bool | None = Field(None, description="A sensor at the place shows it; null: none is there.")
+    complete_geometry: bool | None = Field(None, description="False: rotations the description lacks do as well.")
 
 
 class Evidence(Stored):
@@ -132,6 +130,7 @@ class Claim(Stored):
     said: str = Field(description="Of what it is said: a `member` by its name, `one_of` several, or the `class`.")
     words: str = Field(description="The claim in words.")
     settled: bool | None = Field(None, description="Whether the model as a whole agrees with the rows.")
+    joints: list[int] | None = Field(None, description="Joints that it is said of, from 1; null: acts at none.")
     evidence: list[Separation] | None = Field(None, description="What a member's name needs beside its shape.")
 
 

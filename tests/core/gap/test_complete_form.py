@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.chain import Axis
 from kilter_core.arm.robot import Robot
-from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.linear.complete_form import incomplete_warnings, missing_directions
+from kilter_core.gap import GapOptions, find, find_gap
+from kilter_core.gap.search.linear.complete_form import MissingDirection, incomplete_warnings, missing_directions
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -67,7 +68,22 @@ def test_a_search_says_it_in_its_headline_and_names_no_effect_for_it() -> None:
     report = find_gap(robot(), rows(HIDDEN_DEG, 1), GapOptions())
     assert "lacks the rotation of axis 3 about y" in report.sentence
     assert "geometry_incomplete" in [w["code"] for w in report.warnings]
-    assert not [e for e in report.effects if e.verdict == "confirmed"]
+    assert {e.verdict for e in report.effects} <= {"provisional"}
+    assert "confirmed" not in report.sentence
+
+
+def test_nothing_is_confirmed_that_a_missing_rotation_explains_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coupling that is there, and a rotation that would do as well: the headline must not say both."""
+    arm, measured = robot(), rows(0.0, 1, coupled=1e-3)
+    options = GapOptions(effects=("joint_coupling",), resamples=20, permutations=5, bootstraps=499, next_poses=0)
+    (plain,) = find_gap(arm, measured, options).effects
+    assert "complete_geometry" not in plain.gates
+    one = MissingDirection(2, Axis.RY, 1e-3, 1e-9)
+    monkeypatch.setattr(find, "missing_directions", lambda *_: (one,))
+    report = find_gap(arm, measured, options)
+    row = report.to_document()["effects"][0]
+    assert (row["verdict"], row["gates"]["complete_geometry"]) == ("provisional", False)
+    assert any("complete chain" in told for told in row["to_confirm"])
 
 
 def test_a_coupling_of_joints_is_not_taken_for_a_rotation_that_is_missing() -> None:

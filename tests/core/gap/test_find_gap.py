@@ -9,6 +9,7 @@ import pytest
 from kilter_core.errors import CancelledError, NotConvergedError, ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.options import GapOptions as Options
+from kilter_core.gap.report.localization import localize
 from kilter_core.gap.search import prepare
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
@@ -49,7 +50,9 @@ def test_backlash_is_named_with_its_twin_and_its_size(backlash):
     assert p["interval_low"] < np.degrees(3e-4) < p["interval_high"]
     assert effect["p_value"] < 1e-6
     assert backlash.verdict == "closed"
-    assert backlash.sentence.startswith("backlash j2 or friction_windup j2 (these data cannot tell): confirmed")
+    said = "reversal error of joint 2, in the shape of backlash or friction_windup j2: confirmed"
+    assert backlash.sentence.startswith(said)  # the hysteresis of a gear, in no library, does it as well
+    assert "hysteresis of the gear" in effect["physical_class"]["outside"]
 
 
 @pytest.mark.parametrize("measured", ["pose", "markers"])
@@ -174,6 +177,35 @@ def test_without_repeats_every_verdict_is_relative(robot):
     assert [j.verdict for j in report.effects] == ["provisional"]
     assert report.effects[0].evidence.candidate.id == "backlash"
     assert report.gap["noise_mm"] == pytest.approx(2e-2, rel=0.2)  # the gap itself is no noise
+
+
+@pytest.mark.parametrize("moved", ["station", "side"])
+def test_a_knock_between_visits_is_no_contrast_of_their_sides(robot, moved):
+    """Third visits come from the other side of joint 2; the station moves half-way, or that side is 0.06 mm off."""
+    poses, again = 60, 20
+    rows = campaign(robot, poses=poses, revisits=again, loads=(0.0,), seed=3)
+    sides = rows.direction.copy()
+    sides[poses + again :, 1] *= -1.0
+    off = rows.t > np.median(rows.t) if moved == "station" else np.arange(len(rows)) >= poses + again
+    rows = replace(rows, direction=sides, position=rows.position + np.outer(off, [6e-5, 0.0, 0.0]))
+    prepared = prepare.prepare_data(Calibration.nominal(robot), rows, replace(QUICK, noise_mm=0.02))
+    places = localize(prepared.problem, prepared.visits.observations)
+    (side,) = [p for p in places if p.factor == "contrast: direction of joint 2"]
+    assert (side.p_value < 1e-4) == (moved == "side")
+
+
+def test_repeats_from_other_sides_are_told_from_none(robot):
+    """Poses visited thrice with other poses before them come from other sides: "no pose was repeated" was said of them."""
+    rows = campaign(robot, revisits=20, loads=(0.0,))
+    sides = np.random.default_rng(3).choice([-1.0, 1.0], rows.q.shape)
+    plain, other = (
+        prepare.prepare_data(Calibration.nominal(robot), one, QUICK).warnings
+        for one in (rows, replace(rows, direction=sides))
+    )
+    assert "no_repeats" not in {w["code"] for w in plain}
+    (said,) = [w["message"] for w in other if w["code"] == "no_repeats"]
+    assert said.startswith("20 poses were visited again, but from another side (dir1 ...), and too few")
+    assert "from the same pose before" in said
 
 
 @pytest.mark.parametrize(("approach_m", "verdict"), [(0.0, "class_confirmed"), (6e-5, "provisional")])

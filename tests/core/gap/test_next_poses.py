@@ -12,7 +12,7 @@ from kilter_core.gap.evidence.similarity.testability import testability as judge
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
 from kilter_core.gap.report.separation import imagined, undecided
-from kilter_core.gap.report.told_apart import told_apart
+from kilter_core.gap.report.told_apart import never_told, told_apart
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
@@ -209,6 +209,18 @@ def test_what_does_instead_is_what_only_one_of_the_two_shows(library):
     assert told(library, curves, 4.2, robot=free).instead == (
         "move joint 2 through a full turn, after which a true error of the joint repeats",
     )
+
+
+def test_no_poses_are_asked_for_that_no_name_would_follow(library):
+    """Curves of a joint that cannot make a turn stay one class, however many poses: 18 more "would tell" two of them."""
+    robot = katana()
+    turning = replace(robot.joints[1], lower=-3.5, upper=3.5)
+    free = replace(robot, joints=(robot.joints[0], turning, *robot.joints[2:]))
+    pair = library["eccentricity j2"], library["second_harmonic j2"]
+    assert never_told(*pair, robot)
+    assert not never_told(*pair, free)
+    assert not never_told(library["eccentricity j2"], library["axial_compliance j2"], robot)
+    assert not never_told(library["eccentricity j2"], library["second_harmonic j3"], robot)
 
 
 def test_a_plan_says_whether_its_poses_tell_the_two_apart():

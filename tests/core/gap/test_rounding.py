@@ -57,6 +57,14 @@ def test_the_step_of_readings_is_found_in_degrees_radians_ticks_and_mm():
     )
 
 
+@pytest.mark.parametrize("step_deg", [0.03, 0.036, 0.015])
+def test_a_step_that_is_a_multiple_of_a_known_one_is_found(step_deg: float) -> None:
+    """Encoders of 10 000 lines count 0.036 degrees: they were taken for thousandths that round nothing."""
+    q = np.random.default_rng(2).uniform(-2.0, 2.0, (40, len(HINGES)))
+    step = np.radians(step_deg)
+    np.testing.assert_allclose(reading_steps(np.round(q / step) * step, HINGES), step)
+
+
 def test_servos_of_4096_ticks_step_as_lerobot_converts_them():
     """In degrees from the middle of a range, which may lie between two ticks, as float32: 4095 ticks to a full circle."""
     ticks = np.random.default_rng(2).integers(700, 3400, (40, 6))

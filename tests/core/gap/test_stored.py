@@ -11,6 +11,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.noise.visits import visits_of
 from kilter_core.identify import IdentifyOptions, Prior, identify
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -215,3 +216,32 @@ def test_joint_data_of_an_arm_as_drawn_set_the_zeros_of_its_joints():
         assert row["identifiable"]
     assert found.gap["noise_mm"] is None
     assert found.gap["noise_deg"] == pytest.approx(found.gap["noise_rms_deg"], rel=0.5)
+
+
+def test_a_version_knows_how_noisy_a_coordinate_is_without_what_the_fit_took_of_it():
+    """Its 95 % intervals were made of what is left of the rows searched: a tenth too small where poses are few."""
+    quick = GapOptions(effects=("backlash",), resamples=1, permutations=1, bootstraps=199, next_poses=0)
+    robot, noise = katana(), 2e-5
+    told = []
+    for seed in range(6):
+        rows = campaign(robot, poses=42, revisits=0, seed=seed, noise_m=noise)
+        report = find_gap(robot, rows, quick, validation=0)
+        known = Predictive.from_document(report.stored.covariance())
+        assert known is not None
+        assert known.noise == 0.0  # nothing tells it from what the model lacks
+        assert known.inadequacy == pytest.approx(report.gap["noise_mm"] * 1e-3, rel=1e-6)
+        told.append(known.inadequacy / noise)
+    assert np.mean(told) == pytest.approx(1.0, abs=0.06)
+
+
+def test_noise_of_few_repeats_is_known_by_the_rows_that_agree_too():
+    """Of a few poses visited thrice the noise is known to a fifth; the version tells it as well as all rows know it."""
+    quick = GapOptions(effects=("backlash",), resamples=1, permutations=1, bootstraps=199, next_poses=0)
+    alone, told = [], []
+    for seed in range(6):
+        report = find_gap(katana(), campaign(katana(), poses=60, revisits=5, seed=seed), quick, validation=0)
+        document = report.stored.covariance()
+        assert document["noise_of"] == "points"
+        alone.append(report.gap["noise_mm"] / 0.02 - 1.0)
+        told.append(float(np.hypot(document["noise_m"], document["inadequacy_m"])) / 2e-5 - 1.0)
+    assert np.sqrt(np.mean(np.square(told))) < 0.6 * np.sqrt(np.mean(np.square(alone)))

@@ -8,13 +8,14 @@ from typing import Any
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.effects.physical import STATION, PhysicalClass, Separator
+from kilter_core.effects.physical import STATION, PhysicalClass, Separator, joint_numbers
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.similarity.similarity import Alias
 from kilter_core.gap.search.candidates import Candidate
 
 MEMBER, ONE_OF, CLASS = "member", "one_of", "class"
 SHOWN = 3  # names in a sentence
+UNNAMED = 20  # names that do as well, from which none of them says anything
 FOLLOWED = (
     Separator.TEMPERATURE,
     Separator.ORDER,
@@ -27,7 +28,7 @@ class Claim:
     """``said`` of a member by its name, of one of several, or of the physical class; ``words`` are for people.
 
     ``label`` is the class with its joint, ``members`` are those of the library, ``evidence`` is what separates a member
-    from it, ``settled`` whether nothing is left of which the effect may be a part.
+    from it, ``settled`` whether nothing is left of which the effect may be a part. ``joints`` are those that it is said of.
     """
 
     said: str
@@ -37,6 +38,7 @@ class Claim:
     members: tuple[str, ...]
     evidence: tuple[Separated, ...]
     settled: bool
+    joints: tuple[int, ...] | None = None
 
     @property
     def followed(self) -> bool:
@@ -51,29 +53,45 @@ class Claim:
 
     @staticmethod
     def of(
-        candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool
-    ) -> Claim:
+        candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool,
+        borne: tuple[int, ...] | None = None,
+    ) -> Claim:  # fmt: skip
         """Find the narrowest set.
 
-        Members are named only where every piece of evidence is there, and where nothing else is left that may be part
-        of it (``settled``).
+        ``borne`` are the joints at which its own evidence bears it out, where that is asked for; None: all of it.
+
+        Members are named only where every piece of evidence is there, where nothing else is left that may be part of it
+        (``settled``), and where no other member of its class does as well.
         """
-        physical = candidate.effects[0].class_on(robot)
-        evidence, label = _needed(evidence), physical.at(candidate.joints)
+        joints = candidate.joints if borne is None else borne
+        physical = _class_at(candidate, robot, joints)
+        evidence, label = _needed(evidence), physical.at(joints)
+        rest = [j for j in candidate.joints or () if j not in (joints or ())]
+        if rest:
+            label += f", likely of {joint_numbers(rest)} too"
         if _followed(evidence):
             label += physical.went
         doubts = [_doubt(e) for e in evidence if e.against or (e.separator is Separator.ORDER and not e.met)]
         kin = (e.id for e in EFFECTS.values() if e.physical.id == physical.id and not e.empirical)
-        about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled)
+        about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled, joints)
         names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
         member = next((a.member for a in rivals if a.member), "")
+        smooth = {j for a in rivals if a.member and a.candidate.empirical for j in a.candidate.joints or ()}
+        if smooth and smooth != set(joints or ()):  # its name has other joints than are claimed
+            member = label + (f", in the shape of {candidate.id.replace('_', ' ')}" if physical.shaped else "")
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
+        if len(names) > UNNAMED:
+            return Claim(CLASS, f"an effect that these data cannot name ({_some(names)} do as well)", *about)
         if doubts:
             return Claim(CLASS, f"{member or label} ({'; '.join(doubts)})", *about)
         if member:
             return Claim(CLASS, member, *about)
-        if not settled or not all(e.met for e in evidence):
+        if (
+            not settled
+            or not all(e.met for e in evidence)
+            or (physical.outside and _kin_alone(candidate, robot, rivals))
+        ):
             shapes = [candidate.id.replace("_", " "), *names[1:]]
             shape = f", in the shape of {_some(shapes)}" if physical.shaped else ""
             return Claim(CLASS, label + shape, *about)
@@ -86,6 +104,7 @@ class Claim:
         return {
             "claim": {
                 "said": self.said, "words": self.words, "settled": self.settled,
+                "joints": None if self.joints is None else [j + 1 for j in self.joints],
                 "evidence": [{"name": e.separator.name.lower(), "words": e.separator.value, "met": e.met,
                               "number": e.number, "told": e.told or None} for e in self.evidence],
             },
@@ -95,6 +114,22 @@ class Claim:
                 "outside": list(self.physical.outside),
             },
         }  # fmt: skip
+
+
+def _class_at(candidate: Candidate, robot: Robot, joints: Sequence[int] | None) -> PhysicalClass:
+    """Class of a candidate at some of its joints: of prismatic and revolute ones together, that which says the least."""
+    own = [e for e in candidate.effects if joints is None or not e.joints or set(e.joints) & set(joints)]
+    classes = list(dict.fromkeys(e.class_on(robot) for e in own or candidate.effects))
+    return next((c for c in classes if not c.shaped), classes[0])
+
+
+def _kin_alone(candidate: Candidate, robot: Robot, rivals: Sequence[Alias]) -> bool:
+    """Whether what does as well are others of its class at its place: what these data cannot tell from another member,
+    they cannot tell from those of no library.
+    """
+    others = [a.candidate for a in rivals]
+    own = candidate.effects[0].class_on(robot).id
+    return bool(others) and all(o.joints == candidate.joints and o.effects[0].class_on(robot).id == own for o in others)
 
 
 def _doubt(evidence: Separated) -> str:

@@ -52,8 +52,14 @@ class Halves:
 
     @property
     def lasts(self) -> bool:
-        """Whether name, amplitude and prediction are the same in both halves."""
-        return all(self.named) and self.apart <= AGREE and self.predicted.better and self.beside > BESIDE
+        """Whether name, amplitude and prediction are the same in both halves, at a joint that both name."""
+        return (
+            all(self.named)
+            and self.joints != ()
+            and self.apart <= AGREE
+            and self.predicted.better
+            and self.beside > BESIDE
+        )
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers, mm."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,7 @@ class Evidence:
     replication: Replication | None = None
     separated: tuple[Separated, ...] = ()  # evidence for the name within its physical class
     halves: Halves | None = None  # where something else is left
+    borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
     def lasts(self) -> bool:
@@ -71,10 +73,13 @@ class Judged:
         return self.claim.words
 
 
-def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool) -> Judged:
+def judge(
+    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool, lacking: bool = False
+) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional.
 
-    ``settled`` as :func:`is_settled`.
+    ``settled`` as :func:`is_settled`; ``lacking`` says that rotations which the robot's description lacks do as well as all
+    that was named.
     """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
@@ -94,8 +99,10 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, library: Libr
     }
     if replication is not None:
         gates["confirmation"] = not replication.contradicted
+    if lacking:
+        gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled)
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled, evidence.borne)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
@@ -179,34 +186,58 @@ SURE = {
 
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit, left: str) -> str:
     """Say the verdict in words; ``left`` says how much remains, and where."""
-    names = ", ".join(j.called for j in judged)
+    names = ", ".join(_once(judged))
+    sure = ", ".join(_once([j for j in judged if j.verdict in SURE]))
     relative = (
         "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
     )
     noise = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
         "no_gap": "Nothing in the library is significant above the noise.",
-        "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
-        f"{noise}.",
+        "closed": f"{sure}: confirmed among the causes of the library. With this the model agrees with the measurements "
+        f"{noise}."
+        if sure
+        else f"Nothing that matters is missing: the model agrees with the measurements {noise}.",
         "provisional": _risen(judged, adequacy, left) or f"{names}: likely, but not every test was passed.",
         "unexplained": _risen(judged, adequacy, left)
+        or _shaped(judged, adequacy)
         or f"Something is left that no known effect explains{left}."
         + (f" In part it looks like {names}." if names else ""),
     }
-    small = [j.called for j in judged if not misfit.matters(j.evidence.moves_mm)]
+    small = _once([j for j in judged if not misfit.matters(j.evidence.moves_mm)])
     little = f" Too small to matter: {', '.join(small)}." if small else ""
     if misfit.too_small and verdict == "no_gap":
         little = f" What is left beyond the noise, {misfit.said}, is too small to matter."
     return said[verdict] + little + relative
 
 
+def _shaped(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
+    """Say of shapes without a cause that with them the rows leave nothing; empty where there are none, or something is left."""
+    shapes = _once([j for j in judged if j.evidence.candidate.empirical])
+    if not shapes or not adequacy.adequate:
+        return ""
+    rest = [name for name in _once(judged) if name not in shapes]
+    likely = f" {', '.join(rest)}: likely, but not every test was passed." if rest else ""
+    return (
+        f"{', '.join(shapes)}: of no known cause, but with this shape the model agrees with the rows searched.{likely}"
+    )
+
+
+def _once(judged: Sequence[Judged]) -> list[str]:
+    """What they are called: two shapes of one error of a joint are one error."""
+    return list(dict.fromkeys(j.called for j in judged))
+
+
 def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
     """What is sure although the model as a whole is not, each with its level; empty where nothing is."""
-    sure = [f"{j.called}: {SURE[j.verdict]}" for j in judged if j.verdict in SURE]
-    likely = [j.called for j in judged if j.verdict not in SURE]
+    surely = [j for j in judged if j.verdict in SURE]
+    sure = list(dict.fromkeys(f"{j.called}: {SURE[j.verdict]}" for j in surely))
+    shapes = _once([j for j in judged if j.evidence.candidate.empirical])
+    likely = [name for name in _once(judged) if name not in (*_once(surely), *shapes)]
     if not sure:
         return ""
     rest = f" {', '.join(likely)}: likely, but not every test was passed." if likely else ""
+    rest = (f" {', '.join(shapes)}: of no known cause." if shapes else "") + rest
     other = {False: f"; something else remains{left}.", None: "; whether something else remains is not known."}
     return "; ".join(sure) + other.get(adequacy.adequate, ".") + rest
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import flipped, residual_given
 from kilter_core.observations import Observations
+from kilter_core.observations.groups import centred
 from kilter_core.parameters import degrees
 from kilter_core.types import Bools, Floats, Ints
 
@@ -21,6 +22,7 @@ VISITS_PER_BIN = 4  # visits in a bin
 FLIPS = 999
 FEWEST_PAIRS = 3
 STANDS_OUT = 0.05
+MOVED = 0.01  # chance below which visits under the same conditions differ by more than noise
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale:
     used, group = problem.settings.used, problem.settings.group
     labels: dict[str, Floats] = {}
     own: dict[str, Floats] = {}
+    condition = rows.conditions()[used]
     if rows.direction is not None:
         for j, part in enumerate(problem.settings.source.parts(r)):
             labels[f"direction of joint {j + 1}"] = rows.direction[:, j]
@@ -80,11 +83,29 @@ def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale:
     if rows.qd is not None:
         labels["speed"] = np.round(np.log2(1e-3 + np.linalg.norm(rows.qd, axis=1)))
     for factor, label in labels.items():
-        taken, freedom, pairs = _contrast(own.get(factor, r)[used], group[used], label[used])
+        part = own.get(factor, r)[used]
+        taken, freedom, pairs = _contrast(part, group[used], label[used])
         if pairs >= FEWEST_PAIRS:
-            p = float(chi2.sf(taken / scale, freedom))
-            excess = taken / scale / freedom - 1.0
+            p, size = _unlike(taken / scale, freedom, *_again(part, condition, scale))
+            excess = size / freedom - 1.0
             yield Place(f"contrast: {factor}", f"{pairs} poses measured under both", excess, p, 2 * pairs)
+
+
+def _again(r: Floats, condition: Ints, scale: float) -> tuple[float, float]:
+    """Chi-square of visits that should agree about their mean, and its freedom: what moved with time is in it too."""
+    free = float(r.shape[1] * (len(condition) - len(np.unique(condition))))
+    return float(np.sum(centred(r, np.unique(condition, return_inverse=True)[1]) ** 2)) / scale, free
+
+
+def _unlike(taken: float, freedom: float, again: float, free: float) -> tuple[float, float]:
+    """Chance of a contrast ``taken``, and the contrast in the scatter of visits under the same conditions.
+
+    Where these differ by more than noise, as after a knock of the tripod, whatever is compared across time does.
+    """
+    if free <= 0.0 or chi2.sf(again, free) > MOVED:
+        return float(chi2.sf(taken, freedom)), taken
+    size = taken * (free / again)
+    return float(f.sf(size / freedom, freedom, free)), size
 
 
 def _contrast(r: Floats, group: Ints, label: Floats) -> tuple[float, float, int]:

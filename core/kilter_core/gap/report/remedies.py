@@ -20,6 +20,8 @@ REMEDIES = {
     "negative_control": "Its name comes back where labels are shuffled: vary what it depends on independently of the pose.",
     "sensor": "A sensor at the place does not show it: something else moved, or went with what this follows. Look at "
     "the instrument, and at the sensor's place, sign and unit.",
+    "complete_geometry": "The robot's description lacks rotations of axes that explain the rows as well: describe the robot "
+    "with a complete chain (convention poe, cpc or mcpc), and search again.",
     "confirmation": "The confirmation shows another amplitude: look what changed between the campaigns.",
 }
 

@@ -36,8 +36,8 @@ class Remains:
 
     @property
     def words(self) -> str:
-        """Size and place in brackets, with a space before; empty where neither is known."""
-        size = "" if self.misfit.rms_mm is None else self.misfit.said
+        """Size and place in brackets, with a space before; empty where neither is known, or the rows searched leave nothing."""
+        size = "" if self.misfit.rms_mm is None or self.misfit.adequate else self.misfit.said
         where = "" if self.place is None else f"mostly at {self.place.factor} {self.place.level}"
         told = ", ".join(part for part in (size, where) if part)
         return f" ({told})" if told else ""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
+from kilter_core.gap.evidence.fits.left_over import left_over
 from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
@@ -22,6 +23,7 @@ from kilter_core.identify.identifiable.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
 from kilter_core.identify.report import known_of, null_rows, rows_of, unobservable_names
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_rows
@@ -38,6 +40,7 @@ class Stored:
 
     ``shown`` are the rows that were searched and ``held`` those held out, views as poses of the tool. ``geometry`` is the
     geometry fitted to the former without effects; None where nothing is held out to compare it on, or no effect was found.
+    ``left`` is what the fit leaves of a coordinate; None where only the errors on the rows say it.
     """
 
     calibration: Calibration
@@ -46,6 +49,7 @@ class Stored:
     registered: Calibration | None = None
     held: Observations | None = None
     geometry: Calibration | None = None
+    left: Predictive | None = None
 
     def parameters(self) -> list[dict[str, Any]]:
         """Rows of the free parameters, as an identification has them."""
@@ -83,6 +87,8 @@ class Stored:
 
     def covariance(self) -> dict[str, Any]:
         """Covariance document of a version."""
+        if self.left is not None:
+            return self.left.to_document()
         return {
             "names": list(self.posterior.names), "matrix": self.posterior.covariance.tolist(), "units": "SI",
         }  # fmt: skip
@@ -147,7 +153,7 @@ def stored(
     base, tool = wanted_frames(begin, nominal, shown, asked)
     calibration = replace(calibration, wanted_base=base, wanted_tool=tool)
     geometry = None if held is None else geometry_alone(calibration, shown, asked, (SHIFT,))
-    return Stored(calibration, wide, shown.observations, nominal, held, geometry)
+    return Stored(calibration, wide, shown.observations, nominal, held, geometry, left_over(found, wide))
 
 
 def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:

@@ -22,6 +22,7 @@ from kilter_core.effects.physical import (
     Separator,
     joint_numbers,
 )
+from kilter_core.gap.evidence.similarity.smooth import TURN
 from kilter_core.gap.report.next_poses import Proposal
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.observations import Observations
@@ -88,6 +89,16 @@ def told_apart(
     instead = () if enough else tuple(_instead(target, rival, rows, robot))
     factor = best.after[-1] / max(best.before, 1e-12)
     return ToldApart((target.label, rival.label), count, factor, enough, needed, instead)
+
+
+def never_told(target: Candidate, rival: Candidate, robot: Robot) -> bool:
+    """Whether no poses of this arm name one of the two: curves of a joint that cannot make the turn that a name needs."""
+    one, other = target.effects[0], rival.effects[0]
+    if one.class_on(robot).id != other.class_on(robot).id or target.joints != rival.joints:
+        return False
+    needs = Separator.TURN in one.separators(robot) and (rival.empirical or Separator.TURN in other.separators(robot))
+    followed = [own for effect in target.effects for own in effect.followed(robot.n_joints)]
+    return needs and any(factor * np.ptp(robot.limits[j]) < TURN for j, factor in followed)
 
 
 def _instead(target: Candidate, rival: Candidate, rows: Observations, robot: Robot) -> Iterator[str]:

@@ -31,6 +31,7 @@ from kilter_core.gap.search.rows.row_warnings import (
     JUDGED_AGAIN,
     identical_repeats,
     instrument_warnings,
+    no_repeats_warning,
     noise_warnings,
     outlier_warnings,
     rounding_warnings,
@@ -290,11 +291,7 @@ class _Preparation:
             return found
         if visits.observations.sigma is not None and not linear:
             return stated_noise(visits.observations.sigma, visits, size)
-        self._warn(
-            "no_repeats",
-            "No pose was repeated often enough, so the noise is that of the fit: every verdict is relative to it, and above "
-            "provisional is only what both halves, or a confirmation, show alike. Repeat ten poses thrice, others between.",
-        )
+        self.warnings.append(no_repeats_warning(visits))
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return source.even(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost))
 

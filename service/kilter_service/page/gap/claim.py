@@ -75,6 +75,10 @@ GATES: Mapping[str, tuple[str, Say]] = {
         "A sensor at the place shows it",
         lambda e: _of(e.sensor, lambda v: f"in {number(v, 2)} standard deviations"),
     ),
+    "complete_geometry": (
+        "No rotation that the robot's description lacks does as well",
+        lambda e: "the description lacks some",
+    ),
     "confirmation": (
         "The confirmation does not contradict it",
         lambda e: _of(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),

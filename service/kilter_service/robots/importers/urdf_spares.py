@@ -25,22 +25,29 @@ NOTHING = 1e-6  # of a unit column: dependent on those kept
 
 def spares(path: Sequence[UrdfJoint]) -> frozenset[str]:
     """Names of the constants that are not identified beside the others, of the moving joints of an arm in order."""
-    before: UrdfJoint | None = None
-    since, out = np.eye(4), []
+    # Joints whose zero offsets act at the next one alike wherever it stands, and the way (4, 4) there from each.
+    before: list[tuple[UrdfJoint, Floats]] = []
+    out: list[str] = []
     last = max(k for k, joint in enumerate(path) if joint.moves)
     for k, joint in enumerate(path):
-        since = since @ joint.origin
+        before = [(one, way @ joint.origin) for one, way in before]
         if joint.moves:
-            said = [*_by_itself(joint, last=k == last), *(() if before is None else _by_the_one_before(before, since))]
+            said = [*_by_itself(joint, last=k == last), *(twist for one in before for twist in _by_one_before(*one))]
             kept = _independent(_constants(joint), np.array(said).reshape(-1, 6).T)
             out += [f"{joint.name}_{suffix}" for n, suffix in enumerate(SUFFIXES) if n not in kept]
-            before, since = joint, np.eye(4)
+            # Prismatic joints in a row only shift: each of their zero offsets is the same shift behind all of them.
+            run = [b for b in before if _slides(b[0])] if _slides(joint) else []
+            before = [*run, (joint, np.eye(4))]
     return frozenset(out)
+
+
+def _slides(joint: UrdfJoint) -> bool:
+    return MOVING[joint.kind] == "prismatic"
 
 
 def _by_itself(joint: UrdfJoint, *, last: bool) -> Iterator[Floats]:
     """Twists (6,) behind the origin that the zero offset says, or the next origin: shifts (3,), then rotations (3,)."""
-    prismatic, axis = MOVING[joint.kind] == "prismatic", joint.axis
+    prismatic, axis = _slides(joint), joint.axis
     follows = joint.mimic is not None  # its zero offset is not a parameter
     if prismatic and not last:
         yield from np.eye(6)[:3]
@@ -54,12 +61,12 @@ def _by_itself(joint: UrdfJoint, *, last: bool) -> Iterator[Floats]:
             yield np.r_[axis, 0.0, 0.0, 0.0]
 
 
-def _by_the_one_before(before: UrdfJoint, T: Floats) -> Iterator[Floats]:
+def _by_one_before(before: UrdfJoint, T: Floats) -> Iterator[Floats]:
     """Twist (6,) in a frame at ``T`` (4, 4) behind a joint that this joint's zero offset says."""
     if before.mimic is not None:
         return
     R, p = T[:3, :3], T[:3, 3]
-    if MOVING[before.kind] == "prismatic":
+    if _slides(before):
         yield np.r_[R.T @ before.axis, 0.0, 0.0, 0.0]
     else:
         yield np.r_[R.T @ np.cross(before.axis, p), R.T @ before.axis]
@@ -82,10 +89,12 @@ def _independent(constants: Floats, said: Floats) -> set[int]:
     left, known = constants * scale, said * scale
     left = left / np.linalg.norm(left, axis=0)
     basis, size, _ = np.linalg.svd(known, full_matrices=False)
-    basis = basis[:, size > NOTHING]  # of axes in one line two zero offsets say the same
+    # Of axes in one line two zero offsets say the same, and of two prismatic joints both say shifts: what counts is what
+    # is said, not how often.
+    basis = basis[:, size > NOTHING]
     left = left - basis @ (basis.T @ left)
     kept: set[int] = set()
-    for _ in range(6 - known.shape[1]):
+    for _ in range(6 - basis.shape[1]):
         length = np.linalg.norm(left, axis=0)
         if length.max() < NOTHING:
             break

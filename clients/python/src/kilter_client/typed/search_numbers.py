@@ -306,7 +306,9 @@ class Gates(Record):
     """The tests an effect passed or did not; all must be passed to be confirmed."""
 
     adequate: bool | None
-    """Of earlier searches: the model with it agrees with the rows. It is a statement of its own now."""
+    """Of earlier searches: the model with it agrees with the rows."""
+    complete_geometry: bool | None
+    """False: rotations the description lacks do as well."""
     confirmation: bool | None
     """A confirmation does not contradict it."""
     held_out: bool | None

@@ -104,6 +104,8 @@ class Claim(Record):
 
     evidence: Records[Separation]
     """What a member's name needs beside its shape."""
+    joints: tuple[int, ...]
+    """Joints that it is said of, from 1; None: acts at none."""
     said: str
     """Of what it is said: a `member` by its name, `one_of` several, or the `class`."""
     settled: bool | None

@@ -30,6 +30,9 @@ from kilter_core.types import Bools, Floats, Ints
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
 SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
+SURE_GAP = (
+    3.0  # standard deviations of the noise's own mean square by which errors before exceed it, or no share is told
+)
 DRAWS = 999  # of the held-out poses, behind the interval of their error
 FEWEST_DRAWN = 5  # poses below which drawing them again says too little
 SPIKES_SURE = 0.99  # chance that so many interrupted laser beams at that share are no more than counted
@@ -317,8 +320,9 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
         last = problem.gram.given(search.columns)
         share = np.sqrt(last.yy / max(last.nu, 1.0))
         coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
-    # Against a noise that was read from the fit itself, a closed gap means nothing.
-    known = problem.settings.noise.absolute and r0**2 > sigma**2 and bool(search.chosen)
+    # Against a noise that was read from the fit itself, a closed gap means nothing; nor does it as a share of nothing.
+    apart = SURE_GAP * np.sqrt(2.0 / max(held.before.size, 1))
+    known = problem.settings.noise.absolute and r0**2 > (1.0 + apart) * sigma**2 and bool(search.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
     numbers = {
         "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,

@@ -102,6 +102,22 @@ def moves_mm(found: SearchResult) -> dict[int, float]:
     return {k: mm(source.rms(m)) for k, m in moved.items()}
 
 
+def outweighing(found: SearchResult, k: int, joints: tuple[int, ...] | None, left: Misfit) -> tuple[int, ...] | None:
+    """Of some ``joints`` of a chosen candidate those that move the tool by more than is left beside it; all where none does.
+
+    A joint of a family that moves it by less may be no more than a part of what is left.
+    """
+    candidate, source = found.selector.scorer.candidates[k], found.problem.settings.source
+    if joints is None or len(joints) < 2 or left.rms_mm is None or not source.observes_tool:
+        return joints
+    used, start, moved = found.problem.settings.used, 0, dict[int, float]()
+    for effect in candidate.effects:
+        own = candidate.columns[start : start + len(effect.parameters(source.model.robot))]
+        start += len(own)
+        moved |= dict.fromkeys(effect.joints or (), mm(source.rms(moved_by(found.problem, own)[used])))
+    return tuple(j for j in joints if moved.get(j, 0.0) > left.rms_mm) or joints
+
+
 def moves_u95_mm(found: SearchResult, k: int) -> float:
     """Half of the 95 % interval of the rms displacement by a chosen candidate, by what is known of its amounts together."""
     problem, own = found.problem, list(found.selector.scorer.candidates[k].columns)

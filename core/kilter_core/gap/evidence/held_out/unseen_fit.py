@@ -49,7 +49,7 @@ class UnseenFit:
 
     def verdict(self, of_run: str) -> str:
         """The verdict of a run, where rows that no choice saw agree with it: nothing is closed that is open there."""
-        return "unexplained" if self.refuted and of_run in ("closed", "no_gap") else of_run
+        return "unexplained" if self.refuted else of_run
 
     def sentence(self) -> str:
         """What is left, in which quantity; nothing where it is no more than noise."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.effects.physical import joint_numbers
 from kilter_core.gap.noise.from_repeats import Noise
+from kilter_core.gap.noise.visits import Visits
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.sources.rounding import Rounding, coordinate
 from kilter_core.gap.search.sources.source import Source
@@ -22,6 +23,7 @@ Warning_ = dict[str, Any]
 JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
 COPY = 1e-9  # m or rad: no instrument repeats itself so exactly
 BEYOND = 3.0  # times the instrument, from which repeats show that something moves
+FEWEST_AGAIN = 3  # poses visited again from which a person meant to repeat
 COARSE = 0.05  # share of equal coordinates between repeats from which the instrument rounds: equal rows prove nothing
 
 
@@ -59,6 +61,31 @@ def clock_warnings(rows: Observations) -> Iterator[Warning_]:
     }  # fmt: skip
 
 
+def no_repeats_warning(visits: Visits) -> Warning_:
+    """Say that no visits should agree, and why: no pose was visited again, or every time in another way."""
+    rows = visits.observations
+    again = np.flatnonzero(np.bincount(visits.pose) > 1)
+    ways = (
+        ("from another side (dir1 ...)", rows.direction), ("under another load", rows.payload_kg),
+        ("in another session", rows.session),
+    )  # fmt: skip
+    own = [np.flatnonzero(visits.pose == k) for k in again]
+    told = [words for words, values in ways if values is not None and any(np.ptp(values[k], axis=0).any() for k in own)]
+    relative = (
+        "so the noise is that of the fit: every verdict is relative to it, and above provisional is only what both "
+    )
+    relative += "halves, or a confirmation, show alike."
+    if len(again) < FEWEST_AGAIN or not told:
+        said = f"No pose was repeated often enough, {relative} Repeat ten poses thrice, others between."
+    else:
+        said = (
+            f"{len(again)} poses were visited again, but {' or '.join(told)}, and too few visits are alike to show the noise; "
+            f"{relative} Come back to ten poses thrice in the same way: with the same load, and from the same pose before, so "
+            "that every joint arrives from the same side."
+        )
+    return {"code": "no_repeats", "message": said}
+
+
 def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Iterator[Warning_]:
     """Say to which step joint readings are rounded, how far that moves the tool, and how it counts."""
     if one is None:
@@ -70,7 +97,7 @@ def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Itera
         slides = joints[own[0]].kind == "prismatic"
         size = f"{mm(step):.4g} mm" if slides else f"{degrees(step):.4g} deg"
         said.append(f"{size} ({joint_numbers(own)})")
-    counted = "which the noise holds already" if held else "which counts as noise beside that of the repeats"
+    counted = "which the noise holds already" if held else "which counts as noise of its own"
     yield {
         "code": "rounded_readings",
         "message": f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "

@@ -12,6 +12,7 @@ from kilter_client.cli.terminal.output import say
 from kilter_client.cli.terminal.tables import number, show_rows
 
 MOST_PLACES = 12
+STANDS_OUT = 0.05  # p of a place below which it stands out
 BAR = 40  # characters of the longest bar
 GAP_ROWS = (
     ("before", "train", "before"),
@@ -50,15 +51,17 @@ def show_gap(result: Mapping[str, Any]) -> None:
 
 
 def _where(places: Sequence[Mapping[str, Any]]) -> None:
-    if not places:
+    sure = [p for p in places if p["p_value"] < STANDS_OUT]
+    if not sure:
+        if places:
+            say(f"Where the model is wrong: no place stands out (the clearest has p {number(places[0]['p_value'], 2)})")
         return
     rows = [
-        (str(p["factor"]), str(p["level"]), number(p["excess"], 3), number(p["p_value"], 2))
-        for p in places[:MOST_PLACES]
+        (str(p["factor"]), str(p["level"]), number(p["excess"], 3), number(p["p_value"], 2)) for p in sure[:MOST_PLACES]
     ]
     show_rows(("where", "level", "excess chi2", "p"), rows, title="Where the model is wrong")
-    if len(places) > MOST_PLACES:
-        say(f"  and {len(places) - MOST_PLACES} more: see --json")
+    if len(sure) > MOST_PLACES:
+        say(f"  and {len(sure) - MOST_PLACES} more: see --json")
 
 
 def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
