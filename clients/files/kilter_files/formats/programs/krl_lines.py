@@ -29,6 +29,7 @@ LIST = re.compile(r"\s{0,9}\{")
 GIVEN = re.compile(
     r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)(?![ \t]*\{[^{}\r\n]{0,500}\}[ \t]*\r?$)", re.I | re.M
 )
+SENSOR = re.compile(r"\b(?:RSI_(?:ON|MOVECORR)|ST_(?:MOVESENS|ON1?))[ \t]*\(", re.I)
 EXTERNAL_PART = re.compile(r"\s*\.\s*E\d", re.I)
 RELATIVE = re.compile(r"^[ \t]*S?(?:PTP|LIN|CIRC)_REL[ \t]+(\w{1,64})", re.I | re.M)
 PART_READ = re.compile(r"(?<![\w$.])(\w{1,64})(?:[ \t]*\[[^\]\r\n]{0,60}\])?[ \t]*\.[ \t]*A\d\b(?![ \t]*=(?!=))", re.I)
@@ -71,7 +72,8 @@ def not_kept(
     for number, line in enumerate(text.split("\n"), 1):
         said = line.strip()
         if said and said[0] != "&" and at not in within:  # & begins what only the editor reads
-            why = _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
+            why = "a sensor moves the arm" if SENSOR.search(said) else ""
+            why = why or _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
             if why:
                 yield number, f"{said[:40]}: {why}"
         at += len(line) + 1

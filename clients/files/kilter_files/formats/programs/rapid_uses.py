@@ -15,13 +15,14 @@ PART_GIVEN = re.compile(
     r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*[A-Za-z_][\w.]{0,80}(?:\{[^}\n]{0,40}\})?(?=\s*[,;\\])"
 )
 READS = re.compile(
-    r"WHILE|FOR|TEST|CASE|RETURN|(?:Set|TP|UI|Write|Wait|Pulse|Err|Pack|Move|Arc|Trigg|Search)\w*", re.I
+    r"WHILE|FOR|TEST|CASE|RETURN|(?:Set|TP|UI|EGM|Write|Wait|Pulse|Err|Pack|Move|Arc|Trigg|Search)\w*", re.I
 )  # such leave what they are given as it is; a short IF may hold any instruction
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
 OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
 ROUTINE = re.compile(r"\bPROC\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
 GIVES_BACK = re.compile(r"\b(?:INOUT|VAR|PERS)\b", re.I)
+MOVES_SHORT = re.compile(r"(?<=[\s)])(?:Move|Arc|Trigg|Search)\w*(?=[\s\\])", re.I)
 LOOKED_BACK = 4000
 
 
@@ -116,4 +117,6 @@ def _instruction(before: str, by_value: Collection[str]) -> str:
     """The instruction that may give a target back changed; empty where it is a routine that takes it by value."""
     lines = [line for line in before.splitlines() if FIRST.search(line)]
     found = FIRST.search(lines[-1]) if lines else None
+    if found is not None and found[0].upper() == "IF":  # a short one has its instruction behind the condition
+        found = MOVES_SHORT.search(lines[-1]) or found
     return "" if found is None or found[0].lower() in by_value else found[0]
