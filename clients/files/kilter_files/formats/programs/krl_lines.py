@@ -24,6 +24,8 @@ MOTION = re.compile(MOTIONS, re.I)
 INNER = re.compile(rf"(?<![\w#$.]){MOTIONS}\s{{1,9}}[\w{{]", re.I)
 CALLED = re.compile(r"(?<![\w.$])(\w{1,64})\s{0,9}\(([^()]{1,1000})\)")
 HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?(?!\w|\s{0,9}[.(])")
+PART_HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?[ \t]*\.[ \t]*(?:[XYZABCST]|A\d)(?![\w.])", re.I)
+READING = frozenset(("CREAD", "SREAD"))  # give what they are handed another value
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
 GIVEN = re.compile(
@@ -91,9 +93,17 @@ def _changes_target(said: str, bases: Collection[str]) -> str:
 def _handed_on(said: str, targets: Collection[str]) -> str:
     """The subprogram that is given a target: it may move to it with other frames, or change it."""
     for call in CALLED.finditer(said):
-        if call[1].upper() not in KEPT and any(one[1].upper() in targets for one in HANDED.finditer(call[2])):
+        if call[1].upper() not in KEPT - READING and any(one[1].upper() in targets for one in HANDED.finditer(call[2])):
             return f"{call[1]} is given a target"
-    return ""
+    return next((f"{by} is given a part of a target" for by, name in parts_handed(said) if name in targets), "")
+
+
+def parts_handed(text: str) -> Iterator[tuple[str, str]]:
+    """Yield what is given a part of a variable, which it may change, and the name of the variable in capitals."""
+    for call in CALLED.finditer(text):
+        by = call[1].upper()
+        if by in READING or by not in KEPT | REST:
+            yield from ((call[1], one[1].upper()) for one in PART_HANDED.finditer(call[2]))
 
 
 def _not_understood(said: str) -> str:

@@ -20,7 +20,16 @@ READS = re.compile(
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
 OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
-ROUTINE = re.compile(r"\bPROC\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
+ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w+)\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
+CONSTANT = re.compile(r"\bCONST\s+\w+\s+(\w+)", re.I)
+FUNCTION = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)\s*\(")
+ARGUMENT = re.compile(r"\s*([A-Za-z]\w*)\s*(?:\{[^}\n]{0,40}\}\s*)?(?:\.\s*\w+\s*)*")
+FUNCTION_READS = re.compile(
+    r"Offs|RelTool|C(?:alc)?(?:RobT|JointT|Pos|Tool|WObj)|Distance|Def\w+|Pose\w+|Orient\w+|EulerZYX|MirPos|ORobT"
+    r"|A?(?:Sin|Cos|Tan2?)|Abs\w*|Sqrt|Round|Trunc|Max|Min|ValToStr|NumToStr|Dim|DotProd|VectMagn|Present|Is\w+"
+    r"|IF|ELSEIF|WHILE|AND|OR|XOR|NOT|DIV|MOD|TEST|CASE|RETURN|TO|FROM|STEP",
+    re.I,
+)  # functions that only reckon, and words before a bracket
 GIVES_BACK = re.compile(r"\b(?:INOUT|VAR|PERS)\b", re.I)
 MOVES_SHORT = re.compile(r"(?<=[\s)])(?:Move|Arc|Trigg|Search)\w*(?=[\s\\])", re.I)
 LOOKED_BACK = 4000
@@ -56,6 +65,25 @@ def changed(text: str) -> Iterator[re.Match[str]]:
     yield from (match for match in ASSIGNS.finditer(text) if match.start(1) not in declared)
     by_value = _by_value(text)
     yield from (match for match in PART_GIVEN.finditer(text) if _gives_back(text, match.start(), by_value))
+    yield from _given_to_functions(text, by_value)
+
+
+def _given_to_functions(text: str, by_value: Collection[str]) -> Iterator[re.Match[str]]:
+    """Yield what a function is given that may change it, as ``StrToVal(part, p10.trans.x)`` does; constants are kept."""
+    constant = {match[1].lower() for match in CONSTANT.finditer(text)}
+    for call in FUNCTION.finditer(text):
+        if FUNCTION_READS.fullmatch(call[1]) or call[1].lower() in by_value:
+            continue
+        depth, at = 0, call.end()
+        for place in range(call.end(), min(len(text), call.end() + LOOKED_BACK)):
+            depth += (text[place] in "([{") - (text[place] in ")]}")
+            if depth < 0 or (depth == 0 and text[place] == ","):
+                given = ARGUMENT.match(text, at)
+                if given is not None and given.end() == place and given[1].lower() not in constant:
+                    yield given
+                at = place + 1
+            if depth < 0:
+                break
 
 
 def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, blanked, line_at
-from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN
+from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN, parts_handed
 from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import StatusTurn
@@ -94,6 +94,9 @@ def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
         for pose in bases.get(match[1].upper(), ()):
             if not EXTERNAL_PART.match(match[2]):
                 pose.problem = pose.problem or "the program changes it"
+    for by, name in parts_handed(text):
+        for pose in bases.get(name, ()):
+            pose.problem = pose.problem or f"{by} may change it"
 
 
 def note_external(program: Program) -> None:
