@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -173,16 +174,32 @@ def test_a_run_that_takes_too_long_leaves_no_process(module: Path) -> None:
         shutil.rmtree(folder)
 
 
-def test_a_damaged_program_stops_the_start_and_says_why(module: Path) -> None:
+def altered(content: bytes) -> bytes:
+    return content[:400] + bytes([content[400] ^ 1]) + content[401:]
+
+
+@pytest.mark.parametrize(
+    ("of", "said"),
+    [
+        (altered, "its checksum is wrong: export it again"),
+        (lambda content: content[:-8], "The program is cut off: export it again"),
+        (lambda content: b"", "The program is cut off: export it again"),
+        (lambda content: b"theta,d,a,alpha\n" * 50, "This is not a program"),
+        (lambda content: content[:4] + b"\x09\0\0\0" + content[8:], "is newer than this code"),
+        (lambda content: blob_of(program_of("katana450-chapter5")), "six joints"),
+    ],
+    ids=["altered", "cut", "empty", "foreign", "newer", "of five joints"],
+)
+def test_a_program_that_cannot_be_used_stops_the_start_and_says_why(
+    module: Path, of: Callable[[bytes], bytes], said: str
+) -> None:
     assert module.exists()
     folder = Path(subprocess.run(["mktemp", "-d"], check=True, capture_output=True, text=True).stdout.strip())
     try:
-        content = bytearray(blob_of(program_of(PRESET, "gear_error")))
-        content[400] ^= 1
-        ini = machine(folder, bytes(content))
+        ini = machine(folder, of(blob_of(program_of(PRESET, "gear_error"))))
         (folder / "poses.json").write_text("[]")
         told = driven(ini, 120) + "".join(path.read_text() for path in folder.glob("linuxcnc_*.txt"))
         assert not (folder / "seen.json").exists()
-        assert "its checksum is wrong: export it again" in told
+        assert said in told
     finally:
         shutil.rmtree(folder)
