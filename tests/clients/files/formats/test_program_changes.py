@@ -201,3 +201,21 @@ def test_fanuc_poses_that_track_a_conveyor(tmp_path: Path, number: int, tracks: 
 def test_urscript_adds_to_a_target(tmp_path: Path, lines: tuple[str, ...], named: dict[int, str]) -> None:
     text = "\n".join(["def w():", "set_tcp(p[0,0,0.1,0,0,0])", *lines, "movej([0,0,0,0,0.5,0])", "end", ""])
     assert left(tmp_path / "w.script", text) == named
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        'RET=EKI_GetFrame("ch","Part",PART)', 'RET=EKI_GetReal("ch","Part/X",PART.X)', 'SREAD(STR[],S,O,"%r",PART)',
+        'RET=EKI_GetReal("ch","Part/X",BASE_DATA[2].X)', 'RET=EKI_GetFrame("ch","Part",BASE_DATA[2])',
+    ],
+)  # fmt: skip
+def test_krl_gives_a_frame_to_what_may_change_it(tmp_path: Path, statement: str) -> None:
+    frame = "BASE_DATA[2]" if "BASE_DATA" in statement else "PART"
+    lines = [
+        "DEF w()", "DECL FRAME PART", "$TOOL=TOOL_DATA[1]", f"{frame}={{X 1,Y 0,Z 0,A 0,B 0,C 0}}", statement,
+        f"$BASE={frame}", f"LIN {KRL_POSE}", "PTP {A1 0,A2 -90,A3 90,A4 0,A5 45,A6 0}", "END", "",
+    ]  # fmt: skip
+    found = left(tmp_path / "w.src", "\n".join(lines))
+    assert f"the program changes {frame}" in found[7]
+    assert left(tmp_path / "w.src", "\n".join(lines).replace(statement, "H=SQRT(PART.X*PART.X)")) == {}

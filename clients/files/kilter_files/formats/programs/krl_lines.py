@@ -25,6 +25,9 @@ INNER = re.compile(rf"(?<![\w#$.]){MOTIONS}\s{{1,9}}[\w{{]", re.I)
 CALLED = re.compile(r"(?<![\w.$])(\w{1,64})\s{0,9}\(([^()]{1,1000})\)")
 HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?(?!\w|\s{0,9}[.(])")
 PART_HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?[ \t]*\.[ \t]*(?:[XYZABCST]|A\d)(?![\w.])", re.I)
+OF_MOTION = re.compile(
+    r"S(?:TOOL2?|BASE|IPO_MODE|LOAD|(?:VEL|ACC|APO|GEAR|ORI|CIRC)_?\w{0,20}|JERK)|USE_CM_PRO_VALUES|E[BK]", re.I
+)
 READING = frozenset(("CREAD", "SREAD"))  # give what they are handed another value
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
@@ -98,11 +101,26 @@ def _handed_on(said: str, targets: Collection[str]) -> str:
     return next((f"{by} is given a part of a target" for by, name in parts_handed(said) if name in targets), "")
 
 
+def _may_change(function: str) -> bool:
+    """Whether a function, in capitals, may change what it is given."""
+    return function in READING or (function not in KEPT | REST and OF_MOTION.fullmatch(function) is None)
+
+
+def handed(text: str) -> set[str]:
+    """Return the variables, in capitals, that a call is given whole or in part and may change; arrays without their index."""
+    found = {name for _, name in parts_handed(text)}
+    for call in CALLED.finditer(text):
+        by = call[1].upper()
+        if _may_change(by):
+            found |= {one[1].upper() for one in HANDED.finditer(call[2])}
+    return found
+
+
 def parts_handed(text: str) -> Iterator[tuple[str, str]]:
     """Yield what is given a part of a variable, which it may change, and the name of the variable in capitals."""
     for call in CALLED.finditer(text):
         by = call[1].upper()
-        if by in READING or by not in KEPT | REST:
+        if _may_change(by):
             yield from ((call[1], one[1].upper()) for one in PART_HANDED.finditer(call[2]))
 
 
