@@ -194,10 +194,11 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
         for pose in poses.get(match[1].lower(), {}).values():
             pose.problem = pose.problem or "the program changes it"
     off = {match[1].upper() == "L" for match in CONFIGURATION_OFF.finditer(text)}
+    locked = AXIS_LOCKED.search(text) is not None
     for pose in program.cartesian:
         if any(use.straight in off for use in pose.uses):
             pose.problem = pose.problem or "its configuration is not kept (ConfJ, ConfL \\Off)"
-        if AXIS_LOCKED.search(text) and any(use.straight for use in pose.uses):
+        if locked and any(use.straight for use in pose.uses):
             pose.problem = pose.problem or "its orientation is not kept (SingArea \\LockAxis4)"
 
 
