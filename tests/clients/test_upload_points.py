@@ -82,7 +82,17 @@ def test_contract_columns_of_a_device_that_is_a_preset_stay_as_they_are(
 ) -> None:
     path = write_campaign(10)
     found = document(capsys, "upload", robot, path, "--device", "leica", "--dry-run")
-    assert found["notes"] == ["contract columns, sent as they are"]
+    assert found["notes"] == ["its columns are sent as they are"]
+
+
+def test_columns_that_are_not_the_contracts_are_not_called_so(
+    robot: str, write_campaign: Write, capsys: Capture
+) -> None:
+    path = write_campaign(10)
+    path.write_text(path.read_text().replace("x_mm", "east_mm", 1))
+    refused = document(capsys, "upload", robot, path, code=1)
+    assert "east_mm" in refused["detail"]
+    assert not [note for note in prepare(path).notes if "contract" in note]
 
 
 def test_a_row_that_is_left_out_takes_its_joints_with_it(tmp_path: Path) -> None:

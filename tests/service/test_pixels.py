@@ -104,6 +104,30 @@ def test_views_become_a_version(client: httpx.Client, worker: Any, until: Any) -
     assert found["state"] == "succeeded", found["error"]
     errors = found["result"]["metrics"][other]
     assert errors["identified"]["mean_mm"] < 0.05 < errors["registration_only"]["mean_mm"]
+    # Row by row what is left is as large as an evaluation says, and a view that was bumped is seen in its row.
+    left = rows_left(client, result["version_id"], other)
+    length = np.linalg.norm([left[f"d{axis}_mm"] for axis in "xyz"], axis=0)
+    assert np.mean(length) == pytest.approx(errors["identified"]["mean_mm"], rel=0.05)
+    asked = {"version": result["version_id"], "campaign": other}
+    places = client.get("/robots/watched/places.json", params=asked).raise_for_status().json()
+    assert np.mean(np.linalg.norm(places["left"]["identified"], axis=1)) == pytest.approx(np.mean(length), rel=0.05)
+    bumped = columns(seen(20, 9))
+    for k in range(1, 49):
+        if bumped[f"u{k}_px"][7] is not None:
+            bumped[f"u{k}_px"][7] += 30.0
+    odd = campaign(client, described(SCENE), "bumped")
+    send(client, odd, csv(bumped)).raise_for_status()
+    sizes = rows_left(client, result["version_id"], odd)["residual_sigma"]
+    assert np.argmax(sizes) == 7
+
+
+def rows_left(client: httpx.Client, version: str, campaign_id: str) -> dict[str, list[float]]:
+    """What a version leaves of each row, by column."""
+    asked = {"campaign": campaign_id, "format": "json"}
+    found: dict[str, list[float]] = (
+        client.get(f"/v1/versions/{version}/residuals", params=asked).raise_for_status().json()
+    )
+    return found
 
 
 def test_poses_are_planned_for_the_cameras_of_a_campaign_or_a_version(
@@ -205,6 +229,11 @@ def test_a_campaign_of_sockets_settles_the_scale_of_a_board(client: httpx.Client
     assert found["result"]["boards"][0]["scale_percent"] == pytest.approx(0.1, abs=0.02)
     assert {row["kind"] for row in found["result"]["measurements"]} == {"pixels", "contacts"}
     assert "board_scale" not in [w.get("gauge") for w in found["result"]["warnings"]]
+    version = found["result"]["version_id"]
+    refused = client.get(f"/v1/versions/{version}/residuals", params={"campaign": sockets})
+    assert refused.status_code == 400
+    assert "evaluate them (kilter evaluate), or name other campaigns" in refused.json()["detail"]
+    assert len(rows_left(client, version, views)["row"]) == 40  # the remedy: name the others
 
 
 @pytest.mark.parametrize(

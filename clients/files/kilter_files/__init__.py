@@ -183,6 +183,6 @@ def as_it_is(path: Path) -> Prepared:
             file=str(path),
         )
     try:
-        return Prepared(path.read_bytes(), kind, notes=("contract columns, sent as they are",))
+        return Prepared(path.read_bytes(), kind, notes=("its columns are sent as they are",))
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}.", file=str(path)) from error

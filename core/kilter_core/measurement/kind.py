@@ -10,6 +10,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
@@ -165,6 +166,18 @@ class Kind(ABC):
         Rows 0-2 of the Jacobian are the tool's position, 3-5 its rotation vector, and the rest, where :attr:`reads_joints`,
         what the joints rotate by: :data:`~kilter_core.model.prediction.JOINT_ROWS` for each, the base last.
         """
+
+    def row_errors(self, calibration: Calibration) -> tuple[Floats, Floats, Floats]:
+        """Errors (N, 3) m and (N,) rad of the tool by each row, and their length (N,) in standard deviations.
+
+        Raises:
+            ObservationError: rows that tell where the tool is only together.
+
+        """
+        raise ObservationError(
+            "Contacts and distances tell where the tool is only together, so none of these rows has an error of its own: "
+            "evaluate them (kilter evaluate), or name other campaigns."
+        )
 
     def check(self) -> None:
         """Refuse rows that cannot be of this kind.

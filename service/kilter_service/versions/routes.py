@@ -156,7 +156,8 @@ def residuals(
     """Download what a version leaves of every row, of all campaigns it was made from or of those named.
 
     Each line has the campaign and the row in it, the error measured minus predicted, its length in standard deviations,
-    half the 95 % interval that expects it, whether the row was set aside, and whether it was held out of the fit.
+    half the 95 % interval that expects it, whether the row was set aside, and whether it was held out of the fit. Views
+    have the error of the tool that explains them best, without the noise of their corners, and no interval.
     """
     media = {"csv": CSV, "parquet": PARQUET, "json": JSON}[format]
     content = service.residuals(database, version, campaign or [], media)

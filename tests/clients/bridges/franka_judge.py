@@ -62,6 +62,7 @@ class Judge:
         self._state = self._seen()
         self.told = [self._history.q]  # where it wanted the arm in each cycle
         self.curves, self.jerks = [0.0], [0.0]  # the largest of each command that it judged
+        self.missed = self.most_missed = 0  # cycles in a row without a command in time: at 20 the robot stops
 
     def readOnce(self) -> tuple[State, Any]:
         """Return the newest state, or the next one if that was read, and the time since the last that was."""
@@ -103,6 +104,10 @@ class Judge:
                 q, speed, curve, cycle = self._history
                 speed = speed + CYCLE_S * curve
                 self._history = History(q + CYCLE_S * speed, speed, curve, cycle + 1)
+                self.missed += 1
+                self.most_missed = max(self.most_missed, self.missed)
+            else:
+                self.missed = 0
             self.told.append(self._history.q)
             self._answered = False
             self.cycle += 1

@@ -121,6 +121,18 @@ def test_held_up_while_it_waits_it_answers_no_state_whose_cycle_is_over(
     assert apart(judge, undisturbed) < 2.5e-5
 
 
+@pytest.mark.parametrize("drops", [True, False])
+def test_a_machine_that_stays_slow_after_it_was_held_up_does_not_lose_the_robot(line: Line, drops: bool) -> None:
+    """As one was seen to, simulator and bridge: 13 ms, then answers that take several times as long and become faster again."""
+    slow_ms = [2.2, 1.7, 1.2, 1.1, 1.0, 0.9, 0.9, *[0.85] * 10, *[0.7] * 25]
+    slow = {at + k: 0.001 * one for at in (2500, 4900) for k, one in enumerate(slow_ms)}
+    judge, fci = moved(line, lambda cycle: slow.get(cycle, 0.0002), drops, stands_s=dict.fromkeys((2500, 4900), 0.013))
+    assert fci.counts["late"] > 20
+    assert judge.most_missed < 20
+    assert max(judge.curves) < MOST_RAD_S2
+    assert max(judge.jerks) < MOST_RAD_S3
+
+
 def test_a_robot_that_stands_still_for_a_while_is_answered_again_at_its_next_state(
     line: Line, undisturbed: Judge
 ) -> None:

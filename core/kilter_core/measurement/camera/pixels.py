@@ -171,6 +171,17 @@ class Pixels(Kind):
         e = found.without_noise
         return e[:, :3], np.asarray(np.sqrt(np.sum(e[:, 3:] ** 2, axis=1)), dtype=np.float64)
 
+    def row_errors(self, calibration: Calibration) -> tuple[Floats, Floats, Floats]:
+        """Errors (N, 3) m and (N,) rad of the tool by each row, as :meth:`errors` has them, and the length (N,) of what the
+        row says, noise included, in standard deviations. NaN where a row's corners tell no pose.
+        """
+        found = self.tool_errors(calibration)
+        place, turn, size = (np.full((len(self.observations), *shape), np.nan) for shape in ((3,), (), ()))
+        place[found.rows], turn[found.rows] = self.errors(calibration)
+        square = np.einsum("ni,nij,nj->n", found.motion, np.linalg.inv(found.covariance), found.motion)
+        size[found.rows] = np.sqrt(square) / max(found.sigma_px, np.finfo(np.float64).tiny)
+        return place, turn, size
+
     def tool_errors(self, calibration: Calibration) -> ToolErrors:
         """Motions of the tool that explain what is left of each view best."""
         for known, values, found in self._told:

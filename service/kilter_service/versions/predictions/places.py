@@ -157,7 +157,10 @@ def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[s
 
 def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] | None:
     """Places (n, 3) m of rows and the sizes (n,) m of their errors; None where no instrument saw a place."""
-    measurement = core_measurement.Measurement.of(part.rows.select(rows), here.marker_points)
+    measurement = core_measurement.Measurement.of(part.rows.select(rows), here.marker_points, held=True)
+    if measurement.tool.places_itself:
+        at = here.predict(measurement.observations).position
+        return in_base(here, at), np.linalg.norm(measurement.tool.row_errors(here)[0], axis=1)
     if not measurement.observes_places:
         return None
     predicted = here.predict(measurement.observations)
@@ -170,14 +173,16 @@ def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
     nominal = core_model.Calibration.nominal(frame.here.robot)
     some = frame.rows[np.linspace(0, len(frame.rows) - 1, min(len(frame.rows), FITTED_ROWS)).astype(np.int64)]
     fitted = estimate.registration_only(
-        nominal, core_measurement.Measurement.of(part.rows.select(some), frame.here.marker_points)
+        nominal, core_measurement.Measurement.of(part.rows.select(some), frame.here.marker_points, held=True)
     )
     return _errors(part, dict(zip(STAGES, (nominal, fitted, frame.here), strict=True)), frame.rows[chosen])
 
 
 def _errors(part: Part, stages: dict[str, Calibration], rows: Ints) -> Floats:
     """Errors (n, stages, 3) m of rows, in the axes of the robot's base."""
-    measurement = core_measurement.Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points)
+    measurement = core_measurement.Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points, held=True)
+    if measurement.tool.places_itself:
+        return np.stack([measurement.tool.row_errors(stage)[0] for stage in stages.values()], axis=1)
     return np.stack([row_errors.RowErrors.of(stages, measurement, rows).left[name] for name in stages], axis=1)
 
 

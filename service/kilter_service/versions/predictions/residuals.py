@@ -58,7 +58,7 @@ def table(database: Database, version: str, wanted: Sequence[str], expected: boo
 
     Raises:
         ServiceError: no such version or campaign, or a campaign of another robot.
-        ObservationError: a campaign without a measured position.
+        ObservationError: a campaign of contacts or distances, whose rows have no errors of their own.
 
     """
     with database.reading() as session:
@@ -113,8 +113,11 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
     turn, size = np.full(count, np.nan), np.full(count, np.nan)
     point_noise, turn_noise = wire.noise_of(report)
     for where, refit in frames_of(part, report):
-        measurement = core_measurement.Measurement.of(part.rows.select(where), shape)
+        measurement = core_measurement.Measurement.of(part.rows.select(where), shape, held=True)
         here = refitted(calibration, measurement, refit) if refit else calibration
+        if not measurement.observes_places:  # views say it one by one, contacts and distances only together
+            error[where], turn[where], size[where] = measurement.tool.row_errors(here)
+            continue
         left = measurement.residual(here.predict(measurement.observations))
         error[where] = core_evaluate.mean_errors(left)
         half = None if known is None else core_evaluate.expected_of(here, measurement, refit, known)

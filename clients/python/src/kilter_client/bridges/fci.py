@@ -26,7 +26,8 @@ Joints = tuple[float, ...]
 # A command that needed longer than this may come after its cycle: what is left is for the network and for whatever holds the
 # process up before it is out. The robot drops it; a simulator was seen to go back for it and to take the mean speed since for
 # the robot's: it is better not sent, whoever listens.
-LATE_S = 0.0005
+LATE_S, LATEST_S = 0.0005, 0.0009
+MANY_UNANSWERED = 10  # cycles, after which LATEST_S counts and not LATE_S: the robot stops at 20
 WAITED_S = 0.0001  # a state that came at once may have waited in the socket
 # A state that was waited for, but came by so many cycles later than the robot's clock says, may have waited for the process
 # to be woken, its cycle over. No command goes out until a state was waited for again and came in time, or that many went by.
@@ -85,6 +86,11 @@ class Rejoined:
     def unsent(self) -> None:
         """Take back the last command: it was not sent, and the robot extrapolates."""
         self._unsent = self._gone
+
+    @property
+    def gone(self) -> int:
+        """Cycles since the last command that was sent, this one included."""
+        return max(1, self._gone)
 
     @property
     def back(self) -> bool:
@@ -223,7 +229,7 @@ class Fci:
         if at_rest:
             self._correction.off = "the motion is over"
         command.motion_finished = over = at_rest and self._correction.out and self._rejoined.back
-        sent = not self._out_of_step and self._clock() - self._opened_s < LATE_S
+        sent = not self._out_of_step and self._clock() - self._opened_s < self._late_s
         if sent:
             control.writeOnce(command)
             self.counts["answered"] += 1
@@ -236,6 +242,15 @@ class Fci:
             self._correction.hear(*packet)
         self._line.tell(self.document)
         return bool(over and sent)
+
+    @property
+    def _late_s(self) -> float:
+        """How long after its state a command may go out: the longer none did, the more a late one is worth.
+
+        A machine that was held up for 13 ms was seen to compute several times slower for as many cycles again.
+        """
+        unanswered = min(1.0, (self._rejoined.gone - 1) / MANY_UNANSWERED)
+        return LATE_S + unanswered * (LATEST_S - LATE_S)
 
     def _note_opened(self, asked_s: float, cycles: int) -> None:
         """Note when the state went out that was just read: now, if it was waited for, else by the time of the last one."""

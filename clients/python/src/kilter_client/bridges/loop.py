@@ -10,10 +10,11 @@ import socket
 import struct
 import sys
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from kilter_client.bridges.answer_times import AnswerTimes
 from kilter_client.bridges.news import TELL_S, Line
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 LARGEST_PACKET = 4096
 MOST_AHEAD = 2  # cycles by which stamps may be ahead of the time that has passed
 MOST_WAITING = 64  # requests that are looked at to find the newest
-SHOWN_TIMES = 20_000
 SO_TIMESTAMPNS = 35  # of Linux: each packet comes with the time at which it arrived
 _TIMESPEC = struct.Struct("qq")
 
@@ -112,8 +112,7 @@ class Loop:
         self.counts: Counter[str] = Counter()
         self._missed: int | None = None
         self._was_late = False  # the last answer
-        self._times_s: deque[float] = deque(maxlen=SHOWN_TIMES)
-        self._longest_s = 0.0
+        self._times = AnswerTimes()
 
     def leave(self) -> None:
         """Fade the offsets out, then end."""
@@ -196,8 +195,7 @@ class Loop:
         self.counts["answered"] += 1
         self._was_late = waited_s + took_s > self._cycle_s
         self.counts["late"] += self._was_late
-        self._times_s.append(took_s)
-        self._longest_s = max(self._longest_s, took_s)
+        self._times.note(took_s)
 
     def _was_taken(self, missed: int | None, cycles: int) -> bool:
         """Whether the controller had the last answer in time: by its count, which has cycles without one too, else by ours."""
@@ -242,7 +240,6 @@ class Loop:
 
     def document(self) -> dict[str, Any]:
         """The state, JSON-able."""
-        times = sorted(self._times_s)
         told = self._correction.document()
         waits = self._waits()
         if waits:
@@ -252,10 +249,10 @@ class Loop:
             "counts": dict(self.counts + self._wire.counts),
             "controller_missed": self._missed,
             "answer_us": {
-                name: round(1e6 * times[min(len(times) - 1, int(part * len(times)))], 1) if times else None
+                name: None if (took_s := self._times.quantile_s(part)) is None else round(1e6 * took_s, 1)
                 for name, part in (("p50", 0.5), ("p99", 0.99))
             },
-            "answer_longest_us": round(1e6 * self._longest_s, 1),
+            "answer_longest_us": round(1e6 * self._times.longest_s, 1),
             "cycle_s": self._cycle_s,
         }
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
-
-from kilter_client.resources.references import is_called
 
 
 def same(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
@@ -15,21 +14,19 @@ def same(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
     The same rows at another temperature, with another payload or by another instrument are another campaign: what is
     stated of them is never dropped because they were sent before with less.
     """
-    called = is_called(known["name"], wanted["name"]) if wanted.get("numbered") else known["name"] == wanted["name"]
+    numbered = r"( \(\d+\))?" if wanted.get("numbered") else ""  # the server put it behind a name that was taken
+    called = re.fullmatch(re.escape(wanted["name"]) + numbered, known["name"]) is not None
     alike = all((known.get(key) or "") == (wanted.get(key) or "") for key in ("device", "role", "notes", "instrument"))
-    there, asked = (_stated(one.get("conditions") or {}) for one in (known, wanted))
-    holds = there.keys() == asked.keys() and _agree(there, asked)
+    there, asked = (one.get("conditions") or {} for one in (known, wanted))
+    named = [{name for name, value in one.items() if value is not None} for one in (there, asked)]
+    holds = named[0] == named[1] and _agree(there, asked)
     return called and alike and holds and _day(known.get("measured_at")) == _day(wanted.get("measured_at"))
-
-
-def _stated(conditions: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in conditions.items() if value is not None}
 
 
 def _agree(there: Any, asked: Any) -> bool:
     """Whether what is asked stands there; the server adds what a document leaves to its defaults."""
     if isinstance(asked, Mapping) and isinstance(there, Mapping):
-        return all(_agree(there.get(name), value) for name, value in _stated(asked).items())
+        return all(_agree(there.get(name), value) for name, value in asked.items() if value is not None)
     if isinstance(asked, list | tuple) and isinstance(there, list | tuple):
         return len(there) == len(asked) and all(_agree(a, b) for a, b in zip(there, asked, strict=True))
     return bool(there == asked)

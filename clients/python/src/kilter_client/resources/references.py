@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import ClassVar
 
 from kilter_client.requests.calls import kept, references
@@ -10,12 +9,7 @@ from kilter_client.requests.calls.references import Found, Kind, is_full
 from kilter_client.requests.connection import Connection
 from kilter_client.requests.steps import Document
 
-__all__ = ["Found", "Kept", "Kind", "Resource", "is_called", "is_full"]
-
-
-def is_called(known: str, wanted: str) -> bool:
-    """Whether a name is the wanted one, or that with the number which the server put behind it."""
-    return known == wanted or re.fullmatch(re.escape(wanted) + r" \(\d+\)", known) is not None
+__all__ = ["Found", "Kept", "Kind", "Resource", "is_full"]
 
 
 class Resource:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from kilter_client import typed
 from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.requests.calls import campaigns as calls
+from kilter_client.requests.calls.references import id_of
 from kilter_client.requests.steps import Document, Sent, Steps
 from kilter_client.resources.name_match import same
 from kilter_client.results.record import Records
@@ -78,7 +79,7 @@ def upload(
     file, arm = fspath(data) if isinstance(data, str | PathLike) else wanted["name"], reference("robot", robot)
     servos, prepared = yield from stated(arm, calibration, prepared, file)
     wanted |= {"conditions": conditions | servos, "numbered": name is None, "measured_at": moment_of(measured_at)}
-    into = None if campaign is None else reference("campaign", campaign)
+    into = None if campaign is None else (yield from id_of("campaign", reference("campaign", campaign), arm))
     done = yield from _watched(arm, into, wanted | {"instrument": instrument}, prepared, file, progress)
     return typed.campaigns.Uploaded.read(done)
 
@@ -109,7 +110,8 @@ def send_rows(
 ) -> Steps[Document]:
     """Send to a campaign, to the one that has these rows already, or to a new one, seen when the rows are in it.
 
-    ``file`` is the person's own; ``begun`` is told the campaign and whether it is a new one, before the first row is sent.
+    ``into`` is the id of a campaign that is there; ``file`` is the person's own. ``begun`` is told the campaign and whether it
+    is a new one, before the first row is sent.
 
     Raises:
         ObservationError: the rows are not what their columns say; nothing is stored. Lines of ``file`` are named.
@@ -119,12 +121,12 @@ def send_rows(
         into = into or (yield from stored_in(robot, wanted, prepared))
         if into is not None:
             begun((into, False))
-            return (yield from calls.upload(into, prepared, sent, robot))
+            return (yield from calls.send(into, prepared, sent))
         made = yield from calls.add(robot, {**wanted, "staged": True})
         target = str(made["id"])
         begun((target, True))
         try:
-            done = yield from calls.upload(target, prepared, sent)
+            done = yield from calls.send(target, prepared, sent)
         except ApiError:
             yield from calls.discard(target)
             raise

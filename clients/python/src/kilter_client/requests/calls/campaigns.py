@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.requests.calls.kept import place
+from kilter_client.requests.calls.references import id_of
 from kilter_client.requests.steps import (
     Document,
     Request,
@@ -83,10 +84,15 @@ def rows(campaign: str, form: str = "csv", robot: str | None = None) -> Steps[by
 
 def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str | None = None) -> Steps[Document]:
     """Send observations."""
-    path = yield from place("campaign", campaign, robot, "observations")
+    found = yield from id_of("campaign", campaign, robot)
+    return (yield from send(found, file, sent))
+
+
+def send(campaign_id: str, file: Prepared, sent: Sent | None = None) -> Steps[Document]:
+    """Send observations to a campaign of this id."""
     request = Request(
         "POST",
-        path,
+        address("campaigns", campaign_id, "observations"),
         content=file.content,
         headers={"Content-Type": file.content_type, "Content-Digest": _digest(file.sha256)} | idempotency_header(),
         timeout_s=UPLOAD_TIMEOUT_S,
