@@ -126,6 +126,10 @@ class KrlFrames:
             (self.base if match[4].upper() == "BASE" else self.tool).set(
                 at, self._numbered(match[4].upper(), match[5], at)
             )
+        elif match[4].upper() == "INITMOV":  # what was set before it may be so no more
+            for which, force in (("base", self.base), ("tool", self.tool)):
+                if any(force.owner(earlier) == force.owner(at) for earlier, _ in force.settings):
+                    force.set(at, f"BAS(#INITMOV) behind it may set its {which} anew")
         elif match[4].upper() in ("EX_BASE", "IPO_M"):
             self.base.set(at, "its base moves, or its tool stands still")
 
