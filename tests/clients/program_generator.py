@@ -23,6 +23,7 @@ class Generator:
 
     def __init__(self, rng: np.random.Generator, preset: str, taught: Floats) -> None:
         self.rng, self.preset, self.arm, self.taught = rng, preset, Arm(preset), taught
+        self.track = bool(rng.random() < 0.3)  # of KRL: an external axis moves, so every pose says where it is
 
     def q(self) -> Floats:
         """Joints that were taught."""
@@ -47,6 +48,7 @@ class Generator:
             ("BAS(#BASE,2)", "BAS (#TOOL,1 )"),
         )[set_by]  # fmt: skip
         lines = [Line("DEF w()"), *idioms.KRL_HEAD, Line("INI", "named"), Line(base), Line(tool)]
+        lines += [Line("ASYPTP {E1 12.5}", "named")] if self.track else []
         alone = [
             Line("; PTP {A1 10,A2 20,A3 30,A4 0,A5 0,A6 0} was here"), Line("$VEL.CP=0.25"), Line("WAIT SEC 0.5"),
             Line("$OUT[3]=TRUE"), Line("$VEL_AXIS[1]=50"), Line(""), Line("WAIT FOR $IN[4]"), Line("  "), Line("$APO.CDIS=5.5"),
@@ -71,7 +73,7 @@ class Generator:
             if kind < 0.3:
                 written = self.rng.permutation(6) if self.rng.random() < 0.3 else range(6)
                 axes = ",".join(f"A{k + 1} {q[k]:.9f}" for k in written)
-                more = ",E1 12.5,E2 0.0" if self.rng.random() < 0.4 else ""
+                more = f",E1 {12.5 * self.track},E2 0.0" if self.rng.random() < 0.4 else ""
                 lines.append(Line(f"PTP {{{axes}{more}}} C_PTP ; {{A1 9}}", "joints", q))
             elif kind < 0.5:
                 word = ("PTP", "LIN", "SPTP", "SLIN")[self.rng.integers(4)]
@@ -95,7 +97,11 @@ class Generator:
 
     def krl_pose(self, q: Floats) -> str:
         """A pose with S and T."""
-        return f"{{{self.six(self.pose(q))},{status_turn(q)}}}"
+        return f"{{{self.six(self.pose(q))},{status_turn(q)}{self.external()}}}"
+
+    def external(self) -> str:
+        """The external axes of a pose."""
+        return ",E1 0.0,E2 0.0" if self.track else ""
 
     def krl_arc(self, q: Floats, via: Floats) -> list[Line]:
         """An arc: its via point is a target too."""

@@ -5,6 +5,7 @@ Each idiom is some lines with what they are, for the program that a generator wr
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +32,8 @@ def krl(one: Generator, count: int, frames: list[Line]) -> list[Line]:
     q, name = one.q(), f"V{count}"
     pose, near = one.krl_pose(q), beside(one, q)
     axes = [",".join(f"A{k + 1} {v:.9f}" for k, v in enumerate(at)) for at in (q, near)]
-    free = f"{{{one.six(one.pose(near))}}}"
+    free = f"{{{one.six(one.pose(near))}{one.external()}}}"
+    absolute = re.sub(r"S (\d)", lambda at: f"S {16 + int(at[1])}", pose)
     base = f"{{{one.six(BASE)}}}"
     idioms = [
         [
@@ -45,6 +47,12 @@ def krl(one: Generator, count: int, frames: list[Line]) -> list[Line]:
         [Line(f"FMOVED={base}"), Line("FMOVED.Z=FMOVED.Z+1"), Line("$BASE=FMOVED"), Line(f"LIN {pose}", "named"), *frames],
         [Line(f"$BASE={base}:FKEPT"), Line(f"LIN {pose}", "named"), *frames],
         [Line("SETBASE()"), Line(f"LIN {pose}", "named"), *frames],
+        [Line(f"LIN {absolute}", "named")],
+        [Line(f"PTP {pose.replace(one.external() or '?', '')}", "named" if one.track else "pose", q)],
+        [
+            Line(f"SCIRC {pose},{pose},CA 95.5", "pose", q, q), Line(f"LIN {free}", "named"), Line("RSI_MOVECORR()", "named"),
+            Line(f"$AXIS_HOME[2]={{{axes[0]}}}", "named"), Line("DECL LOAD L2={M 2,CM {X 0.0,Y 0.0,Z 60.0,A 0,B 0,C 0}}"),
+        ],
         [Line(f"{name}={STEP}", "named"), Line(f"PTP_REL {name}", "named")],
         [Line(f"{name}={STEP}", "named"), Line(f"IF $AXIS_ACT.A1>{name}.A1 THEN"), Line("HALT"), Line("ENDIF")],
         [Line(f"{name}={{HOME {{{axes[0]}}},NUM 3}}", "named"), Line(f"PTP {name}.HOME C_PTP", "named")],
@@ -91,6 +99,10 @@ def urscript(one: Generator, count: int) -> list[Line]:
             Line(f"  movel({pose})", "named"),
         ],
         [
+            Line(f"  {name} = p[{vector(TOOL)}]"), Line(f"  {name}[2] = 0.4"), Line(f"  set_tcp({name})"), before,
+            Line(f"  movel({pose})", "named"), Line(f"  set_tcp(p[{vector(TOOL)}])"),
+        ],
+        [
             Line("  change()"), before, Line(f"  movel({pose})", "named"), Line(f"  set_tcp(p[{vector(TOOL)}])"), before,
             Line(f"  movel({pose})", "pose", near),
         ],
@@ -123,6 +135,9 @@ def rapid(one: Generator, count: int) -> tuple[list[Line], list[Line]]:
             [Line(f"  moveabsj {name} \\NoEOffs , v100 , fine , grip ;")],
         ),
         ([], [Line(f"  MoveL {target}, v100, z10, grip\\WObj?WObj;", "named")]),
+        ([], [Line(f"  MoveL {target}, v100, z10, grip\\WObj:=bench \\Corr;", "named")]),
+        ([], [Line(f"  IF reg1>5 MoveL {target}, v100, z10, grip\\WObj:=bench;", "pose", q)]),
+        ([], [Line("  IndRMove STN1,1\\ToRelNum:=90,20;", "named")]),
         ([], [Line(f"  MoveL {target}, v100, z10, grip\\WObj:=benches{{2}};", "named")]),
         ([], [Line(f"  MoveL {target}, v100, z10, grips{{1}}\\WObj:=bench;", "named")]),
         (
@@ -138,18 +153,20 @@ def rapid(one: Generator, count: int) -> tuple[list[Line], list[Line]]:
 
 def fanuc(one: Generator, k: int, number: int) -> tuple[list[Line], list[Line]]:
     """An idiom of FANUC: lines from ``number`` on, and position ``k``, which is shown as joints or as a pose."""
-    q, kind = one.q(), one.rng.integers(7)
+    q, kind = one.q(), one.rng.integers(9)
     axes = ",\t".join(f"J{i} = {v:.9f} deg" for i, v in enumerate(q, 1))
     moves = [
         [f"J P[{k}] 100% FINE    ;"], [f"J P[{k}] 100% FINE Offset,PR[2]    ;"], [f"  PR[9]=P[{k}]    ;"],
         ["  Touch Offset PR[1] ;", f"J P[{k}] 100% FINE    ;", "  Touch Offset End ;"],
         [f"  //J P[{k}] 100% FINE Offset,PR[2]    ;", f"J P[{k}] 100% FINE    ;"],
         [f"J P[{k}:with, comma] 20% CNT10 ACC80 TB    .10sec,CALL GRIP    ;"],
-        [f"J P[{k}] 100% FINE    ;", f"  P[{k}]=JPOS    ;"],
+        [f"J P[{k}] 100% FINE    ;", f"  P[{k}]=JPOS    ;"], [f"J P[{k}] 100% FINE    ", f":  Offset,PR[{k}]    ;"],
+        ["  Track TAST[1] ;", f"J P[{k}] 100% FINE    ;", "  Track End ;"],
     ][kind]  # fmt: skip
-    named = range(len(moves)) if kind in (1, 2) else [1] if kind in (3, 6) else []
-    lines = [Line(f"  {number + i}:{said}", "named" if i in named else "alone") for i, said in enumerate(moves)]
-    left = kind in (1, 2, 3)
+    named = range(len(moves)) if kind in (1, 2) else [1] if kind in (3, 6, 8) else [0] if kind == 7 else []
+    heads = ["    " if said[0] == ":" else f"  {number + i}:" for i, said in enumerate(moves)]
+    lines = [Line(f"{heads[i]}{said}", "named" if i in named else "alone") for i, said in enumerate(moves)]
+    left = kind in (1, 2, 3, 7, 8)
     position = [
         Line(f"P[{k}]{{", "named" if left else "alone"), Line("   GP1:"), Line("\tUF : 2, UT : 1,"),
         Line(f"\t{axes}", "alone" if left else "joints", q), Line("};"),

@@ -332,6 +332,18 @@ def test_a_program_that_was_corrected_says_so_and_is_not_corrected_once_more_unl
     assert caught.value.context["line"] == line
 
 
+def test_what_is_to_be_known_of_the_whole_program_is_told(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "w.src").write_bytes(b"DEF w()\nPTP {A1 10,A2 20,A3 30,E1 500}\nEND\n")
+    capsys.readouterr()
+    assert run(["filter", str(tmp_path / "w.src"), "--robot", arm, "--diff"]) == 0
+    assert "Note: external axes are left out: what they move belongs to the base or the tool" in capsys.readouterr().err
+    with connect() as k:
+        done = k.filter(arm, tmp_path / "w.src")
+    assert any("external axes" in note for note in done.notes)
+
+
 def test_an_unknown_dialect_is_named_before_an_output_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -39,6 +39,10 @@ int main(int count, char **arguments)
     try {
         kilter::Corrector correct(kilter::read_program(arguments[1]));
         const double cycle_s = std::atof(arguments[2]);
+        if (!(cycle_s > 0.0)) {
+            std::cerr << "CYCLE_S is the controller's cycle in seconds, as 0.004\n";
+            return 2;
+        }
         const std::size_t n = correct.joints();
         std::cerr << correct.robot() << ", version " << correct.version() << ", " << n << " joints\n";
         std::vector<double> wanted(n), corrected(n), last(n, 0.0);
@@ -48,10 +52,11 @@ int main(int count, char **arguments)
         for (long cycle = 1; std::getline(std::cin, line); cycle++) {
             std::istringstream numbers(line);
             for (double &q : wanted) {
-                if (!(numbers >> q)) {
-                    std::cerr << "setpoint " << cycle << ": give " << n << " numbers, rad or m\n";
-                    return 2;
-                }
+                numbers >> q;
+            }
+            if (numbers.fail() || !(numbers >> std::ws).eof()) {
+                std::cerr << "setpoint " << cycle << ": give " << n << " numbers, rad or m\n";
+                return 2;
             }
             kc_answer answer;
             const int status = correct(wanted.data(), dt, corrected.data(), &answer);

@@ -6,7 +6,6 @@ with AIPos, ASPos, Delay and IPOC out, a ``Sen`` element with AK and the same IP
 
 from __future__ import annotations
 
-import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -28,13 +27,6 @@ class RsiPeer(UdpPeer):
     late: int = 0  # what the controller reports as Delay D
     ipoc: int = 1000
     offset: Floats = field(default_factory=lambda: np.zeros(6))
-
-    def until(self, condition: Callable[[RsiPeer], bool], seconds: float = 30.0) -> None:
-        """Wait for something that the controller sees."""
-        end = time.monotonic() + seconds
-        while not condition(self):
-            assert time.monotonic() < end, self.rows[-1:]
-            time.sleep(0.01)
 
     def wanted(self) -> Floats:
         """Setpoints (N, 6) deg."""

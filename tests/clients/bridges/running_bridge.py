@@ -20,6 +20,7 @@ import numpy as np
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import NotFoundError
+from tests.clients.bridges.udp_peer import GUARD_S
 from tests.clients.three_joint_arm import LENGTHS_MM, Floats, tip_mm
 from tests.clients.three_joint_arm import arm as three_joint_arm
 
@@ -85,7 +86,7 @@ class Bridge:
         for line in self.process.stderr:
             self.said.append(line.rstrip())
 
-    def heard(self, pattern: str, seconds: float = 30.0) -> str:
+    def heard(self, pattern: str, seconds: float = GUARD_S) -> str:
         """Wait until it says something."""
         end = time.monotonic() + seconds
         while True:
@@ -103,7 +104,7 @@ class Bridge:
         self.process.send_signal(number)
         assert self.process.stdout is not None
         out = self.process.stdout.read()
-        assert self.process.wait(30) == 0, self.said
+        assert self.process.wait(GUARD_S) == 0, self.said
         return out
 
 

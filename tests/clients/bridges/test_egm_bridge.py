@@ -190,6 +190,11 @@ def test_a_planner_that_sends_old_or_other_messages_is_not_followed() -> None:
             planner.send(content)
         assert heard.next(0.0) is None
         assert dict(heard.counts) == {"plan_old": 2, "plan_malformed": 4}
+        limited = Heard(port, 3, [(None, None), (-90.0, 90.0), (None, 10.0)])
+        for seq, q in ((4, [0.1, 1.6, 0.0]), (5, [0.1, 0.0, 0.2])):
+            planner.send(encode(q, joints=3, seq=seq, t_send_ns=0))
+            assert limited.next(0.0) is None
+        assert dict(limited.counts) == {"plan_beyond_limits": 2}
         planner.send(good[3])
         assert heard.next(0.0) == (0.3, 0.0, 0.0)
 

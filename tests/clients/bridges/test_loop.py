@@ -430,6 +430,51 @@ def test_a_controller_that_counts_missed_answers_is_led_on_from_the_offset_that_
         assert max(steps) <= RATE_RAD_S * CYCLE_S * 1.001 + 2e-8  # of the digits of an answer
 
 
+def test_it_ends_once_the_controller_had_the_answer_that_takes_the_offsets_out(
+    correction: Correction, controllers: Make
+) -> None:
+    with looping(correction) as (loop, address, _):
+        controller, force, missed, zeros = controllers(address), [1.0], 0, 0
+        for k in range(3000):
+            if k == 100:
+                loop.leave()
+            asked = message(1000 + 4 * k).replace(b'D="3"', f'D="{missed}"'.encode())
+            answer = controller.ask(asked, 2.0)
+            if answer is None:
+                break
+            zeros += not any(offsets(answer))
+            if zeros in (1, 2, 3) and k > 100:  # these come too late for the controller
+                missed += 1
+            else:
+                force = offsets(answer)
+        assert k < 2999
+        assert missed == 3
+        assert not any(force)
+
+
+def test_the_controller_is_answered_though_another_one_asked_while_the_bridge_was_held_up(
+    correction: Correction, controllers: Make
+) -> None:
+    go_on = threading.Event()
+    with looping(correction, HeldUp(go_on)) as (loop, address, _):
+        first, second = controllers(address), controllers(address)
+        first.socket.settimeout(10.0)
+        first.socket.send(message(4))
+        time.sleep(0.05)
+        second.socket.send(message(8))
+        time.sleep(0.05)
+        first.socket.send(message(8))
+        second.socket.send(message(12))
+        time.sleep(0.05)
+        go_on.set()
+        for ipoc in (b"4", b"8"):
+            assert b"<IPOC>" + ipoc + b"</IPOC>" in first.socket.recv(2048)
+        second.socket.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            second.socket.recv(2048)
+        assert loop.counts["other_controller"] == 2
+
+
 def test_off_is_said_once_nothing_is_offset(correction: Correction, guard: Guard) -> None:
     """Offsets that came in over seconds go out no faster, however short the ramp is."""
     q = np.radians(Q_DEG)

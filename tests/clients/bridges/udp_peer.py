@@ -6,6 +6,7 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+GUARD_S = 240.0  # conditions are counted in cycles: this only ends a test that would wait for ever
 SO_TIMESTAMPNS = 35  # Linux: with each packet comes when it arrived
 
 
@@ -39,15 +41,35 @@ class UdpPeer:
     def stop(self) -> None:
         """Ask no more."""
         self._stop.set()
-        self._thread.join(10)
+        if self._thread.ident is not None:  # it was started
+            self._thread.join(10)
         self._socket.close()
 
-    def wait(self, cycles: int, seconds: float = 60.0) -> None:
+    def wait(self, cycles: int, seconds: float = GUARD_S) -> None:
         """Wait until so many more cycles are over."""
         wanted, end = len(self.rows) + cycles, time.monotonic() + seconds
         while len(self.rows) < wanted:
             assert self._thread.is_alive()
             assert time.monotonic() < end, "the controller does not get on"
+            time.sleep(0.01)
+
+    def wait_answered(self, cycles: int, seconds: float = GUARD_S) -> None:
+        """Wait until so many more cycles had their answer in time, however many a busy machine makes late meanwhile."""
+        wanted = self._counted() + cycles
+        end = time.monotonic() + seconds
+        while self._counted() < wanted:
+            assert self._thread.is_alive()
+            assert time.monotonic() < end, f"of {len(self.rows)} cycles {self._counted()} were answered in time"
+            time.sleep(0.01)
+
+    def _counted(self) -> int:
+        return sum(bool(row[0]) for row in list(self.rows))
+
+    def until(self, condition: Callable[[Self], bool], seconds: float = GUARD_S) -> None:
+        """Wait for something that the controller sees."""
+        end = time.monotonic() + seconds
+        while not condition(self):
+            assert time.monotonic() < end, self.rows[-1:]
             time.sleep(0.01)
 
     def answered(self) -> NDArray[np.bool_]:

@@ -429,11 +429,32 @@ def test_the_loop_holds_the_last_correction_then_fades_it_where_a_setpoint_is_re
     assert np.abs(delta[249]).max() > 1e-4
     assert np.abs(delta[400:]).max() < 1e-9  # gone
     assert np.abs(np.diff(delta[249:], axis=0)).max() < 0.02 * np.abs(delta[249]).max()  # and nowhere a step
-    damaged = tmp_path / "damaged.klt"
-    for content in (blob_of(program)[:-5], b""):
-        damaged.write_bytes(content)
-        done = subprocess.run([str(made), str(damaged), "0.01"], input="", capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (2, "The program is cut off: export it again.\n")
+    blob = blob_of(program)
+    for content, said in (
+        (blob[:-5], "The program is cut off: export it again."),
+        (b"", "The program is cut off: export it again."),
+        (b"q1_deg,q2_deg\n" * 100, "take what kilter export --format corrector writes"),
+        (blob[:4] + b"\x09\0\0\0" + blob[8:], "is newer than this code"),
+        (blob[:12] + b"\0\0\0\0" + blob[16:], "is of another release"),
+        (blob[:200] + bytes([blob[200] ^ 4]) + blob[201:], "its checksum is wrong: export it again"),
+    ):
+        (tmp_path / "damaged.klt").write_bytes(content)
+        done = looped(made, tmp_path / "damaged.klt", "")
+        assert (done.returncode, done.stdout) == (2, "")
+        assert said in done.stderr
+    good = " ".join(["0.1"] * 6)
+    for line in ("0.1 0.1", f"{good} 0.1", "", "nan 0 0 0 0 0", "0 0 0 0 0 1e999", f"{good} x", f"{good} 1e999"):
+        done = looped(made, tmp_path / "arm.klt", f"{good} \n{line}\n")
+        assert (done.returncode, done.stdout.count("\n")) == (2, 1)
+        assert "setpoint 2: give 6 numbers, rad or m" in done.stderr
+    for cycle_s in ("", "0", "-0.1", "fast", "nan"):
+        done = looped(made, tmp_path / "arm.klt", good, cycle_s)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "the controller's cycle in seconds" in done.stderr
+
+
+def looped(made: Path, program: Path, lines: str, cycle_s: str = "0.01") -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(made), str(program), cycle_s], input=lines, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None or CPP is None, reason="no CMake on this machine")

@@ -60,6 +60,53 @@ def test_rapid_gives_a_part_of_a_target_to_what_may_change_it(tmp_path: Path, st
 @pytest.mark.parametrize(
     "statement",
     [
+        "ok:=StrToVal(part,p10.trans.x);", "ok:=StrToVal(part, p10);", "IF StrToVal(part, p10 . trans.x) Stop;",
+        "ok:=elsewhere(p10, 5);", "ok:=sight(p10);", "IF NOT sight(p10) THEN Stop; ENDIF",
+    ],
+)  # fmt: skip
+def test_rapid_gives_a_target_to_a_function_that_may_change_it(tmp_path: Path, statement: str) -> None:
+    own = "FUNC bool sight(INOUT robtarget t)\nt.trans.x:=5;\nRETURN TRUE;\nENDFUNC\nENDMODULE"
+    found = left(tmp_path / "w.mod", rapid(statement).replace("ENDMODULE", own))
+    assert found[4] == "p10, a pose: the program changes it"
+    assert found[10] == "MoveL p10: a pose that is left"
+    found = left(
+        tmp_path / "w.mod", rapid(statement).replace("ENDMODULE", own).replace("PERS robtarget", "CONST robtarget")
+    )
+    assert 4 not in found
+
+
+@pytest.mark.parametrize(
+    "statement",
+    ["here:=Offs(p10,0,0,5);", "d:=Distance(p10.trans,p20.trans);", "j:=CalcJointT(p10,grip);", "ok:=seen(p10);"],
+)
+def test_rapid_functions_that_only_reckon_leave_their_target(tmp_path: Path, statement: str) -> None:
+    own = "FUNC bool seen(robtarget t)\nRETURN TRUE;\nENDFUNC\nENDMODULE"
+    assert left(tmp_path / "w.mod", rapid(statement).replace("ENDMODULE", own)) == {}
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ('RET=EKI_GetReal("ch","Pos/X",P1.X)', "EKI_GetReal"), ('SREAD(STR[],STATE,OFFSET,"%f",P1 .Y)', "SREAD"),
+        ("CREAD(HANDLE,STATE,MODE,TOTAL,OFFSET,FORM[],P1.A)", "CREAD"),
+    ],
+)  # fmt: skip
+def test_krl_gives_a_part_of_a_pose_to_what_may_change_it(tmp_path: Path, statement: str, said: str) -> None:
+    lines = ["DEF w()", "$BASE=$WORLD", "$TOOL=TOOL_DATA[1]", f"P1={KRL_POSE}", statement, "LIN P1"]
+    lines += ["PTP {A1 0,A2 -90,A3 90,A4 0,A5 45,A6 0}", "END", ""]
+    found = left(tmp_path / "w.src", "\n".join(lines))
+    assert found[4] == f"P1, a pose: {said} may change it"
+    assert found[5].endswith(f": {said} is given a part of a target")
+    assert found.keys() == {4, 5, 6}
+    kept = "\n".join(lines).replace(statement, "H=SQRT(P1.X*P1.X)+ABS(P1.Y)")
+    assert left(tmp_path / "w.src", kept) == {}
+    whole = "\n".join(lines).replace(statement, 'SREAD(STR[],STATE,OFFSET,"%r",P1)')
+    assert "SREAD is given a target" in left(tmp_path / "w.src", whole)[5]
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
         "Add reg1, p10.trans.z;", "IF p10.trans.z > 5 Stop;", "tell p10.trans;", 'TPWrite "z"\\Num:=p10.trans.z;',
         "reg1 := p10.trans.z;", "reg1 := Distance(p10.trans, p20.trans);", "SetAO ao1, p10.trans.z;",
         "WaitUntil reg1 > p10.trans.z;",
@@ -120,6 +167,8 @@ def fanuc(*lines: str, head: str = "") -> str:
         ("  $MNUFRAME[1,2]=PR[5]", "the program sets UFRAME"),
         ("  $MNUTOOL[1,1]=PR[5]", "the program sets UTOOL"),
         ("  UFRAME[2]=PR[5]", "the program sets UFRAME"),
+        ("  $GROUP[1].$UFRAME=PR[5]", "the program sets UFRAME"),
+        ("  $MNUTOOL[1,1].$Z=5", "the program sets UTOOL"),
     ],
 )
 def test_fanuc_sets_a_frame(tmp_path: Path, statement: str, said: str) -> None:
@@ -152,3 +201,21 @@ def test_fanuc_poses_that_track_a_conveyor(tmp_path: Path, number: int, tracks: 
 def test_urscript_adds_to_a_target(tmp_path: Path, lines: tuple[str, ...], named: dict[int, str]) -> None:
     text = "\n".join(["def w():", "set_tcp(p[0,0,0.1,0,0,0])", *lines, "movej([0,0,0,0,0.5,0])", "end", ""])
     assert left(tmp_path / "w.script", text) == named
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        'RET=EKI_GetFrame("ch","Part",PART)', 'RET=EKI_GetReal("ch","Part/X",PART.X)', 'SREAD(STR[],S,O,"%r",PART)',
+        'RET=EKI_GetReal("ch","Part/X",BASE_DATA[2].X)', 'RET=EKI_GetFrame("ch","Part",BASE_DATA[2])',
+    ],
+)  # fmt: skip
+def test_krl_gives_a_frame_to_what_may_change_it(tmp_path: Path, statement: str) -> None:
+    frame = "BASE_DATA[2]" if "BASE_DATA" in statement else "PART"
+    lines = [
+        "DEF w()", "DECL FRAME PART", "$TOOL=TOOL_DATA[1]", f"{frame}={{X 1,Y 0,Z 0,A 0,B 0,C 0}}", statement,
+        f"$BASE={frame}", f"LIN {KRL_POSE}", "PTP {A1 0,A2 -90,A3 90,A4 0,A5 45,A6 0}", "END", "",
+    ]  # fmt: skip
+    found = left(tmp_path / "w.src", "\n".join(lines))
+    assert f"the program changes {frame}" in found[7]
+    assert left(tmp_path / "w.src", "\n".join(lines).replace(statement, "H=SQRT(PART.X*PART.X)")) == {}

@@ -318,6 +318,7 @@ ONE, TWO = (f"$TOOL={{{SIX.format(k)}}}" for k in (1, 2))
         ([ONE, "END", "DEF other()", MOVE], [None]),
         ([f"{ONE}:{{Z 9}}", MOVE], ["is not known"]),
         ([ONE, "$TOOL.Z = 5", MOVE], ["the program changes $TOOL"]),
+        ([ONE, "BAS(#INITMOV,0)", MOVE, TWO, MOVE], ["INITMOV", 2]),
         (["$TOOL=TOOL_DATA[3]", MOVE, "TOOL_DATA[3].Z=7"], ["the program changes TOOL_DATA[3]"]),
         (["$TOOL=TOOL_DATA[3]", "TOOL_DATA[n]=other", MOVE, "TOOL_DATA[3] = {X 3}"], ["the program changes TOOL_DATA[3]"]),
         ([ONE, f"{SPLINE} WITH $VEL.CP=0.2, $TOOL=STOOL2(FP1),$BASE= SBASE(FP1.BASE_NO)", MOVE], [3, 1]),

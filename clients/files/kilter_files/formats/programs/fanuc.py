@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import DATA, NUMBER, Dialect, Mark, Program, line_at, sign
+from kilter_files.formats.programs.found import DATA, EXTERNAL_AXES, NUMBER, Dialect, Mark, Program, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans
 from kilter_files.formats.programs.poses.fanuc import OFFSET, OTHER_FRAME, pose_of
 
 POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
+FURTHER = re.compile(rf"\b(?:E\d\s?=\s{{0,9}}({NUMBER})|J\d\s?=\s{{0,9}}({NUMBER})\s{{0,9}}mm)")
 OTHER_GROUP = re.compile(r"\bGP[2-9]\s?:")
 MOVE = re.compile(
     r"^\s*(?:\d*\s*:\s*(?=[JLCAS]\s)|:\s*(?=P)(?![^\n]{0,99}\]\s*=))"
@@ -19,8 +20,11 @@ MOVE = re.compile(
 NOTHING = re.compile(r"^\s*\d*\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
 NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?:,\s?\w{1,9}\s?)?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
 ELSEWHERE = re.compile(r"^\s*\d*\s*:\s*([JLCAS]\s+(?!PR?\[)\w[^;\n]{0,80})", re.M)  # as PAL_3[A_1] of a pallet
-TOUCH = re.compile(r"^\s*\d*\s*:\s*Touch Offset(?! End)\b", re.I | re.M)
-TOUCH_END = re.compile(r"^\s*\d*\s*:\s*Touch Offset End\b", re.I | re.M)
+# between which what the robot touched or senses displaces every position
+DISPLACING = r"^\s*\d*\s*:\s*(?:Touch Offset|MP Offset|Track)"
+TOUCH = re.compile(rf"{DISPLACING}(?! End)\b", re.I | re.M)
+TOUCH_END = re.compile(rf"{DISPLACING} End\b", re.I | re.M)
+LONGEST = 600
 ANY = "any"  # of a move that computes which
 GROUPS = "motion groups beside GP1 are left out: what they move belongs to the base or the tool"
 
@@ -49,6 +53,8 @@ def find(program: Program) -> None:
         if wrong or match[3][:1] != "}" or [int(part[1]) for part in arm] != [*range(1, len(arm) + 1)]:
             what = f"P[{match[1]}] is not J1, J2, ... with numbers in deg"
             raise program.refuse(match.start(), what, "Correct the position, or export it again.")
+        if any(float(value[1] or value[2]) for value in FURTHER.finditer(text, match.start(2), match.end(2))):
+            program.warn(EXTERNAL_AXES)
         numbers = [(part[2], part.span(2)) for part in arm]
         known[match[1]] = program.add(f"P[{match[1]}]", numbers, line=line_at(text, match.start()))
     gone = _follow(program, known, poses)
@@ -67,10 +73,9 @@ def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, Po
     beside: set[str] = set()
     plain: set[str] = set()
     touched = _displaced(text)
-    for k, match in enumerate(moves):
-        later = moves[k + 1] if k + 1 < len(moves) else None
-        second = later is not None and match[1][0] == "C" and later[1][0] == "P"  # the line with the end of an arc
-        said = f"{match[4]} {later[4]}" if second and later is not None else match[4]
+    for match in moves:
+        end = text.find(";", match.start(4), match.start(4) + LONGEST)  # an instruction may go on in further lines
+        said = text[match.start(4) : end] if end >= 0 else match[4]
         number = match[3] if match[2] == "P" else ""
         program.moves += [known.get(number)] if number else []
         number = ANY if match[2] == "P" and not number.isdigit() else number

@@ -17,6 +17,7 @@ from kilter_files.ground.faults import fault
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 SAME_DEG = 5e-10  # a joint that moves less keeps its characters
 DATA = "no move of the program goes to these joints, and it uses them otherwise"
+EXTERNAL_AXES = "external axes are left out: what they move belongs to the base or the tool"
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class Program:
     ``moves_to_poses`` are lines that stay as they are where the pose does.
     ``moves`` are the targets in the order in which the program moves to them, None where that is to a target which the
     text does not hold; ``poses`` are targets without joints, by name and line. ``unknown`` are moves that make the list of
-    joints incomplete: line, what is wrong, and the remedy. ``beside`` is a second file, which declares targets of this one.
+    joints incomplete: line, what is wrong, and the remedy; ``list_warnings`` are of that list
+    alone. ``beside`` is a second file, which declares targets of this one.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Program:
     unknown: list[tuple[int, str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    list_warnings: list[str] = field(default_factory=list)
     beside: Program | None = None
     stated: Stated = field(default_factory=Stated)
     cartesian: list[PoseTarget] = field(default_factory=list)
@@ -67,6 +70,10 @@ class Program:
         place = line_at(self.text, spans[0][0]) if line is None else line
         self.targets.append(JointTarget(name, place, degrees, spans, turns))
         return self.targets[-1]
+
+    def warn(self, what: str) -> None:
+        """Say of the whole program what is to be known, once."""
+        self.warnings += [] if what in self.warnings else [what]
 
     def leave(self, at: int, what: str) -> None:
         """Name a target that stays as it is."""

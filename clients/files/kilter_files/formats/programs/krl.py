@@ -6,10 +6,28 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from kilter_files.formats.programs.found import DATA, NUMBER, Dialect, Mark, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import (
+    DATA,
+    EXTERNAL_AXES,
+    NUMBER,
+    Dialect,
+    Mark,
+    Program,
+    blanked,
+    line_at,
+    sign,
+)
 from kilter_files.formats.programs.krl_lines import MOTIONS, given, not_kept, used_as_data
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.krl import NAME, POSE, key, note_changes, note_computed, pose_of
+from kilter_files.formats.programs.poses.krl import (
+    NAME,
+    POSE,
+    key,
+    note_changes,
+    note_computed,
+    note_external,
+    pose_of,
+)
 from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
 AXES = re.compile(
@@ -19,12 +37,16 @@ AXES = re.compile(
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
-GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME})(?![\w.\[])[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
+GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
 WHERE_IT_STANDS = re.compile(
     r"[ \t]*\$(?:AXIS|POS)_ACT[ \t]*(?:C_\w{1,9}[ \t]*){0,2}", re.I
 )  # the start of most programs
 COMMA = re.compile(r"[ \t]*,")
 LINE_END = re.compile(r"\n")
+ENDS_BY_ANGLE = "arcs with CA end beside their targets: there the path is the controller's own"
+OF_LOAD = re.compile(r"[{,][ \t]*(?:CM|J)[ \t]*\Z", re.I)  # centre of mass and inertia
+SYSTEM = re.compile(r"\$\w{1,64}[ \t]*(?:\[[^\]\r\n]{0,60}\])?[ \t]*=[ \t]*\Z")
+ANGLE = re.compile(r",[ \t]*CA[ \t]+([^\r\n;]{1,40}?)(?=[ \t]+(?:C_\w|WITH\b)|[ \t]*\Z)", re.I)
 
 
 @dataclass
@@ -66,6 +88,10 @@ def find(program: Program) -> None:
         at = match.start()
         if at in away:
             continue
+        opens = match.start() if not match[1] else text.index("{", at)
+        if SYSTEM.search(text, max(0, opens - 199), opens):
+            program.leave(at, f"{match[0][:40]}: a variable of the system, no target")
+            continue
         if not match[1] and at not in inline and not text[max(0, at - 99) : at].rstrip(" \t").endswith("="):
             program.leave(at, f"{match[0][:40]}: axes within another list")
             continue
@@ -78,6 +104,7 @@ def find(program: Program) -> None:
         _follow(program, match, known, frames)
     _leave_data(program, text, known)
     note_changes(text, known.poses)
+    note_external(program)
     inside = {found.end() for match in lists for found in LINE_END.finditer(text, *match.span())}
     program.left += not_kept(text, known.joints, known.poses, inside)
 
@@ -106,7 +133,7 @@ def _take_poses(
     seen: Mapping[str, PoseTarget] = dict(known.poses)
     for match in POSE.finditer(text):
         at = text.index("{", match.start())
-        if at in frames.literals:
+        if at in frames.literals or OF_LOAD.search(text, max(0, at - 9), at):
             continue
         if at in away or text[max(0, at - 99) : at].rstrip(" \t").endswith(":"):
             program.poses.append(("a move", line_at(program.text, at)))
@@ -139,6 +166,15 @@ def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFr
         goals.append(GOAL.match(match[2], comma.end()))
     for goal in goals:
         _go(program, match, goal, known, frames)
+    angle = ANGLE.search(match[2]) if "CIRC" in match[1].upper() else None
+    if angle is not None and not _whole_turns(angle[1]):
+        program.warn(ENDS_BY_ANGLE)
+        known.last = None
+
+
+def _whole_turns(angle: str) -> bool:
+    """Whether an arc ends where it began."""
+    return re.fullmatch(NUMBER, angle) is not None and float(angle) % 360.0 == 0.0
 
 
 def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, known: _Known, frames: KrlFrames) -> None:
@@ -198,6 +234,8 @@ def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | N
         program.leave(match.start(), what)
         program.unknown.append((line_at(program.text, match.start()), what, "Correct it, or export it again."))
         return None
+    if any(part is not None and part[1].upper() == "E" and float(part[3]) for part in parts):
+        program.warn(EXTERNAL_AXES)
     at = match.start(2)
     numbers = [(part[3], (at + part.start(3), at + part.end(3))) for part in arm]
     return program.add(name, numbers, line=line_at(program.text, match.start()))

@@ -24,11 +24,17 @@ MOTION = re.compile(MOTIONS, re.I)
 INNER = re.compile(rf"(?<![\w#$.]){MOTIONS}\s{{1,9}}[\w{{]", re.I)
 CALLED = re.compile(r"(?<![\w.$])(\w{1,64})\s{0,9}\(([^()]{1,1000})\)")
 HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?(?!\w|\s{0,9}[.(])")
+PART_HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?[ \t]*\.[ \t]*(?:[XYZABCST]|A\d)(?![\w.])", re.I)
+OF_MOTION = re.compile(
+    r"S(?:TOOL2?|BASE|IPO_MODE|LOAD|(?:VEL|ACC|APO|GEAR|ORI|CIRC)_?\w{0,20}|JERK)|USE_CM_PRO_VALUES|E[BK]", re.I
+)
+READING = frozenset(("CREAD", "SREAD"))  # give what they are handed another value
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
 GIVEN = re.compile(
     r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)(?![ \t]*\{[^{}\r\n]{0,500}\}[ \t]*\r?$)", re.I | re.M
 )
+SENSOR = re.compile(r"\b(?:RSI_(?:ON|MOVECORR)|ST_(?:MOVESENS|ON1?))[ \t]*\(", re.I)
 EXTERNAL_PART = re.compile(r"\s*\.\s*E\d", re.I)
 RELATIVE = re.compile(r"^[ \t]*S?(?:PTP|LIN|CIRC)_REL[ \t]+(\w{1,64})", re.I | re.M)
 PART_READ = re.compile(r"(?<![\w$.])(\w{1,64})(?:[ \t]*\[[^\]\r\n]{0,60}\])?[ \t]*\.[ \t]*A\d\b(?![ \t]*=(?!=))", re.I)
@@ -71,7 +77,8 @@ def not_kept(
     for number, line in enumerate(text.split("\n"), 1):
         said = line.strip()
         if said and said[0] != "&" and at not in within:  # & begins what only the editor reads
-            why = _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
+            why = "a sensor moves the arm" if SENSOR.search(said) else ""
+            why = why or _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
             if why:
                 yield number, f"{said[:40]}: {why}"
         at += len(line) + 1
@@ -89,9 +96,32 @@ def _changes_target(said: str, bases: Collection[str]) -> str:
 def _handed_on(said: str, targets: Collection[str]) -> str:
     """The subprogram that is given a target: it may move to it with other frames, or change it."""
     for call in CALLED.finditer(said):
-        if call[1].upper() not in KEPT and any(one[1].upper() in targets for one in HANDED.finditer(call[2])):
+        if call[1].upper() not in KEPT - READING and any(one[1].upper() in targets for one in HANDED.finditer(call[2])):
             return f"{call[1]} is given a target"
-    return ""
+    return next((f"{by} is given a part of a target" for by, name in parts_handed(said) if name in targets), "")
+
+
+def _may_change(function: str) -> bool:
+    """Whether a function, in capitals, may change what it is given."""
+    return function in READING or (function not in KEPT | REST and OF_MOTION.fullmatch(function) is None)
+
+
+def handed(text: str) -> set[str]:
+    """Return the variables, in capitals, that a call is given whole or in part and may change; arrays without their index."""
+    found = {name for _, name in parts_handed(text)}
+    for call in CALLED.finditer(text):
+        by = call[1].upper()
+        if _may_change(by):
+            found |= {one[1].upper() for one in HANDED.finditer(call[2])}
+    return found
+
+
+def parts_handed(text: str) -> Iterator[tuple[str, str]]:
+    """Yield what is given a part of a variable, which it may change, and the name of the variable in capitals."""
+    for call in CALLED.finditer(text):
+        by = call[1].upper()
+        if _may_change(by):
+            yield from ((call[1], one[1].upper()) for one in PART_HANDED.finditer(call[2]))
 
 
 def _not_understood(said: str) -> str:

@@ -125,7 +125,8 @@ class PoseTarget:
     """A target given as a pose, its numbers at their places, and the moves to it.
 
     ``problem`` says why it cannot be rewritten. ``whole`` is the place of its list, where it has one. ``computed``: the places
-    are those of another target, from which a move computes this one.
+    are those of another target, from which a move computes this one. ``unused`` is why it is left where no move surely
+    goes to it.
     """
 
     name: str
@@ -138,6 +139,7 @@ class PoseTarget:
     problem: str = ""
     whole: Span = (0, 0)
     computed: WrittenOut | None = None
+    unused: str = UNUSED
 
     @property
     def first(self) -> int:
@@ -148,7 +150,7 @@ class PoseTarget:
         """Say what of this target is not known; empty: all that the program can say."""
         problem = self.problem or ("" if self.computed is None else self.computed.of.problem)
         if problem or not self.uses:
-            return problem or UNUSED
+            return problem or self.unused
         said = [frame for use in self.uses for frame in (use.base, use.tool) if isinstance(frame, str)]
         if said:
             return said[0]

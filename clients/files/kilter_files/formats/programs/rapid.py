@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import DATA, NUMBER, Dialect, Mark, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import (
+    DATA,
+    EXTERNAL_AXES,
+    NUMBER,
+    Dialect,
+    Mark,
+    Program,
+    blanked,
+    line_at,
+    sign,
+)
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans, Use
 from kilter_files.formats.programs.poses.rapid import (
+    AXIS_LOCKED,
     CONFIGURATION_OFF,
     DISPLACED,
     TARGET,
@@ -33,6 +44,10 @@ EXTERNAL = re.compile(r"\.\s*extax\b", re.I)
 CONSTANT = re.compile(r"\bCONST\s+robtarget\s+(\w+)", re.I)
 HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*(?:\{[\w,\s]*\})?\s*:=[^;]{0,200000}", re.I)
 COMPUTED = re.compile(r"[A-Za-z_]\w{2,}")
+BY_ITSELF = re.compile(
+    r"(?<![\\.\w])(Ind[ACDR]Move|EGMRun(?:Joint|Pose)|EGMMove[LC]|StepBwdPath|LoadId)(?=[\s\\])", re.I
+)
+SENSED = re.compile(r"\\\s*(?:Corr\b|Track\s*:=)", re.I)
 INDEX = r"\{\s*\d+\s*(?:,\s*\d+\s*){0,2}\}"
 WRITTEN = re.compile(rf"\w+(?:\s*{INDEX})?|\[.*\]", re.S)
 WITH = re.compile(r"(\w+)\s*((?:\\[^\\]{1,80})*)")
@@ -81,6 +96,8 @@ def find(program: Program) -> None:
         if not _to_poses(program, text, match, poses, frames, goals, computed)
         and not _follow(program, text, match, known, goals, moved)
     ]
+    for match in BY_ITSELF.finditer(text):
+        program.leave(match.start(), f"{match[1]}: moves the arm otherwise than to a target")
     goals |= computed.named
     # one from which moves only compute others is not a goal itself
     origins = {one.computed.of for one in program.cartesian if one.computed is not None}
@@ -131,12 +148,18 @@ def _to_poses(
     work = WORK_OBJECT.search(held[2]) if held else None
     base = "its work object is not understood" if work and not work[1] else frames.base(work[1] if work else "wobj0")
     tool = frames.tool(held[1]) if held else "its tool is not understood"
+    understood.update(at for at, _ in said[:count])
+    if SENSED.search(match[2]):
+        program.leave(match.start(), f"{match[1]} {said[0][1][:40]}: a sensor moves it beside its target")
+        for goal in goals:
+            assert goal is not None
+            goal.unused = "the moves to it add what a sensor says (\\Corr, \\Track)"
+        return True
     for goal in goals:
         assert goal is not None
         goal.uses.append(Use(base, tool, straight=way[1].upper() != "J"))
         line = line_at(text, match.start())
         program.moves_to_poses.append((line, f"{match[1]} {said[0][1][:40]}", goal))
-    understood.update(at for at, _ in said[:count])
     return True
 
 
@@ -171,9 +194,12 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
         for pose in poses.get(match[1].lower(), {}).values():
             pose.problem = pose.problem or "the program changes it"
     off = {match[1].upper() == "L" for match in CONFIGURATION_OFF.finditer(text)}
+    locked = AXIS_LOCKED.search(text) is not None
     for pose in program.cartesian:
         if any(use.straight in off for use in pose.uses):
             pose.problem = pose.problem or "its configuration is not kept (ConfJ, ConfL \\Off)"
+        if locked and any(use.straight for use in pose.uses):
+            pose.problem = pose.problem or "its orientation is not kept (SingArea \\LockAxis4)"
 
 
 def _note_other_uses(
@@ -237,8 +263,7 @@ def _follow(
 
 def _take(program: Program, name: str, pair: re.Match[str]) -> JointTarget:
     if any(abs(value) < UNUSED_AXIS and value != 0 for value in map(float, pair.groups()[6:])):
-        warning = "external axes are left out: what they move belongs to the base or the tool"
-        program.warnings += [] if warning in program.warnings else [warning]
+        program.warn(EXTERNAL_AXES)
     numbers = [(pair[k], pair.span(k)) for k in range(1, 7)]
     return program.add(name, numbers, line=line_at(program.text, pair.start()))
 

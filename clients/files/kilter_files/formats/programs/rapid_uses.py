@@ -15,13 +15,23 @@ PART_GIVEN = re.compile(
     r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*[A-Za-z_][\w.]{0,80}(?:\{[^}\n]{0,40}\})?(?=\s*[,;\\])"
 )
 READS = re.compile(
-    r"WHILE|FOR|TEST|CASE|RETURN|(?:Set|TP|UI|Write|Wait|Pulse|Err|Pack|Move|Arc|Trigg|Search)\w*", re.I
+    r"WHILE|FOR|TEST|CASE|RETURN|(?:Set|TP|UI|EGM|Write|Wait|Pulse|Err|Pack|Move|Arc|Trigg|Search)\w*", re.I
 )  # such leave what they are given as it is; a short IF may hold any instruction
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
 OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
-ROUTINE = re.compile(r"\bPROC\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
+ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w+)\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
+CONSTANT = re.compile(r"\bCONST\s+\w+\s+(\w+)", re.I)
+FUNCTION = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)\s*\(")
+ARGUMENT = re.compile(r"\s*([A-Za-z]\w*)\s*(?:\{[^}\n]{0,40}\}\s*)?(?:\.\s*\w+\s*)*")
+FUNCTION_READS = re.compile(
+    r"Offs|RelTool|C(?:alc)?(?:RobT|JointT|Pos|Tool|WObj)|Distance|Def\w+|Pose\w+|Orient\w+|EulerZYX|MirPos|ORobT"
+    r"|A?(?:Sin|Cos|Tan2?)|Abs\w*|Sqrt|Round|Trunc|Max|Min|ValToStr|NumToStr|Dim|DotProd|VectMagn|Present|Is\w+"
+    r"|IF|ELSEIF|WHILE|AND|OR|XOR|NOT|DIV|MOD|TEST|CASE|RETURN|TO|FROM|STEP",
+    re.I,
+)  # functions that only reckon, and words before a bracket
 GIVES_BACK = re.compile(r"\b(?:INOUT|VAR|PERS)\b", re.I)
+MOVES_SHORT = re.compile(r"(?<=[\s)])(?:Move|Arc|Trigg|Search)\w*(?=[\s\\])", re.I)
 LOOKED_BACK = 4000
 
 
@@ -55,6 +65,25 @@ def changed(text: str) -> Iterator[re.Match[str]]:
     yield from (match for match in ASSIGNS.finditer(text) if match.start(1) not in declared)
     by_value = _by_value(text)
     yield from (match for match in PART_GIVEN.finditer(text) if _gives_back(text, match.start(), by_value))
+    yield from _given_to_functions(text, by_value)
+
+
+def _given_to_functions(text: str, by_value: Collection[str]) -> Iterator[re.Match[str]]:
+    """Yield what a function is given that may change it, as ``StrToVal(part, p10.trans.x)`` does; constants are kept."""
+    constant = {match[1].lower() for match in CONSTANT.finditer(text)}
+    for call in FUNCTION.finditer(text):
+        if FUNCTION_READS.fullmatch(call[1]) or call[1].lower() in by_value:
+            continue
+        depth, at = 0, call.end()
+        for place in range(call.end(), min(len(text), call.end() + LOOKED_BACK)):
+            depth += (text[place] in "([{") - (text[place] in ")]}")
+            if depth < 0 or (depth == 0 and text[place] == ","):
+                given = ARGUMENT.match(text, at)
+                if given is not None and given.end() == place and given[1].lower() not in constant:
+                    yield given
+                at = place + 1
+            if depth < 0:
+                break
 
 
 def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:
@@ -116,4 +145,6 @@ def _instruction(before: str, by_value: Collection[str]) -> str:
     """The instruction that may give a target back changed; empty where it is a routine that takes it by value."""
     lines = [line for line in before.splitlines() if FIRST.search(line)]
     found = FIRST.search(lines[-1]) if lines else None
+    if found is not None and found[0].upper() == "IF":  # a short one has its instruction behind the condition
+        found = MOVES_SHORT.search(lines[-1]) or found
     return "" if found is None or found[0].lower() in by_value else found[0]

@@ -9,8 +9,14 @@ from kilter_files.formats.programs.found import NUMBER, Dialect, Program, lines_
 CELL = re.compile(
     r'[ \t]*"(?:[^"]|"")*"[^,\r\n]*(?:,|$|(?=[\r\n]))|[^,\r\n]*(?:,|$|(?=[\r\n]))'
 )  # a quoted one has commas
+SHOWN = 8
 BOM = "\xef\xbb\xbf"  # of UTF-8, as it is read byte for byte
 JOINT = re.compile(r"q(\d+)_(deg|rad)")
+# poses, other joints and their rates: an arm that moves by them is not corrected
+BESIDE = re.compile(
+    r"(?:\w{1,40}_)?(?:[xyz]_m?m|(?:r[xyz]|[abcwpr]|roll|pitch|yaw)_(?:deg|rad)|q[wxyz]|d{0,2}(?:q|j|e|axis|joint)d{0,2}_?\d{1,2}_\w{1,20})",
+    re.I,
+)
 
 
 def find(program: Program) -> None:
@@ -22,11 +28,18 @@ def find(program: Program) -> None:
     """
     lines = lines_of(program.text)
     names = [cell[0].strip(' \t,"') for cell in CELL.finditer(lines[0].removeprefix(BOM))]
+    twice = next((name for k, name in enumerate(names) if JOINT.fullmatch(name) and name in names[:k]), None)
+    if twice is not None:
+        raise program.refuse(0, f"has the column {twice} twice", "Leave the one that is meant.")
     joints = {int(match[1]): (k, match[2]) for k, name in enumerate(names) if (match := JOINT.fullmatch(name))}
     if not joints and lines[0].count(";") > lines[0].count(","):
         raise program.refuse(0, "parts its columns with semicolons", "Write it with commas, and points in numbers.")
     if sorted(joints) != [*range(1, len(joints) + 1)] or len({unit for _, unit in joints.values()}) != 1:
         raise program.refuse(0, "lacks joints, or has them in two units", "Name its columns q1_deg, q2_deg, ...")
+    beside = [name for name in names if BESIDE.fullmatch(name) and not JOINT.fullmatch(name)]
+    if beside:
+        named = ", ".join(beside[:SHOWN]) + (f" and {len(beside) - SHOWN} more" if len(beside) > SHOWN else "")
+        program.leave(0, f"{named}: poses or joints in other columns than q1, q2, ...")
     at = len(lines[0])
     for number, line in enumerate(lines[1:], 1):
         if line.strip():

@@ -60,7 +60,7 @@ def read_targets(path: Path) -> Targets:
     rows = _in_order(program, DIALECTS[name])
     _refuse_empty(program, rows, DIALECTS[name])
     notes = [f"{name}: {len(rows)} joint targets, in degrees", *program.notes]
-    warnings = [*program.warnings]
+    warnings = [*program.warnings, *program.list_warnings]
     if program.poses:
         said = f"{len(program.poses)} targets are left out because they are poses without joints: {_poses(program)}"
         warnings.append(said)

@@ -78,8 +78,10 @@ def find(program: Program) -> None:
             program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
     _name_calls(program, text, declared)
     poses.leave_beside_targets()
+    if poses.displaced and program.targets:
+        program.warn("the program displaces moves to joints too (path offset, conveyor)")
     if near:
-        program.warnings.append(
+        program.list_warnings.append(
             f"{near} moves to a pose count with the joints of their qnear: where the waypoint was taught"
         )
 

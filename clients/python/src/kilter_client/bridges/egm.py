@@ -25,6 +25,7 @@ class EgmWire:
 
     def __init__(self, signs: Sequence[float], setpoints: Setpoints) -> None:
         self._signs, self._setpoints = tuple(signs), setpoints
+        self._told: tuple[float, ...] | None = None  # the last joints that were answered
 
     @property
     def counts(self) -> Counter[str]:
@@ -60,17 +61,23 @@ class EgmWire:
     def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the setpoint: of the plan, and where the arm stands when the controller begins.
 
-        The arm stands while cycles are lost, so that none of them has passed for the plan: it would have to jump.
+        The arm stands while cycles are lost, so that none of them has passed for the plan: it would have to jump. Where
+        answers do not come to the controller, or it does not follow them, the plan waits for the arm.
         """
-        return self._setpoints.begin(request.joints) if fresh else self._setpoints.step(1)
+        if fresh:
+            self._told = None
+            return self._setpoints.begin(request.joints)
+        if self._told is not None and request.joints is not None and self._setpoints.is_far(self._told, request.joints):
+            self._setpoints.counts["arm_behind"] += 1
+            return self._setpoints.at
+        return self._setpoints.step(1)
 
     def answer(self, request: Request, offset: Sequence[float]) -> bytes:
         """Return the answer; nothing before it is known where the arm stands."""
         if self._setpoints.at is None:
             return b""
-        degrees = [
-            math.degrees(sign * (q + one)) for sign, q, one in zip(self._signs, self._setpoints.at, offset, strict=True)
-        ]
+        self._told = tuple(q + one for q, one in zip(self._setpoints.at, offset, strict=True))
+        degrees = [math.degrees(sign * q) for sign, q in zip(self._signs, self._told, strict=True)]
         header = (
             protobuf.number(SEQUENCE, request.stamp)
             + protobuf.number(TIME, request.clock)

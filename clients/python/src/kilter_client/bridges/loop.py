@@ -108,7 +108,7 @@ class Loop:
         self._patience_s = min(TELL_S, gone_after_s / 4.0)
         self._stamp, self._last = -1, b""
         self._passed_over = 0  # requests that waited while a newer one came, since the last answer
-        self._leaving = False
+        self._leaving = self._was_out = False  # the latter: the controller had an answer without offsets in time
         self.counts: Counter[str] = Counter()
         self._missed: int | None = None
         self._was_late = False  # the last answer
@@ -124,8 +124,12 @@ class Loop:
         if sys.platform == "linux":  # elsewhere a request counts from when it is read
             self._port.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         with without_collections():
-            while not (self._leaving and (self._correction.out or self._silent())):
+            while not (self._leaving and (self._is_out() or self._silent())):
                 self._cycle()
+
+    def _is_out(self) -> bool:
+        """Whether nothing is offset, and the controller surely knows: it may have missed the last answer."""
+        return self._correction.out and (self._was_out or self._controller is None)
 
     def _cycle(self) -> None:
         if not self._asked.poll(1000 * self._patience_s):
@@ -149,7 +153,7 @@ class Loop:
         return data, sender, min(max(0.0, time.time() - seconds - 1e-9 * nanoseconds), self._gone_after_s)
 
     def _newest(self, data: bytes, sender: Address, waited_s: float) -> tuple[bytes, Address, float]:
-        """The last of the requests that wait, and since when: those before it are late."""
+        """The last of the requests that wait, and since when: those before it are late, those of others do not count."""
         for _ in range(MOST_WAITING):
             try:
                 later, whose, its_s = self._received()
@@ -161,6 +165,8 @@ class Loop:
                 data, waited_s = later, its_s
             else:
                 self.counts["other_controller"] += 1
+                if whose == self._controller:  # another one was before it
+                    data, sender, waited_s = later, whose, its_s
         return data, sender, waited_s
 
     def _take(self, data: bytes, sender: Address, waited_s: float) -> None:
@@ -176,6 +182,7 @@ class Loop:
         self.counts["lost"] += max(0, cycles - 1 - self._passed_over)  # no request of these cycles came
         self._passed_over = 0
         taken = fresh or self._was_taken(request.missed, cycles)
+        self._was_out = taken and self._correction.out
         self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
         wanted = self._wire.wanted(request, cycles, fresh)
         if not request.moving:

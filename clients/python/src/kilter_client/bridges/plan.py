@@ -11,7 +11,7 @@ import math
 import socket
 import struct
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -104,14 +104,23 @@ def read_table(path: Path, limits_deg: Sequence[Limits]) -> Table:
 
 
 def _refuse_beyond(angles_deg: Sequence[float], limits_deg: Sequence[Limits], path: Path, line: int) -> None:
-    for joint, (angle, (low, high)) in enumerate(zip(angles_deg, limits_deg, strict=True), 1):
+    k = beyond(angles_deg, limits_deg)
+    if k is not None:
+        low, high = limits_deg[k]
+        span = f"{'open' if low is None else f'{low:g}'} to {'open' if high is None else f'{high:g}'} deg"
+        raise FileError(
+            f"{path}, line {line}: q{k + 1}_deg is {angles_deg[k]:g}, beyond the limits of joint {k + 1} ({span}): mend the "
+            "row, or the limits of the robot.",
+            line=line,
+        )
+
+
+def beyond(angles_deg: Iterable[float], limits_deg: Sequence[Limits]) -> int | None:
+    """Return the first joint (from 0) that is beyond its limits; None where none is."""
+    for k, (angle, (low, high)) in enumerate(zip(angles_deg, limits_deg, strict=False)):
         if (low is not None and angle < low) or (high is not None and angle > high):
-            span = f"{'open' if low is None else f'{low:g}'} to {'open' if high is None else f'{high:g}'} deg"
-            raise FileError(
-                f"{path}, line {line}: q{joint}_deg is {angle:g}, beyond the limits of joint {joint} ({span}): mend the row, "
-                "or the limits of the robot.",
-                line=line,
-            )
+            return k
+    return None
 
 
 def _number(row: Mapping[str, str | None], name: str, place: str, names: Sequence[str], line: int) -> float:
@@ -132,8 +141,9 @@ def _number(row: Mapping[str, str | None], name: str, place: str, names: Sequenc
 class Heard:
     """Setpoints that a planner sends over UDP, as messages of the stream (kind point); the newest counts."""
 
-    def __init__(self, port: socket.socket, joints: int) -> None:
+    def __init__(self, port: socket.socket, joints: int, limits_deg: Sequence[Limits] = ()) -> None:
         self.counts: Counter[str] = Counter()
+        self._limits_deg = limits_deg
         self._port, self._joints, self._seq = port, joints, -1
         self._layout = struct.Struct(f"<{joints}d")
         port.setblocking(False)
@@ -172,6 +182,9 @@ class Heard:
             self.counts["plan_old"] += 1
             return None
         self._seq = seq
+        if beyond(map(math.degrees, q), self._limits_deg) is not None:
+            self.counts["plan_beyond_limits"] += 1
+            return None
         return q
 
 
@@ -197,6 +210,10 @@ class Setpoints:
         """Whether the plan is at its end, and the arm with it."""
         return self._plan.ended and self._gap is not None and self._eased_s >= EASE_S
 
+    def is_far(self, one: Sequence[float], other: Sequence[float]) -> bool:
+        """Say whether joints (n,) rad are further apart than an arm moves in a tenth of a second."""
+        return _farthest(one, other) > self._speed * FAR_S
+
     def begin(self, q: Sequence[float] | None) -> tuple[float, ...] | None:
         """Begin where the arm stands (n,) rad; None: nobody knows where that is."""
         self._plan.begin()
@@ -214,7 +231,7 @@ class Setpoints:
         if planned is None or self.at is None:
             return self.at
         if self._gap is None:
-            if _farthest(planned, self.at) > self._speed * FAR_S:
+            if self.is_far(planned, self.at):
                 self.counts["plan_too_far"] += 1
                 return self.at
             self._gap = tuple(old - new for new, old in zip(planned, self.at, strict=True))
@@ -264,4 +281,4 @@ def planned(path: Path | None, port: int | None, limits_deg: Sequence[Limits]) -
         udp.close()
         remedy = "name one that no other program listens on (--setpoints-port)"
         raise UsageError(f"UDP port {port} cannot be had for setpoints: {error}: {remedy}.") from error
-    return Heard(udp, len(limits_deg))
+    return Heard(udp, len(limits_deg), limits_deg)

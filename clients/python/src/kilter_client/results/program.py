@@ -19,7 +19,7 @@ class FilteredProgram(Record):
     A KRL program of two files has both in ``texts``, by name; ``text`` is the one that was given. ``diff`` has the changed
     lines, ``targets`` their number, ``largest_change_deg`` and ``largest_change_line`` the largest change of a joint,
     ``not_ok`` the targets that are damped or limited, ``left`` the lines that are not rewritten, and ``notes`` what else
-    the server says.
+    is to be known.
     """
 
     dialect: str
@@ -42,7 +42,7 @@ class FilteredProgram(Record):
     left: tuple[Mapping[str, Any], ...]
     """Lines that are not rewritten though an arm may move by them: ``file``, ``line``, ``what``."""
     notes: tuple[str, ...]
-    """What else the server says of the correction."""
+    """What else is to be known: of the program, and what the server says of the correction."""
     diff: str
     """The changed lines, as a unified diff."""
 

@@ -309,7 +309,7 @@ def _report(programs: Sequence[Program], done: AllDone, texts: Mapping[str, str]
     return {
         "texts": dict(texts),
         "diff": "\n".join(diff for diff in diffs if diff),
-        "notes": list(done.notes),
+        "notes": [*dict.fromkeys(warning for one in programs for warning in one.warnings), *done.notes],
         "dialect": programs[0].dialect,
         "targets": len(done),
         "largest_change_deg": _change(worst),

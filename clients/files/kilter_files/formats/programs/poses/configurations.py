@@ -34,7 +34,9 @@ class StatusTurn:
 
     def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return T for these joints, where it is another."""
-        turn = sum(1 << k for k, q in enumerate(joints_deg) if q < -0.0)
+        turn = sum(1 << k for k, q in enumerate(joints_deg) if q < -0.0) | self.turn >> len(joints_deg) << len(
+            joints_deg
+        )
         if all(self.fits_joint(k, q) for k, q in enumerate(joints_deg)):
             return {}
         binary = "B" in self.turn_text.upper()

@@ -14,7 +14,9 @@ PART = re.compile(rf"\b([XYZWPR]|E\d)\s{{0,9}}=\s{{0,9}}({NUMBER})\s{{0,9}}(mm|d
 FRAME_NUMBER = re.compile(r"\b(UF|UT)\s?:\s{0,9}(\w{1,3})")
 TURN = r"\s{0,9}(-?\d)\s{0,9}"
 CONFIG = re.compile(rf"\bCONFIG\s?:\s?'\s{{0,9}}([NF])\s{{1,9}}([UD])\s{{1,9}}([TB])\s{{0,9}},{TURN},{TURN},{TURN}'")
-SET = re.compile(r"(?:\bU|\$MNU)(FRAME|TOOL)\s?\[[^\]\n]{1,40}\]\s?=", re.I)
+SET = re.compile(
+    r"(?:\b|\$MN|\.\$)U(FRAME|TOOL)\s?(?:\[[^\]\n]{1,40}\]|(?<=\$UFRAME)|(?<=\$UTOOL))[.$\w]{0,20}\s?=", re.I
+)
 TRACKS = re.compile(r"^\s*LINE_TRACK_SCHEDULE(?:_NUMBER)?\s*:\s*0*[1-9]", re.I | re.M)
 OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
 OTHER_FRAME = re.compile(r"\b(?:RTCP|COORD)\b", re.I)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
-from kilter_files.formats.programs.found import NUMBER, Program, line_at
-from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN
+from kilter_files.formats.programs.found import NUMBER, Program, blanked, line_at
+from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN, parts_handed
 from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import StatusTurn
@@ -21,6 +21,14 @@ POSE = re.compile(
 PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
 COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*\[[ \t\d,]*[^ \t\d,\]]")
 EXTERNAL = "an external axis may move its base"
+BRANCH_BITS, TAUGHT_ABSOLUTE = 0b111, 0b10000  # of S; KUKA keeps its bit 3 zero
+TWICE = "bit 4 of its S says that a controller with absolute accuracy taught it: it would be corrected twice"
+
+
+EXTERNAL_AXIS = re.compile(
+    rf"[{{,]\s{{0,9}}E([1-6])\s{{1,9}}({NUMBER}|\w{{1,64}})|\.\s{{0,9}}E([1-6])\s{{0,9}}=(?!=)", re.I
+)
+OTHER_LINE = re.compile(r"[ \t]*\$")  # a variable of the system
 
 
 def key(name: str) -> str:
@@ -44,6 +52,8 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
         problem = f"without {', '.join(missing)}"
     if any(name[0] == "E" and _value(text) for name, (text, _) in parts.items()):
         problem = problem or EXTERNAL
+    if "S" in parts:
+        problem = problem or _of_status(int(_value(parts["S"][0])))
     numbers = tuple(_value(parts[name][0]) if name in parts else 0.0 for name in KRL.names)
     spans = tuple(parts[name][1] for name in KRL.names if name in parts)
     stated = None
@@ -51,7 +61,15 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
         status, (turn, span) = parts["S"][0], parts["T"]
         stated = StatusTurn(int(_value(status)), int(_value(turn)), turn, span)
     name = "".join(match[2].split()) if match[2] else "a move"
-    return PoseTarget(name, line_at(program.text, match.start()), KRL, numbers, spans, stated, problem=problem)
+    line = line_at(program.text, match.start())
+    return PoseTarget(name, line, KRL, numbers, spans, stated, problem=problem, whole=match.span(4))
+
+
+def _of_status(status: int) -> str:
+    """What speaks against a pose with this S."""
+    if status & TAUGHT_ABSOLUTE:
+        return TWICE
+    return f"its S is {status}, which has bits that are not understood" if status & ~BRANCH_BITS else ""
 
 
 def _value(text: str) -> float:
@@ -76,3 +94,27 @@ def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
         for pose in bases.get(match[1].upper(), ()):
             if not EXTERNAL_PART.match(match[2]):
                 pose.problem = pose.problem or "the program changes it"
+    for by, name in parts_handed(text):
+        for pose in bases.get(name, ()):
+            pose.problem = pose.problem or f"{by} may change it"
+
+
+def note_external(program: Program) -> None:
+    """Note poses that do not say where an external axis is which the program moves: it stays where it was."""
+    files = [program, *([program.beside] if program.beside is not None else [])]
+    moved = {axis for one in files for axis in _moved(one.text)}
+    for one in files if moved else ():
+        for pose in one.cartesian:
+            start, end = pose.whole
+            missing = sorted(moved - {match[1] for match in EXTERNAL_AXIS.finditer(one.text, start, end)})
+            if missing:
+                pose.problem = pose.problem or f"it does not state E{missing[0]}, which the program moves"
+
+
+def _moved(text: str) -> Iterator[str]:
+    """The external axes that a program moves from zero."""
+    for line in blanked(text, ";").splitlines():
+        for match in () if OTHER_LINE.match(line) else EXTERNAL_AXIS.finditer(line):
+            value = match[2]
+            if value is None or re.fullmatch(NUMBER, value) is None or float(value):
+                yield match[1] or match[3]

@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, blanked
-from kilter_files.formats.programs.krl_lines import given, subprograms
+from kilter_files.formats.programs.krl_lines import given, handed, subprograms
 from kilter_files.formats.programs.notations import KRL, Frame
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.krl import NAME, key
@@ -66,7 +66,8 @@ class KrlFrames:
         self.literals = {match.start(2) - 1 for match in FRAME.finditer(text) if self._is_frame(match[1])}
         self._frames: dict[str, Frame | str] = {}
         self._data: dict[str, str] = {}
-        self._given = {name for one in texts for name in given(one)}
+        self._handed = {name for one in texts for name in handed(one)}
+        self._given = {name for one in texts for name in given(one)} | self._handed
         for one in texts:
             self._read(one)
         self._set_at = {
@@ -125,6 +126,10 @@ class KrlFrames:
             (self.base if match[4].upper() == "BASE" else self.tool).set(
                 at, self._numbered(match[4].upper(), match[5], at)
             )
+        elif match[4].upper() == "INITMOV":  # what was set before it may be so no more
+            for which, force in (("base", self.base), ("tool", self.tool)):
+                if any(force.owner(earlier) == force.owner(at) for earlier, _ in force.settings):
+                    force.set(at, f"BAS(#INITMOV) behind it may set its {which} anew")
         elif match[4].upper() in ("EX_BASE", "IPO_M"):
             self.base.set(at, "its base moves, or its tool stands still")
 
@@ -172,7 +177,9 @@ class KrlFrames:
         return {field.upper(): value for field, value in found}
 
     def _numbered(self, which: str, number: str | None, at: int) -> Frame | str:
-        if any(one == which and (said == number or not said.isdigit()) for one, said in self._changed):
+        if f"{which}_DATA" in self._handed or any(
+            one == which and (said == number or not said.isdigit()) for one, said in self._changed
+        ):
             return f"the program changes {which}_DATA[{number}]"
         found = self._frames.get(f"{which}_DATA[{number}]")
         first = self._set_at.get(f"{which}_DATA[{number}]", at)

@@ -14,7 +14,7 @@ from kilter_files.formats.programs.rapid_uses import ROUTINE, changed, declared_
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 UNUSED_AXIS = 8e9
 MOVES = re.compile(
-    r"Move|Arc|Trigg|Search|Paint|Disp|Spot|GripLoad|SetSysData", re.I
+    r"Move|Arc|Trigg|Search|Paint|Disp|Spot|Cap|Contact|FCPress|EGM|GripLoad|SetSysData", re.I
 )  # beginnings of instructions that move with a tool
 
 
@@ -31,6 +31,7 @@ OBJECT = re.compile(
     re.I,
 )
 DISPLACED = re.compile(r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I)
+AXIS_LOCKED = re.compile(r"\bSingArea\s*\\\s*LockAxis4\b", re.I)
 CONFIGURATION_OFF = re.compile(r"\bConf([JL])\s*\\\s*Off\b", re.I)
 
 

@@ -51,7 +51,7 @@ class Poses:
         self._taken: dict[int, PoseTarget] = {}
         self._framed: list[tuple[PoseTarget, str]] = []
         self._changed = {match[1] for match in CHANGED.finditer(text)}
-        self._displaced = DISPLACED.search(text) is not None
+        self.displaced = DISPLACED.search(text) is not None
         starts, owners = _parts(text)
         ways = (1, -1, 0)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
@@ -77,6 +77,8 @@ class Poses:
         return found
 
     def _frame(self, said: str) -> Frame | str:
+        if said in self._changed:
+            return f"the program changes {said[:40]}"
         places = self._declared.get(said, [])
         whole = SIX.fullmatch(places[0][1] if len(places) == 1 else said)
         return Frame(URSCRIPT, tuple(map(float, whole.groups()))) if whole else f"set_tcp({said[:40]}) is not known"
@@ -106,7 +108,7 @@ class Poses:
             turned = call[1] == "movec" and any(FIXED_ORIENTATION.match(one) for _, one in said)
             pose.problem = pose.problem or doubt or ("its orientation is not kept (mode)" if turned else "")
             pose.problem = pose.problem or (
-                "the program displaces it (path offset, conveyor)" if self._displaced else ""
+                "the program displaces it (path offset, conveyor)" if self.displaced else ""
             )
             what = f"{call[1]}({said[0][1][:40]}"
             self._program.moves_to_poses.append((line_at(self._text, match.start()), what, pose))
