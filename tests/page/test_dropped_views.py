@@ -54,7 +54,7 @@ def test_views_are_stored_with_the_cameras_that_were_dropped_after_them(server: 
     text = text_of(server, address)
     assert "Understood." in text
     assert "camera cell, in the room, 1920 × 1080 px" in text
-    assert "board board, on the flange, 48 corners" in text
+    assert "the board, on the flange, 48 corners" in text
     assert server.post(f"{address}/store", data=form).status_code == 303
     (made,) = [one for one in campaigns_of(server, robot) if one["name"] == "dropped views"]
     assert made["rows"] == 12

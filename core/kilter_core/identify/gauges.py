@@ -18,6 +18,7 @@ from kilter_core.identify.scale_gauge import free_scale
 from kilter_core.identify.setups import of_the_arm
 from kilter_core.identify.views.cameras import unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations.rig import called
 
 TRACKER = "a few points that a tracker or a measuring arm takes in the robot's own base"
 SETTLES = {
@@ -48,7 +49,12 @@ def gauges(fit: Fit) -> Iterator[dict[str, Any]]:
         focal = [f"camera_{camera.name}_{k}" for k in ("fx", "fy")]
         known = dict(zip(names, seen, strict=True))
         if any(not known.get(name, True) for name in focal):
-            yield _said("focal_length", focal, f"The focal length of camera {camera.name}", "its distance to the board")
+            yield _said(
+                "focal_length",
+                focal,
+                f"The focal length of {called('camera', camera.name)}",
+                "its distance to the board",
+            )
 
 
 def _of_ends(fit: Fit, rig: PlacedRig, unknown: set[str]) -> Iterator[dict[str, Any]]:
@@ -76,8 +82,8 @@ def _parts(rig: PlacedRig) -> tuple[str, str]:
     parts = [("camera", c.name, c.mount) for c in rig.rig.cameras] + [
         ("board", b.name, b.mount) for b in rig.rig.boards
     ]
-    fixed = next(f"{what} {name}" for what, name, mount in parts if mount == "fixed")
-    return fixed, next(f"{what} {name}" for what, name, mount in parts if mount == "flange")
+    fixed = next(called(what, name) for what, name, mount in parts if mount == "fixed")
+    return fixed, next(called(what, name) for what, name, mount in parts if mount == "flange")
 
 
 def _said(gauge: str, names: list[str], what: str, other: str) -> dict[str, Any]:

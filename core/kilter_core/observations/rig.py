@@ -85,6 +85,11 @@ class Board:
             raise _odd("board", self.name, "the sigma of its scale must be 0 or more: it is a standard deviation.")
 
 
+def called(what: str, name: str) -> str:
+    """A camera or board in a sentence: *camera head*, and *the camera* where that is its name."""
+    return f"the {what}" if name == what else f"{what} {name}"
+
+
 def _odd(what: str, name: str, why: str) -> ObservationError:
     return ObservationError(f"{what.capitalize()} {name!r}: {why}", code=f"{what}_invalid", **{what: name})
 

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
+from kilter_core.observations.rig import called
 from kilter_service.contract.campaigns import Board, Camera, Conditions
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.views import rig_of
@@ -55,11 +56,12 @@ def said(rig: Mapping[str, Any]) -> list[str]:
     """Return each camera and board in words."""
     where = {"fixed": "in the room", "flange": "on the flange"}
     cameras = [
-        f"camera {one['name']}, {where[one['mount']]}, {one['width_px']} × {one['height_px']} px"
+        f"{called('camera', one['name'])}, {where[one['mount']]}, {one['width_px']} × {one['height_px']} px"
         for one in rig.get("cameras", ())
     ]
     boards = [
-        f"board {one['name']}, {where[one['mount']]}, {len(one['corners_mm'])} corners" for one in rig.get("boards", ())
+        f"{called('board', one['name'])}, {where[one['mount']]}, {len(one['corners_mm'])} corners"
+        for one in rig.get("boards", ())
     ]
     return cameras + boards
 
