@@ -340,6 +340,15 @@ def test_one_error_of_a_joint_is_said_once_and_on_one_level():
     assert sentence("closed", both, *agreed, "").startswith("smooth error of joint 6: confirmed")
 
 
+def test_noise_of_repeats_that_may_hold_drift_is_not_called_that_of_the_fit():
+    nothing = Misfit(0.0, 0.001, 0.005, None)
+    drifting, alone = Adequacy(300.0, 300.0, 1.0, 0.5, most=True), Adequacy(300.0, 300.0, 1.0, None)
+    assert "noise is that of the fit itself" in sentence("no_gap", (), alone, nothing, "")
+    assert "repeats do not tell how large the noise is" in sentence("no_gap", (), drifting, nothing, "")
+    assert "repeats do not tell" in drifting.sentence("")
+    assert "apart from the fit" in alone.sentence("")
+
+
 def test_what_the_rows_searched_leave_is_no_size_of_what_held_out_rows_refute():
     """Where the rows searched agree, "something is left (0.0 um)" stood before "0.08 mm are left" of the held-out ones."""
     assert Remains(Misfit(0.0, 0.001, 0.005, True), None).words == ""

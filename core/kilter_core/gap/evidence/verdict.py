@@ -188,9 +188,14 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     """Say the verdict in words; ``left`` says how much remains, and where."""
     names = ", ".join(_once(judged))
     sure = ", ".join(_once([j for j in judged if j.verdict in SURE]))
-    relative = (
-        "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
-    )
+    relative = ""
+    if adequacy.adequate is None:
+        whose = (
+            "The repeats do not tell how large the noise is"
+            if adequacy.doubted
+            else "The noise is that of the fit itself"
+        )
+        relative = f" {whose}, so this is relative to it."
     noise = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
         "no_gap": "Nothing in the library is significant above the noise.",

@@ -92,7 +92,7 @@ def told_apart(
 
 
 def never_told(target: Candidate, rival: Candidate, robot: Robot) -> bool:
-    """Whether no poses of this arm name one of the two: curves of a joint that cannot make the turn that a name needs."""
+    """Whether no poses of this arm name one of the two: curves of a joint without the full revolution that a name needs."""
     one, other = target.effects[0], rival.effects[0]
     if one.class_on(robot).id != other.class_on(robot).id or target.joints != rival.joints:
         return False

@@ -54,8 +54,15 @@ class Adequacy:
             return None
         return self.p_value > ADEQUATE
 
+    @property
+    def doubted(self) -> bool:
+        """Whether the noise is that of repeats, and how large it is is in doubt: it may hold drift, or the rows refute it."""
+        return self.adequate is None and self.p_value is not None and not self.least
+
     def sentence(self, left: str) -> str:
         """The model as a whole in words; ``left`` says how much remains, and where."""
+        if self.doubted:
+            return "Whether something else remains is not known: the repeats do not tell how large the noise is."
         if self.adequate is None:
             return "Whether something else remains is not known: the noise is not known apart from the fit."
         return f"Something else remains{left}." if not self.adequate else "The model as a whole agrees with the rows."
