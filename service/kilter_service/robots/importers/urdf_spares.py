@@ -36,18 +36,18 @@ def spares(path: Sequence[UrdfJoint]) -> frozenset[str]:
             kept = _independent(_constants(joint), np.array(said).reshape(-1, 6).T)
             out += [f"{joint.name}_{suffix}" for n, suffix in enumerate(SUFFIXES) if n not in kept]
             # Prismatic joints in a row only shift: each of their zero offsets is the same shift behind all of them.
-            run = [b for b in before if _slides(b[0])] if _slides(joint) else []
+            run = [b for b in before if _is_prismatic(b[0])] if _is_prismatic(joint) else []
             before = [*run, (joint, np.eye(4))]
     return frozenset(out)
 
 
-def _slides(joint: UrdfJoint) -> bool:
+def _is_prismatic(joint: UrdfJoint) -> bool:
     return MOVING[joint.kind] == "prismatic"
 
 
 def _by_itself(joint: UrdfJoint, *, last: bool) -> Iterator[Floats]:
     """Twists (6,) behind the origin that the zero offset says, or the next origin: shifts (3,), then rotations (3,)."""
-    prismatic, axis = _slides(joint), joint.axis
+    prismatic, axis = _is_prismatic(joint), joint.axis
     follows = joint.mimic is not None  # its zero offset is not a parameter
     if prismatic and not last:
         yield from np.eye(6)[:3]
@@ -66,7 +66,7 @@ def _by_one_before(before: UrdfJoint, T: Floats) -> Iterator[Floats]:
     if before.mimic is not None:
         return
     R, p = T[:3, :3], T[:3, 3]
-    if _slides(before):
+    if _is_prismatic(before):
         yield np.r_[R.T @ before.axis, 0.0, 0.0, 0.0]
     else:
         yield np.r_[R.T @ np.cross(before.axis, p), R.T @ before.axis]
