@@ -72,7 +72,7 @@ def test_an_arm_of_either_kind(kilter: Kilter, tmp_path: Path) -> None:
 def test_an_arm_of_which_few_poses_tell_the_backlash_is_told_as_well_as_it_is_known(
     kilter: Kilter, tmp_path: Path
 ) -> None:
-    """In 7 of its 46 views, of 4 poses, gravity pulls joint 2 the other way: a model without three of these is 9 mm off."""
+    """In 7 of its 46 views, of 4 poses, gravity pulls joint 2 the other way: a model without these is 9 mm off."""
     report = ask(kilter, tmp_path, "worn", 41, 100)["report"]
     assert report is not None
     assert report["after_mm"] < 0.5

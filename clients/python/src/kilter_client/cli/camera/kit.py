@@ -33,7 +33,7 @@ PAYLOAD_SIGMA = {
     "com_mm": 10.0,
 }  # it was weighed on a kitchen scale, and the jaw holds it about there
 # Every view is predicted by a model that has not seen its pose, and the version has all of them. So few poses at a time, since
-# few are those that tell backlash from a zero: of four folds one held out three of four, and was 9 mm off.
+# few are those that tell backlash from a zero: of four folds one held out all of them, and was 9 mm off.
 MOST_FOLDS = 12
 SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos correct nothing by themselves
 
