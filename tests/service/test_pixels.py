@@ -273,6 +273,16 @@ def test_views_need_their_cameras(shared_client: httpx.Client) -> None:
     assert refused.json()["code"] == "camera_invalid"
 
 
+def test_a_single_mark_is_no_board_and_the_remedy_is_told(shared_client: httpx.Client) -> None:
+    led = described(SCENE)
+    led["boards"][0]["corners_mm"] = [[0.0, 0.0, 0.0]]
+    shared_client.post("/v1/robots", json=SCENE.drawn.document() | {"name": "watched"})
+    refused = shared_client.post("/v1/robots/watched/campaigns", json={"name": "led", "conditions": led})
+    assert refused.status_code == 422
+    assert "conditions.boards.0.corners_mm" in refused.text
+    assert "of a mark that two cameras see send the place (x_mm, y_mm, z_mm)" in refused.text
+
+
 def test_names_come_in_json_and_parquet_too(shared_client: httpx.Client) -> None:
     table = columns(seen(3)) | {"camera": ["cell", "1", "cell"]}
     made = campaign(shared_client, described(SCENE), "json")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, AwareDatetime, Field, WithJsonSchema
+from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from kilter_service.contract.references import RETIRED_AT
@@ -18,6 +18,16 @@ Text = Annotated[str, Field(max_length=200)]
 ODD = "What looks odd in the rows and may be right: they are stored."
 SHA256 = "SHA-256 of the bytes that were sent, 64 hexadecimal digits."
 HASH = "^[0-9a-f]{64}$"
+
+
+def _enough_corners(corners: Any) -> Any:
+    if isinstance(corners, list) and len(corners) < FEWEST_CORNERS:
+        raise PydanticCustomError(
+            "too_short",
+            "Has fewer than four corners: a view of a board tells a pose, and of a single mark it does not. Describe four "
+            "corners or more that are not on one line; of a mark that two cameras see send the place (x_mm, y_mm, z_mm).",
+        )
+    return corners
 
 
 def _hash_of_servos(text: str) -> str:
@@ -35,7 +45,7 @@ def _hash_of_servos(text: str) -> str:
 HashOfServos = Annotated[str, AfterValidator(_hash_of_servos), WithJsonSchema({"type": "string", "pattern": HASH})]
 
 
-MOST_CAMERAS, MOST_CORNERS = 64, 999
+MOST_CAMERAS, FEWEST_CORNERS, MOST_CORNERS = 64, 4, 999
 
 
 class Camera(Strict):
@@ -70,9 +80,9 @@ class Board(Strict):
 
     name: Name = Field(description="Its name; one name stands for one board in one place.")
     mount: Literal["flange", "fixed"] = Field(description="Whether it is on the flange, or in the room.")
-    corners_mm: Annotated[list[PointMm], Field(min_length=4, max_length=MOST_CORNERS)] = Field(
-        description="Corners 1, 2, ... in a frame of its own, mm."
-    )
+    corners_mm: Annotated[
+        list[PointMm], BeforeValidator(_enough_corners), Field(min_length=FEWEST_CORNERS, max_length=MOST_CORNERS)
+    ] = Field(description="Corners 1, 2, ... in a frame of its own, mm.")
     scale_sigma_percent: Annotated[float, Field(ge=0, le=10)] | None = Field(
         None, description="Standard deviation of its scale, percent: it is then fitted; null: the scale is exact."
     )
