@@ -21,12 +21,7 @@ from kilter_core.identify.uncertainty.held_arm import by_held_arm, holds_arm
 from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
-from kilter_core.identify.views.camera_report import (
-    cameras_document,
-    left_open_document,
-    pixels_document,
-    tool_document,
-)
+from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
@@ -55,7 +50,7 @@ def views_said(calibration: Calibration, fit: Fit, found: ViewScatter | None) ->
     if found is None:
         return said
     open_ = left_open(calibration, predictive_of_views(fit, found), fit.problem.measurement.observations)
-    return {**said, "pixels": {**pixels_document(found), "left_open": left_open_document(open_)}}
+    return {**said, "pixels": pixels_document(found, open_.rms, open_.high)}
 
 
 WRONG_VIEWS = ("views_astray", "camera_moved", "board_scale_differs")  # codes of warnings of :func:`wrong_views`

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_core.identify.uncertainty.left_open import LeftOpen
 from kilter_core.identify.views.cameras import rig_of
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
@@ -48,10 +47,13 @@ def cameras_document(calibration: Calibration, sigmas: Mapping[str, float] | Non
     return {"cameras": cameras, "boards": boards}
 
 
-def pixels_document(found: ViewScatter) -> dict[str, Any]:
-    """How noisy corners are, and how far off the tool is in views that were fitted, the noise of the views taken off."""
+def pixels_document(found: ViewScatter, open_rms: float, open_high: float) -> dict[str, Any]:
+    """How noisy corners are, and how far off the tool is in views that were fitted, the noise of the views taken off; and how
+    far off it may be by what the fit leaves open, m.
+    """
     return {
         "noise_px": found.sigma_px, "between_views": found.beyond, "train": tool_document(found), "validation": None,
+        "left_open": {"rms_mm": mm(open_rms), "high_mm": mm(open_high)},
     }  # fmt: skip
 
 
@@ -62,11 +64,6 @@ def tool_document(found: ViewScatter) -> dict[str, float]:
         "rms_mm": mm(found.rms_m), "low_mm": mm(root * found.place_low), "high_mm": mm(root * found.place_high),
         "orientation_deg": degrees(root * found.turn),
     }  # fmt: skip
-
-
-def left_open_document(found: LeftOpen) -> dict[str, float]:
-    """How far off the tool may be by what the fit leaves open."""
-    return {"rms_mm": mm(found.rms), "high_mm": mm(found.high)}
 
 
 def _frame(mount: str) -> str:
