@@ -12,13 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
-from kilter_core.types import Floats
 
-FRAMES = (*(f"base_{k}" for k in ("x", "y", "z", "rx", "ry", "rz")), "tool_x", "tool_y", "tool_z")
+FRAMES = (
+    *(f"base_{k}" for k in FRAME_NAMES),
+    *(f"tool_{k}" for k in FRAME_NAMES[:3]),
+)  # rotated, the tool moves no point
 MOST = 500  # rows at which it is looked
 SEEN = 1e-9  # share of the largest singular value of what frames move below which they move nothing
 UPPER = 0.975
@@ -44,20 +47,11 @@ def left_open(calibration: Calibration, known: Predictive, rows: Observations) -
     u = u[:, s > SEEN * s[0]]
     arm = J[:, ~frame] - u @ (u.T @ J[:, ~frame])
     place = [known.names.index(names[k]) for k in free[~frame]]
-    moved = arm @ _root(known.covariance[np.ix_(place, place)])
     # Few directions are open, often one: the sum of their squares scatters as that of so many numbers (Satterthwaite 1946).
-    square = moved.T @ moved
+    square = arm.T @ arm @ known.covariance[np.ix_(place, place)]
     whole = float(np.trace(square))
     if whole <= 0.0:
         return LeftOpen(0.0, 0.0)
-    directions = whole**2 / float(np.sum(square**2))
+    directions = whole**2 / float(np.sum(square * square.T))
     rms = float(np.sqrt(whole / len(rows)))
     return LeftOpen(rms, rms * float(np.sqrt(chi2.ppf(UPPER, directions) / directions)))
-
-
-def _root(C: Floats) -> Floats:
-    """Root (K, K) of a covariance, whose parameters differ by orders of magnitude."""
-    size = np.sqrt(np.maximum(np.diag(C), 0.0))
-    size = np.where(size > 0.0, size, 1.0)
-    w, V = np.linalg.eigh(C / np.outer(size, size))
-    return np.asarray(size[:, None] * V * np.sqrt(np.maximum(w, 0.0)))
