@@ -39,13 +39,15 @@ class Sized:
     moved: Floats
 
 
-def sized(effect: str, seed: int, times: float = 1.0) -> Sized:
-    """A UR10 with errors of its geometry, 60 poses of which 20 were visited three times, and ``times`` a small effect."""
+def sized(
+    effect: str, seed: int, times: float = 1.0, poses: int = POSES, revisited: int = REVISITED, noise_m: float = NOISE_M
+) -> Sized:
+    """A UR10 with errors of its geometry, some poses ``revisited`` twice more, and ``times`` a small effect."""
     rng = np.random.default_rng([seed, 11])
     truth = times * SMALL[effect]
-    pose = rng.permutation(np.concatenate([np.arange(POSES), np.tile(np.arange(REVISITED), 2)]))
+    pose = rng.permutation(np.concatenate([np.arange(poses), np.tile(np.arange(revisited), 2)]))
     low, high = np.array([-2.8, -2.2, -2.0, -2.8, -2.5, -2.8]), np.array([2.8, -0.4, 2.0, 2.8, 2.5, 2.8])
-    q, n = rng.uniform(low, high, (POSES, 6))[pose], len(pose)
+    q, n = rng.uniform(low, high, (poses, 6))[pose], len(pose)
     t = np.cumsum(rng.uniform(25.0, 40.0, n))
     warm = rng.uniform(20.0, 26.0, n)
     session = np.arange(n) % 2
@@ -56,7 +58,7 @@ def sized(effect: str, seed: int, times: float = 1.0) -> Sized:
         "session_shift": session * 1.0,
     }.get(effect, warm - 20.0)  # fmt: skip
     points, still = (_points(effect, q, dh, np.outer(along * on, truth)) for on in (1.0, 0.0))
-    seen = points + BASE + NOISE_M * rng.normal(size=points.shape)
+    seen = points + BASE + noise_m * rng.normal(size=points.shape)
     columns = {"session": session} if effect == "session_shift" else {}
     rows = Observations(q=q, position=seen, pose_id=pose, t=t, temperature_c=warm, **columns)
     return Sized(rows, truth, np.linalg.norm(points - still, axis=1))

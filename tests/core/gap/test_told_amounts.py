@@ -48,6 +48,19 @@ def test_the_truth_is_inside_the_intervals_at_any_size(large: bool) -> None:
     assert sum(inside) >= 24  # of 28: fewer come once in a hundred where intervals hold 95 %
 
 
+@pytest.mark.parametrize("revisited", [0, 8])
+def test_where_rows_know_an_amount_less_well_than_its_prior_but_far_from_zero_they_are_believed(revisited: int) -> None:
+    inside, far = 0, 0.0
+    for seed in range(6):
+        made = sized("zero_thermal", seed, 8.0, poses=30, revisited=revisited, noise_m=2e-4)
+        (told,) = searched(made, "zero_thermal")[1].evidence.amplitudes
+        assert told.sigma > 2e-5  # the prior's
+        inside += told.low <= made.truth[0] <= told.high
+        far += (told.value - made.truth[0]) / told.sigma
+    assert inside >= 5
+    assert abs(far / 6) < 1.6  # four deviations of the mean of six
+
+
 @pytest.mark.parametrize("effect", ["base_step", "thermal_drift"])
 def test_a_large_one_is_told_everywhere_as_it_is_stored(effect: str, capsys: pytest.CaptureFixture[str]) -> None:
     made = sized(effect, 1, LARGE[effect])
@@ -103,9 +116,9 @@ def test_what_the_rows_hardly_know_keeps_its_prior_and_no_fit_leaves_more(monkey
     better = widened(found)
     assert np.any(better.problem.settings.source.library_sigma[found.columns] > 2.0 * prior)
     assert better.problem.chi2 <= found.problem.chi2
-    monkeypatch.setattr(module, "KNOWN", 1e-6)  # as if the rows hardly knew them
+    monkeypatch.setattr(module, "TOLD", 1e6)  # as if the rows hardly told them from zero
     assert widened(found) is found
-    monkeypatch.setattr(module, "KNOWN", 0.7)
+    monkeypatch.setattr(module, "TOLD", 3.0)
     far = found.problem.values + 1e-3
     monkeypatch.setattr(renewal, "refit", lambda settings, *_: linearize_at(settings, far))  # one that ran away
     assert widened(found) is found

@@ -12,7 +12,7 @@ import numpy as np
 
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
-from kilter_core.gap.noise.unseen_approach import with_approach
+from kilter_core.gap.noise.unseen_approach import of_approach
 from kilter_core.gap.noise.visits import Visits, apart
 from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.observations.groups import centred, unbiased
@@ -56,8 +56,8 @@ class Noise:
     of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats showed
     of drift; ``most`` says that it may hold drift, so that noise is this at most. ``repeats`` are the rows it
     was read from, where repeated approaches showed it. Where none did, ``readings`` (V, m, m) is what the rows of a visit
-    show, and the fit says what share the approach has. The last scalars may be of ``kinds`` beside the tool, so many of
-    each.
+    show, ``row_readings`` (m, m) of a single row, and the fit says what the approach adds. The last scalars may be of
+    ``kinds`` beside the tool, so many of each.
     """
 
     visit: Floats
@@ -73,6 +73,17 @@ class Noise:
     repeats: RepeatRows | None = None
     kinds: tuple[int, ...] = ()
     readings: Floats | None = None
+    row_readings: Floats | None = None
+
+    @property
+    def over_readings(self) -> float:
+        """Variance of visits over that of their readings alone, the mean of lengths and rotations; 1 where repeats show all."""
+        if self.readings is None:
+            return 1.0
+        tool = self.of_tool()
+        blocks = blocks_of(len(tool.row), tool.lengths)
+        whole, read = ([np.einsum("vii->", v[:, own, own]) for own in blocks] for v in (tool.visit, self.readings))
+        return float(np.mean(np.divide(whole, np.maximum(read, SMALLEST**2))))
 
     @property
     def coordinate(self) -> float:
@@ -87,7 +98,8 @@ class Noise:
         """
         if self.kinds:
             return self.of_tool().even().beside(self)
-        return replace(self, visit=even(self.visit), row=even(self.row), readings=None)
+        read, of_row = (None if one is None else even(one) for one in (self.readings, self.row_readings))
+        return replace(self, visit=even(self.visit), row=even(self.row), readings=read, row_readings=of_row)
 
     def of_tool(self) -> Noise:
         """The noise of the tool alone."""
@@ -194,7 +206,7 @@ def repeat_noise(
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
         visit = np.asarray(rows_cov * share[:, None, None])
         made = _noise(visit, rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
-        return replace(made, absolute=False, source=WITHIN, readings=visit)
+        return replace(made, absolute=False, source=WITHIN, readings=visit, row_readings=made.row)
     total = _between(repeats, lengths)
     if _too_few(k_within):
         seen = spread(total, k_between, at, at)
@@ -267,10 +279,10 @@ def approached(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -
     if noise.kinds:
         tool = noise.of_tool()
         return approached(tool, visit_residual[:, : len(tool.row)], used, lost).beside(noise)
-    if noise.readings is None:
+    if noise.readings is None or noise.row_readings is None:
         return noise
-    blocks = blocks_of(len(noise.row), noise.lengths)
-    return replace(noise, visit=with_approach(noise.readings, visit_residual, used, lost, blocks))
+    added = np.diag(of_approach(noise.readings, visit_residual, used, lost, blocks_of(len(noise.row), noise.lengths)))
+    return replace(noise, visit=noise.readings + added, row=noise.row_readings + added)
 
 
 def sensors(residual: Floats, condition: Ints | None, kinds: tuple[int, ...], count: Ints) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ import scipy.linalg
 
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.budget import Budget
-from kilter_core.gap.noise.from_repeats import Noise, fit_noise, repeat_noise, sensors, spikes, stated_noise
+from kilter_core.gap.noise.from_repeats import Noise, approached, fit_noise, repeat_noise, sensors, spikes, stated_noise
 from kilter_core.gap.noise.motion import (
     averaged,
     blocks,
@@ -144,8 +144,9 @@ class _Preparation:
         noise = self._noise(source, values, rows, visits)
         one, held = (None, False) if moving else rounding(source, values, rows.q, visits, noise)
         self.warnings += rounding_warnings(one, source, held)
+        left, every = source.residual(values), np.ones(len(visits), dtype=bool)
         settings = ProblemSettings(
-            source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute,
+            source, approached(noise, left, every, _lost(source, left)), every, visits.pose, trusted=noise.absolute,
             rounding=None if held else one,
         )  # fmt: skip
         problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
@@ -292,8 +293,8 @@ class _Preparation:
         if visits.observations.sigma is not None and not linear:
             return stated_noise(visits.observations.sigma, visits, size)
         self.warnings.append(no_repeats_warning(visits))
-        lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
-        return source.even(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost))
+        every = np.ones(len(visits), dtype=bool)
+        return source.even(fit_noise(visit_residual, visits, every, _lost(source, visit_residual)))
 
     def _stated(self, visits: Visits) -> float | None:
         """Standard deviation m of a coordinate of a row, as the instrument states it: the columns of rows, else the option."""
@@ -361,6 +362,11 @@ def windowed(
 ) -> Observations:
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
     return averaged(rows, source.residual_of_rows(values, rows, tick), windows_of(rows, width), source.live)
+
+
+def _lost(source: Source, residual: Floats) -> float:
+    """Share of the freedom of residuals (V, m) that the geometry took."""
+    return min(0.9, int(np.sum(~source.soft)) / max(residual.size, 1))
 
 
 def _weighed(problem: LinearizedProblem) -> LinearizedProblem:

@@ -15,6 +15,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.parameters import Prior
 from kilter_core.types import Floats
 
+UNHELD = 1e-8  # of the information of a prior: what is left of it where rows are asked alone
 SMALLEST = 1e-9  # inflation of a fit that leaves nothing, as of simulations without noise
 
 
@@ -45,6 +46,26 @@ def amounts_of(found: SearchResult) -> Amounts:
     step = np.linalg.solve(H, B.T @ problem.raw - prior.stiff(away)) * prior.sigma
     own = slice(len(source.prior_mean), None)
     return Amounts(values, values + step[own], covariance[own, own])
+
+
+def by_rows(found: SearchResult) -> tuple[Floats, Floats]:
+    """Sizes (d,) of the named parameters that the rows ask for whatever their priors say, and their standard deviations.
+
+    The geometry keeps its own priors. Those that the rows do not tell from one another are as uncertain as that makes them.
+    """
+    problem, columns = found.problem, found.columns
+    source, library = problem.settings.source, problem.settings.source.library_sigma[columns]
+    J = np.hstack([source.prior.columns(problem.G), problem.W_raw[:, columns] * (problem.size[columns] * library)])
+    away = np.concatenate(
+        [source.prior.apart(source.prior.away(source.geometry(problem.values))), np.zeros(len(columns))]
+    )
+    weight = np.concatenate([np.ones(len(source.prior_mean)), np.full(len(columns), UNHELD)])
+    H = J.T @ J + np.diag(weight)
+    covariance = np.linalg.inv(H)
+    own = slice(len(source.prior_mean), None)
+    step = (covariance @ (J.T @ problem.raw - weight * away))[own] * library
+    deviation = np.sqrt(np.diag(covariance)[own]) * library * widening(found)
+    return np.abs(source.library(problem.values)[columns] + step), deviation
 
 
 def of_all(found: SearchResult) -> tuple[Floats, Prior, Floats]:

@@ -1,9 +1,10 @@
 """Amplitudes far beyond what is usual, fitted again under the size that the rows show: a prior would pull them towards zero.
 
 The prior of an amplitude says how large it usually is, and keeps what the rows hardly show near zero while a search tries
-one effect after another. Of one that was named, twenty times larger than usual, it took several standard deviations.
-Amplitudes that the rows do not know well by themselves keep their priors: without them, curves of a joint that imitate one
-another and the geometry ran to the ends of their ranges, and the error of a real arm from 0.4 to 2.7 mm.
+one effect after another. Of one that was named, twenty times larger than usual, it took several standard deviations, and
+where the rows know it less well than the prior does, nearly all. Amplitudes that the rows do not tell from zero by
+themselves keep their priors: without them, curves of a joint that imitate one another and the geometry ran to the ends of
+their ranges, and the error of a real arm from 0.4 to 2.7 mm.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.gap.evidence.fits.final_fit import amounts_of
+from kilter_core.gap.evidence.fits.final_fit import by_rows
 from kilter_core.gap.evidence.fits.fitted_again import fitted_again, repeated
 from kilter_core.gap.search.forward_selection import SearchResult
 
 LARGER = 1.5  # times the prior deviation, from which an amplitude has a prior of its own size
-KNOWN = 0.7  # of the prior deviation, the most that an amplitude may be uncertain by: the rows then say as much as the prior
+TOLD = 3.0  # of its standard deviations by the rows alone, beside those of all other names, from which they tell it
+WIDTH = 2.0  # of what the rows ask for: a prior that takes less than a tenth of a standard deviation of what is told
 PASSES = 2  # the first still finds it pulled
 
 
@@ -34,12 +36,12 @@ def _once(found: SearchResult) -> SearchResult:
     if not columns:
         return found
     source, prior = problem.settings.source, problem.settings.source.library_sigma
-    fit = amounts_of(found)
-    size, known = np.abs(fit.values), np.sqrt(np.diag(fit.covariance)) < KNOWN * prior[columns]
-    far = known & (size > LARGER * prior[columns])
+    asked, unsure = by_rows(found)
+    far = (asked > TOLD * unsure) & (asked > LARGER * prior[columns])
     if not np.any(far):
         return found
     sigma = prior.copy()
-    sigma[np.array(columns)[far]] = size[far]
+    own = np.array(columns)[far]
+    sigma[own] = np.maximum(sigma[own], WIDTH * asked[far])
     again = fitted_again(found, replace(source, library_sigma=sigma))  # type: ignore[type-var]
     return found if again.problem.chi2 > problem.chi2 else again

@@ -98,6 +98,7 @@ def adequacy(problem: LinearizedProblem, condition: Ints, chosen: Sequence[int])
     noise = problem.settings.noise
     if not noise.absolute and noise.source != WITHIN:
         return Adequacy(left.yy, left.nu, lof, None)
+    lof *= noise.over_readings  # only a residual as small as the readings' own scatter says anything
     law = chi2(lof_freedom, scale=1.0 / lof_freedom) if np.isinf(noise.freedom) else f(lof_freedom, noise.freedom)
     high, low = float(law.sf(lof)), float(law.cdf(lof))
     return Adequacy(left.yy, left.nu, lof, high, not noise.absolute, low, noise.most)
