@@ -12,7 +12,9 @@ from kilter_core.evaluate import far_off
 from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors
 from kilter_core.identify.comparison.other_setups import elsewhere
 from kilter_core.identify.estimate import new_frames, refitted
+from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.view_report import tell_less
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
@@ -31,6 +33,8 @@ def evaluate(
 
     ``rows`` has the error of each row, measured minus predicted, and the half width of the 95 % interval in which what is
     ``known`` of the calibration expects it, None without; ``within_u95`` is the share of the coordinates that are there.
+    Of rows that are views alone ``left_open`` is how far off the tool may be there by what is known, which views hardly
+    show; None of others.
 
     ``refit`` names the frames fitted anew to these observations: [], ["base"] or ["base", "tool"] (the tracker was set
     up anew). ``registration_only`` fits both frames of the nominal robot, whatever ``refit`` says. ``without_effects`` is the
@@ -53,19 +57,29 @@ def evaluate(
         stages["without_effects"] = refitted(rigid, measurement, anew)
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     if not measurement.observes_places:  # what a row misses by is known against the others only
+        left, shown = _left_open(stages["identified"], measurement, known), errors["identified"].to_document()["rms_mm"]
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
         return {
             "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
-            "within_u95": None, "rows": none.to_document(), "warnings": [],
+            "within_u95": None, "left_open": left, "rows": none.to_document(),
+            "warnings": list(tell_less(left, shown, "By these views")),
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
     stages["without"] = refitted(nominal, measurement, tuple(refit))
     within = table.within
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
-        "within_u95": within, "rows": table.to_document(),
+        "within_u95": within, "left_open": None, "rows": table.to_document(),
         "warnings": _warnings(stages, measurement, refit, table),
     }  # fmt: skip
+
+
+def _left_open(calibration: Calibration, measurement: Measurement, known: Predictive | None) -> dict[str, float] | None:
+    """Millimetres as an identification to views has them, at these poses; None where something else tells where the tool is."""
+    if known is None or not measurement.tool.places_itself:
+        return None
+    found = left_open(calibration, known, measurement.observations)
+    return {"rms_mm": mm(found.rms), "high_mm": mm(found.high)}
 
 
 def _warnings(

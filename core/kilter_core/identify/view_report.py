@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -81,14 +81,15 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
     }  # fmt: skip
 
 
-def tell_less(said: dict[str, Any], held_mm: float | None) -> Iterator[dict[str, Any]]:
-    """Warn where a fit to views leaves more open than views show that were held out, ``held_mm`` rms."""
-    left = (said.get("pixels") or {}).get("left_open")
+def tell_less(
+    left: Mapping[str, float] | None, held_mm: float | None, seen: str = "By views held out"
+) -> Iterator[dict[str, Any]]:
+    """Warn where a fit to views ``left`` more open than views show, ``held_mm`` rms, which were ``seen`` apart from it."""
     if left is None or held_mm is None or left["rms_mm"] <= BEYOND_SHOWN * held_mm:
         return
     yield {
         "code": "views_tell_less", "rms_mm": left["rms_mm"], "high_mm": left["high_mm"],
-        "message": f"By views held out the tool is off by {held_mm:.3g} mm rms, but these views leave more open: "
+        "message": f"{seen} the tool is off by {held_mm:.3g} mm rms, but the views that were fitted leave more open: "
         f"{left['rms_mm']:.3g} mm rms, up to {left['high_mm']:.3g} mm (95 %), most of it along the lines of sight and in how "
         "large everything is. Take views from nearer, or of a larger board, or measure a length: two points of known distance, "
         "sockets, a few points of a tracker.",

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.evaluate import evaluate
 from kilter_core.identify import IdentifyOptions, identify
 from tests.core.measurement.test_pixels import STIFF, registered_error
 from tests.core.pixel_scene import Scene, eye_to_hand, grid
@@ -39,6 +41,12 @@ def test_what_views_hardly_show_is_told_beside_what_they_show() -> None:
         shown.append(pixels["validation"]["rms_mm"])
         warned += "views_tell_less" in {w["code"] for w in found.warnings}
         assert off[-1] < pixels["left_open"]["high_mm"]
+        judged = evaluate(
+            found.calibration, scene.observed(scene.poses(40, rng, fewest=6), rng, 0.3), (), found.predictive
+        )
+        assert judged["left_open"]["rms_mm"] == pytest.approx(expected[-1], rel=0.2)
+        told = {w["code"]: w["message"] for w in judged["warnings"]}
+        assert ("views_tell_less" in told) == (judged["left_open"]["rms_mm"] > 1.25 * judged["identified"]["rms_mm"])
     size = np.sqrt(np.mean(np.square(off)))
     assert 0.6 < size / np.sqrt(np.mean(np.square(expected))) < 1.5
     assert np.sqrt(np.mean(np.square(shown))) < 0.6 * size

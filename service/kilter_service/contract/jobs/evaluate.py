@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from kilter_service.contract.cameras import LeftOpen
 from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.jobs.shared import NewFrames, Version
 from kilter_service.contract.remarks import Remark
@@ -34,6 +35,11 @@ class CampaignErrors(StageErrors):
     name: str | None = Field(None, description="What the campaign was called; null: an earlier release did not say it.")
     within_u95: float | None = Field(
         None, description="Share of the coordinates whose error is within its 95 % interval; null: nothing is known."
+    )
+    left_open: LeftOpen | None = Field(
+        None,
+        description="Of views: how far off the tool may be at these poses by what the version's fit leaves open, which views "
+        "hardly show. Null: not known, or something else tells where the tool is.",
     )
 
 

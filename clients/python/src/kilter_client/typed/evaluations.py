@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownEvaluation
 from kilter_client.typed.budgets import Budget
+from kilter_client.typed.cameras import LeftOpen
 from kilter_client.typed.fits import Errors, Remark
 
 
@@ -25,6 +26,8 @@ class CampaignErrors(Record):
     """Earlier name, of two things: of an identification the same as `geometry_fitted`, of an evaluation as `without_effects`."""
     identified: Errors | None
     """The model that was identified."""
+    left_open: LeftOpen | None
+    """Of views: how far off the tool may be at these poses by what the version's fit leaves open, which views hardly show. Null: not known, or something else tells where the tool is."""
     left_out: int | None
     """Rows that were left out of them, as no measurements; None: not known."""
     n: int | None

@@ -122,8 +122,12 @@ def _pixels(pixels: Mapping[str, Any]) -> None:
             low, high = number(tool["low_mm"]), number(tool["high_mm"])
             off = f"{number(tool['rms_mm'])} mm rms (95 %: {low} to {high} mm)"
             say(f"the tool in {where} is off by {off}, the noise of the views taken off")
-    if left := pixels.get("left_open"):
-        may = f"{number(left['rms_mm'])} mm rms (95 %: up to {number(left['high_mm'])} mm)"
+    _left_open(pixels)
+
+
+def _left_open(block: Mapping[str, Any], where: str = "") -> None:
+    if left := block.get("left_open"):
+        may = f"{number(left['rms_mm'])} mm rms (95 %: up to {number(left['high_mm'])} mm){where}"
         say(f"by what the fit leaves open the tool may be off by {may}; views hardly see size and distance")
 
 
@@ -167,6 +171,8 @@ def _metrics(metrics: Mapping[str, Any], train: str) -> None:
     for name, block in blocks:
         if block.get("within_u95") is not None:
             say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")
+        if train != "train":
+            _left_open(block, f" in {name}")
         if block.get("budget"):
             _show_budget(name, block["budget"])
 
