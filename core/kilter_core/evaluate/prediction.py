@@ -56,16 +56,16 @@ def evaluate(
     if len(rigid.model.effects) < len(calibration.model.effects):
         stages["without_effects"] = refitted(rigid, measurement, anew)
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+    stages["without"] = refitted(nominal, measurement, tuple(refit))
     if not measurement.observes_places:  # what a row misses by is known against the others only
         left, shown = _left_open(stages["identified"], measurement, known), errors["identified"].to_document()["rms_mm"]
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
         return {
             "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
             "within_u95": None, "left_open": left, "rows": none.to_document(),
-            "warnings": list(tell_less(left, shown, "By these views")),
+            "warnings": [*_worse(stages, measurement), *tell_less(left, shown, "By these views")],
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
-    stages["without"] = refitted(nominal, measurement, tuple(refit))
     within = table.within
     return {
         "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},

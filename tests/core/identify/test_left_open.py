@@ -61,3 +61,16 @@ def test_a_large_board_near_by_leaves_less_open_than_it_shows() -> None:
     assert left["high_mm"] < 0.05
     assert left["rms_mm"] < 1.25 * shown["high_mm"]
     assert "views_tell_less" not in {w["code"] for w in found.warnings}
+
+
+def test_a_version_that_views_refute_is_said_to_be_worse_than_none() -> None:
+    scene, rng = eye_to_hand({"theta_offset_2": 2e-3}, STIFF), np.random.default_rng(3)
+    rows = scene.observed(scene.poses(40, rng), rng, 0.1)
+    found = identify(robot_from_document(scene.drawn.document()), rows, 0.25, ASKED)
+    fine = evaluate(found.calibration, rows, (), found.predictive)["warnings"]
+    assert {one["code"] for one in fine} <= {"views_tell_less"}
+    values = found.calibration.values.copy()
+    values[list(found.calibration.names).index("theta_offset_3")] += 0.01
+    said, *_ = evaluate(replace(found.calibration, values=values), rows, (), found.predictive)["warnings"]
+    assert said["code"] == "worse_than_without"
+    assert said["identified_mm"] > 5.0 * said["simpler_mm"]
