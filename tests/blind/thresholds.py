@@ -76,7 +76,7 @@ SEARCH = (
     "search.rows.outliers.SUPPLE",
     "noise.from_repeats.SPIKE",
     "noise.from_repeats.SPHERICAL",
-    "search.linear.bases.SEEN",
+    "search.linear.bases.FIRM",
     "evidence.local_bump.FAIR",
     "evidence.similarity.testability.BARELY",
     "evidence.held_out.holding_out.SHARE",

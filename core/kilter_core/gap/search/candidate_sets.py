@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats, Ints
 
@@ -135,6 +136,16 @@ class CandidateSets:
         while len(left) > 1 and max(tails := self.tails(gram, (*rest, *left))[len(rest) :]) >= TRACE:
             left = tuple(k for n, k in enumerate(left) if n != int(np.argmax(tails)))
         return left
+
+    def among_pairs(self, given: Gram, pair: tuple[int, int], critical: float) -> bool:
+        """Whether two together take more than the best of all pairs would of noise of unknown size."""
+        if self.scorer.absolute:
+            return True
+        columns = self.columns(pair)
+        d, S = given.rank(columns), given.reduction(columns)
+        free = max(given.nu - d, 1.0)
+        p = float(tail(S / max((given.yy - S) / free, 1e-12), d, free))
+        return p * len(self.scorer.candidates) < critical
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""

@@ -17,7 +17,6 @@ from kilter_core.gap.search.candidate_sets import CandidateSets
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.linear.linearized import Tick, go_on
-from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.reach import Reach
 from kilter_core.gap.search.scan import Scores
 from kilter_core.types import Bools, Floats
@@ -28,6 +27,7 @@ MOST_JOINTS = 0.6
 MOST_OF_IT = 0.5  # of what is left, from which an addition is tried plain when what it was improved to failed
 TRIED = 4
 SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
+BROAD = 4  # parameters from which an effect imitates two of others: a base that drifts in all ways, one that bends and a zero
 SAME = 1e-6  # criterion points that are rounding errors
 HIDING = 3.0  # standard deviations of chi-square above its freedom at which effects may hide one another
 PAIRED = 25
@@ -168,8 +168,10 @@ class Selector(CandidateSets):
         return reach
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
-        """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
-        for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
+        """Replace a family, or another of many parameters, by two others that together explain as much for less: it
+        imitates both.
+        """
+        for family in (k for k in chosen if self._broad(k)):
             rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
             variance = self.variance(problem, chosen)
             first, _ = self._best_instead(problem, rest, variance, critical, set(chosen))
@@ -182,6 +184,10 @@ class Selector(CandidateSets):
             if max(self.tails(gram, after)[len(rest) :]) < critical:
                 chosen = after
         return chosen
+
+    def _broad(self, k: int) -> bool:
+        candidate = self.scorer.candidates[k]
+        return candidate.level == FAMILY or len(candidate.columns) >= BROAD
 
     def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Name an effect of most joints as a family, one of few joints by its joints, each significant alone."""
@@ -271,7 +277,8 @@ class Selector(CandidateSets):
         pair = self.pair(gram, chosen, critical) if self.names(chosen) + 2 <= most else None
         if pair is not None:
             after = self.improved(gram, (*chosen, *pair), critical)
-            if self.names(after) <= most and set(after) > set(chosen) and frozenset(after) not in seen:
+            new = frozenset(after) not in {frozenset(chosen), *seen} and self.names(after) <= most
+            if new and (set(after) > set(chosen) or self.beats(gram, after, chosen)):
                 return after
         after = self.with_family(gram, chosen, critical, most)
         if frozenset(after) not in {frozenset(chosen), *seen}:
@@ -319,19 +326,11 @@ class Selector(CandidateSets):
                 continue
             both = (*chosen, k, m)
             value = self.criterion(gram, both, self.variance(gram, both))
-            if value > most and max(self.tails(gram, both)) < critical and self._among_pairs(given, (k, m), critical):
+            # Beside both a member may turn out to be nothing, which stood for them: it is dropped after.
+            shown = max(self.tails(gram, both)[len(chosen) :]) < critical
+            if value > most and shown and self.among_pairs(given, (k, m), critical):
                 best, most = (k, m), value
         return best
-
-    def _among_pairs(self, given: Gram, pair: tuple[int, int], critical: float) -> bool:
-        """Whether two together take more than the best of all pairs would of noise of unknown size."""
-        if self.scorer.absolute:
-            return True
-        columns = self.columns(pair)
-        d, S = given.rank(columns), given.reduction(columns)
-        free = max(given.nu - d, 1.0)
-        p = float(tail(S / max((given.yy - S) / free, 1e-12), d, free))
-        return p * len(self.scorer.candidates) < critical
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""

@@ -7,16 +7,22 @@ import numpy as np
 from kilter_core.gap.search.linear.gram import VISIBLE
 from kilter_core.types import Floats
 
-SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
+FIRM = 30.0  # data sigmas that one prior sigma of a geometric direction moves, from which its prior adds nothing to the data
+UNFELT = 1e-3  # the same, below which nothing shows it
 
 
-def seen(scaled: Floats) -> Floats:
-    """Orthonormal basis of the directions of geometry that the data see at all."""
+def apart(scaled: Floats) -> tuple[Floats, Floats]:
+    """Directions (P, f) of geometry, columns ``scaled (R, P)`` by prior sigmas, that the data know by themselves, and those
+    (P, w) that their priors know as well, whatever else is fitted: freed of them, they would follow an effect that nearly
+    imitates them to many prior sigmas.
+    """
     if scaled.shape[1] == 0 or len(scaled) == 0:
-        return np.zeros((len(scaled), 0))
-    Q, R = np.linalg.qr(scaled)
-    u, s, _ = np.linalg.svd(R)
-    return np.asarray(Q @ u[:, : len(s)][:, s > max(SEEN, 1e-10 * float(s[0]))])
+        return np.zeros((scaled.shape[1], 0)), np.zeros((scaled.shape[1], 0))
+    _, s, vt = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+    size = np.zeros(len(vt))
+    size[: len(s)] = s
+    firm = size > max(FIRM, 1e-10 * float(s[0]))
+    return vt[firm].T, vt[~firm & (size > UNFELT)].T
 
 
 def orthonormal(W: Floats) -> Floats:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from kilter_core.gap.search.linear.bases import seen
 from kilter_core.gap.search.linear.derivatives import Derivatives
 from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.less_geometry import less_geometry
 from kilter_core.gap.search.linear.projection import Projection
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.linear.soft import Soft
 from kilter_core.types import Floats
 
 
@@ -37,13 +36,8 @@ class Firm:
     @cached_property
     def _made(self) -> Gram:
         source = self.settings.source
-        told = source.soft & ~source.of_loads
-        prior = source.prior.part(told)
-        B = prior.columns(self.derivatives.G[:, told])
-        soft = Soft.of(B)
-        U = seen(soft((self.derivatives.G * source.prior_sigma)[:, self.settings.hard]))
         y = self.raw + self.derivatives.W @ (source.library(self.values) * self.size)
-        y = soft(y + B @ prior.apart(prior.away(source.geometry(self.values)[told])))
-        y -= U @ (U.T @ y)
+        told = source.soft & ~source.of_loads
+        soft, U, y = less_geometry(self.settings, self.values, self.derivatives.G, y, told)
         products = Projection.of(soft, U, self.derivatives.W).products(y)
         return Gram(*products, float(y @ y), self.nu + self.directions - U.shape[1])

@@ -14,10 +14,11 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.gap.search.linear.bases import lengths, orthonormal, seen
+from kilter_core.gap.search.linear.bases import lengths, orthonormal
 from kilter_core.gap.search.linear.derivatives import Derivatives
 from kilter_core.gap.search.linear.firm import Firm
 from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.less_geometry import less_geometry
 from kilter_core.gap.search.linear.projection import Projection, Stacked
 from kilter_core.gap.search.linear.ranges import ends, exactly_within
 from kilter_core.gap.search.linear.settings import ProblemSettings
@@ -152,16 +153,9 @@ def linearize_at(
     """
     made, r, norm = Derivatives.at(settings, values, batch, only)
     G, W, unit = made.G, made.W, np.where(norm > 0.0, norm, 1.0)
-    source, hard = settings.source, settings.hard
-    prior = source.prior.part(~hard)
-    B = prior.columns(G[:, ~hard])
-    soft = Soft.of(B)
-    U = seen(soft((G * source.prior_sigma)[:, hard]))
-    library = source.library(values)
+    library = settings.source.library(values)
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
-    # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
-    y = soft(y + B @ prior.apart(prior.away(source.geometry(values)[~hard]))) if len(soft.shrink) else y
-    y -= U @ (U.T @ y)
+    soft, U, y = less_geometry(settings, values, G, y, settings.source.soft)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(settings.numbers / settings.inflation - U.shape[1])
     scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
