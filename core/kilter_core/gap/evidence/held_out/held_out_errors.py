@@ -35,7 +35,7 @@ SURE_GAP = (
 )
 DRAWS = 999  # of the held-out poses, behind the interval of their error
 FEWEST_DRAWN = 5  # poses below which drawing them again says too little
-SPIKES_SURE = 0.99  # chance that so many interrupted laser beams at that share are no more than counted
+SPIKES_SURE = 0.99  # chance that so many visits with interrupted laser beams at that share are no more than counted
 
 
 @dataclass(frozen=True)
@@ -176,12 +176,16 @@ class HoldoutEvaluator:
         """Held-out rows that are measurements: all but spikes, unless those are more than interrupted laser beams explain.
 
         A share alone would call one interrupted laser beam among thirty rows structure, and let it decide what the
-        others cannot. Where more of the rows of the search were wrong, as many are to be expected here.
+        others cannot. Where more of the rows of the search were wrong, as many are to be expected here. What disturbs one
+        row of a visit disturbs all of it, so visits are counted.
         """
         before, after = self.errors([]), self.errors(self.search.columns)
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
         share = max(SPIKES, 1.0 - float(np.mean(self.search.problem.settings.used)))
-        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
+        if self.rows is None:
+            return np.ones(len(spike), dtype=bool)
+        visit = np.arange(len(spike)) if self.moving else np.unique(self.rows.visits(), return_inverse=True)[1]
+        if len(np.unique(visit[spike])) > binom.ppf(SPIKES_SURE, visit.max() + 1, share):
             return np.ones(len(spike), dtype=bool)
         return np.asarray(~spike)
 
