@@ -24,7 +24,6 @@ from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.gap import GapReport, find_gap
-from kilter_core.gap.search.linear.gram import Gram, by_eigenvalues
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 
@@ -84,25 +83,8 @@ def timed(label: str, run: Callable[[], GapReport], limit: float) -> None:
     print(f"{label:34s} {took:7.1f} s (limit {limit:.0f})  {memory:6.0f} MB  {report.verdict}: {names}", flush=True)
 
 
-def inverses(columns: int = 60, times: int = 200) -> None:
-    """Print the processor time of an inverse of a set's own block, by eigenvalues and as a selection makes it."""
-    W = np.random.default_rng(2).standard_normal((10 * columns, columns))
-    A = np.asarray(W.T @ W / len(W))
-    known = np.arange(columns)
-    took = []
-    for make in (lambda: by_eigenvalues(A), lambda: Gram(A, A[0], 1.0, 1.0).inverse(known)):
-        began = time.process_time()
-        for _ in range(times):
-            make()
-        took.append((time.process_time() - began) / times * 1e3)
-    print(
-        f"inverse of {columns} columns: by eigenvalues {took[0]:.2f} ms, now {took[1]:.2f} ms, {took[0] / took[1]:.1f} to 1"
-    )
-
-
 def main() -> None:
     """Run all cases, the small one first to compile the kernels."""
-    inverses()
     robot = robot_from_document(preset_document("ur10"))
     find_gap(robot, poses(robot, 60))
     timed("118 poses", lambda: find_gap(robot, poses(robot, 118)), 20)

@@ -1,4 +1,4 @@
-"""Inverses of candidates' own blocks: those of numpy's pseudo-inverse, by whichever way they are made."""
+"""Inverses of candidates' own blocks and conditioning on sets: those of numpy's own least squares, by whichever way."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kilter_core.gap.search.linear.gram import VISIBLE, Gram, triangular
+from kilter_core.gap.search.linear.fewer import Fewer
+from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram
 from kilter_core.gap.search.linear.recent import Recent
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
@@ -29,16 +30,42 @@ def gram_of(A: Floats) -> Gram:
 def test_an_inverse_is_that_of_a_pseudo_inverse(smallest: float) -> None:
     A = with_eigenvalues(np.r_[smallest, np.linspace(0.1, 3.0, 30)])
     inverse, rank = gram_of(A).inverse(range(31))
-    assert triangular(A) is not None
     assert rank == 31
-    assert np.allclose(inverse, np.linalg.pinv(A, rcond=1e-12, hermitian=True), rtol=0.0, atol=1e-9 / smallest)
+    expected = np.linalg.pinv(A, rcond=1e-12, hermitian=True)
+    assert np.allclose(inverse, expected, rtol=0.0, atol=1.1 * RIDGE / smallest**2)
 
 
 @pytest.mark.parametrize(("smallest", "rank"), [(1.5 * VISIBLE, 31), (0.5 * VISIBLE, 30), (0.0, 30), (-1e-12, 30)])
 def test_a_direction_at_the_limit_is_judged_by_its_eigenvalue(smallest: float, rank: int) -> None:
     A = with_eigenvalues(np.r_[smallest, np.linspace(0.1, 3.0, 30)])
-    assert triangular(A) is None
     assert gram_of(A).inverse(range(31))[1] == rank
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_set_takes_no_less_with_a_column_more(seed: int) -> None:
+    """Where each set dropped the directions that it could not see, one column more could drop one that told."""
+    gram = world(seed)[0]
+    order = list(map(int, np.random.default_rng(seed).permutation(24)))
+    taken = [gram.reduction(order[:n]) for n in range(25)]
+    ranks = [gram.rank(order[:n]) for n in range(25)]
+    assert min(np.diff(taken)) > -1e-5
+    assert set(np.diff(ranks)) <= {0, 1}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_set_less_a_few_columns_is_the_rest_of_it(seed: int) -> None:
+    """Near-copies (3 and 20), copies (4 and 21), columns that stay and that go; what is scanned beside the rest, too."""
+    gram, selector = world(seed)
+    columns = [1, 3, 4, 9, 14, 20, 21]
+    for out in ([], [9], [20], [3, 20], [4, 14], [21, 1, 3], columns):
+        rest = [k for k in columns if k not in out]
+        less, given = Fewer(gram, columns).without(out).given, gram.given(rest)
+        assert less.nu == given.nu
+        assert less.yy == pytest.approx(given.yy, rel=1e-7)
+        assert np.allclose(less.A, given.A, rtol=0.0, atol=1e-8)
+        (S, d), (expected, degrees) = (selector.scorer.reductions(g, g.c[None]) for g in (less, given))
+        assert np.array_equal(d, degrees)
+        assert np.allclose(S, expected, rtol=1e-5, atol=1e-5)
 
 
 def test_no_columns_have_no_inverse() -> None:
@@ -81,7 +108,7 @@ def test_candidates_take_what_least_squares_says(taken: tuple[int, ...]) -> None
         ranks = [np.linalg.matrix_rank(W[:, c], tol=1e-6) if c else 0 for c in (both, list(taken))]
         assert d[k] == ranks[0] - ranks[1]
         signed = selector.scorer.one_sided[k] and S[0, k] == 0.0  # against its known sign it takes nothing
-        assert signed or S[0, k] == pytest.approx(left(list(taken)) - left(both), abs=1e-8)
+        assert signed or S[0, k] == pytest.approx(left(list(taken)) - left(both), abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -71,11 +71,11 @@ def test_conditioning_twice_is_conditioning_once():
     Q = np.linalg.qr(W[:, [1, 4, 7]])[0]
     left, r = W - Q @ (Q.T @ W), y - Q @ (Q.T @ y)
     for given in (gram.given([1, 4, 7]), gram.given([1]).given([4, 7])):
-        assert pytest.approx(left.T @ left, abs=1e-9) == given.A
-        assert given.c == pytest.approx(left.T @ r, abs=1e-9)
+        assert pytest.approx(left.T @ left, abs=1e-6) == given.A
+        assert given.c == pytest.approx(left.T @ r, abs=1e-6)
         assert (given.yy, given.nu) == (pytest.approx(float(r @ r)), 77.0)
         blocks = given.blocks(np.array([[0, 2], [3, 5]]))
-        assert blocks[1] == pytest.approx((left.T @ left)[np.ix_([3, 5], [3, 5])], abs=1e-9)
+        assert blocks[1] == pytest.approx((left.T @ left)[np.ix_([3, 5], [3, 5])], abs=1e-6)
 
 
 def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
@@ -87,7 +87,7 @@ def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
             assert S[0, place] == 0.0
             continue
         u, size, _ = np.linalg.svd(problem.W[:, columns], full_matrices=False)
-        assert S[0, place] == pytest.approx(np.sum((u[:, size**2 > 1e-7].T @ problem.y) ** 2), abs=1e-6)
+        assert S[0, place] == pytest.approx(np.sum((u[:, size**2 > 1e-7].T @ problem.y) ** 2), rel=1e-5)
 
 
 @pytest.mark.parametrize(("d", "freedom"), [(1, 20), (4, 20), (2, np.inf)])

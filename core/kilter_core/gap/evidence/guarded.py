@@ -94,7 +94,7 @@ class Guard:
             return None
         problem = self.found.problem
         try:
-            values = solved(problem.settings, problem.values, columns)[0]
+            values = solved(problem.settings, problem.values, columns)
             other = problem.settings.source.calibrated(values, self.version.model, self.begin)
         except (CoreError, np.linalg.LinAlgError):
             return None

@@ -11,20 +11,20 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-HIDDEN = 1e-14  # square of a unit column below which what is taken holds all of it
+SURELY = 0.4  # of a direction that ridges may take off a whole number of them: less than half changes none
 FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
 
 
 @compiled(**FAST)
 def reductions(
-    whole: Floats, c: Floats, K: Floats, along: Floats, wanted: Bools, starts: Ints, columns: Ints,
-    visible: float, surely: float, S: Floats, d: Ints,
+    whole: Floats, c: Floats, K: Floats, along: Floats, copies: Floats, free: Bools, wanted: Bools, starts: Ints,
+    columns: Ints, ridge: float, S: Floats, d: Ints,
 ) -> None:  # fmt: skip
     """Write chi-square ``S (N,)`` that each wanted candidate takes, and in how many directions ``d (N,)``.
 
-    The columns of candidate n are ``columns[starts[n]:starts[n + 1]]`` of ``whole (Q, Q)``, less ``K (Q, t)`` times
-    ``along (Q, t)``. Directions with an eigenvalue up to ``visible`` count as none; they are looked for by eigenvalues only
-    where the trace of the inverse is not below ``surely``, which no eigenvalue too small to count is.
+    The columns of candidate n are those of ``columns[starts[n]:starts[n + 1]]`` that are ``free (Q,)``, of ``whole (Q, Q)``
+    less ``K (Q, k)`` times ``along (Q, k)``, with the ``ridge`` added to the square of each. Its directions are what they
+    add to the trace of the fit, to which those that are taken, ``copies (Q, t)`` of them in each column, belong.
     """
     widest = 1
     for n in range(len(starts) - 1):
@@ -35,21 +35,22 @@ def reductions(
             continue
         size = 0
         for k in range(starts[n], starts[n + 1]):
-            square = _product(whole, K, along, columns[k], columns[k])
-            if square > HIDDEN:
-                own[size], A[size, size] = columns[k], square
+            if free[columns[k]]:
+                own[size] = columns[k]
                 size += 1
-        if size == 0:
-            S[n], d[n] = 0.0, 0
-        elif size == 1:
-            seen = A[0, 0] > visible
-            S[n], d[n] = (c[own[0]] ** 2 / A[0, 0] if seen else 0.0), (1 if seen else 0)
-        elif _factored(whole, c, K, along, own[:size], A, z) and _trace(A, size) < surely:
-            d[n], S[n] = size, 0.0
+        S[n], d[n] = 0.0, 0
+        if size > 0:
+            _factored(whole, c, K, along, ridge, own[:size], A, z)
             for a in range(size):
                 S[n] += z[a] * z[a]
-        else:
-            S[n], d[n] = _by_eigenvalues(whole, c, K, along, columns[starts[n] : starts[n + 1]], visible)
+            far = 1.0
+            for a in range(size):
+                for t in range(copies.shape[1]):
+                    far += copies[own[a], t] ** 2
+            short = ridge * _trace(A, size)
+            if short * far > SURELY:  # no more than that the copies can add
+                short += ridge * _copied(A, copies, own[:size])
+            d[n] = int(np.floor(size - short + 0.5))
 
 
 @compiled(**FAST)
@@ -61,10 +62,15 @@ def _product(whole: Floats, K: Floats, along: Floats, i: int, j: int) -> float:
 
 
 @compiled(**FAST)
-def _factored(whole: Floats, c: Floats, K: Floats, along: Floats, own: Ints, A: Floats, z: Floats) -> bool:
-    """Write the triangle of the block of ``own (d,)`` columns, whose diagonal ``A`` holds, and the data ``z`` under it."""
+def _factored(
+    whole: Floats, c: Floats, K: Floats, along: Floats, ridge: float, own: Ints, A: Floats, z: Floats
+) -> None:  # fmt: skip
+    """Write the triangle ``A`` of the block of ``own (d,)`` columns, and the data ``z`` under it.
+
+    No column can leave less than its ridge; what rounding leaves less is that.
+    """
     for a in range(len(own)):
-        left, right = A[a, a], c[own[a]]
+        left, right = _product(whole, K, along, own[a], own[a]) + ridge, c[own[a]]
         for b in range(a):
             value = _product(whole, K, along, own[a], own[b])
             for m in range(b):
@@ -72,11 +78,22 @@ def _factored(whole: Floats, c: Floats, K: Floats, along: Floats, own: Ints, A: 
             A[a, b] = value / A[b, b]
             left -= A[a, b] * A[a, b]
             right -= A[a, b] * z[b]
-        if not left > 0.0:
-            return False
-        A[a, a] = np.sqrt(left)
+        A[a, a] = np.sqrt(max(left, ridge))
         z[a] = right / A[a, a]
-    return True
+
+
+@compiled(**FAST)
+def _copied(A: Floats, copies: Floats, own: Ints) -> float:
+    """Sum of the squares of the copies under the triangle of a block."""
+    total, column = 0.0, np.empty(len(own))
+    for t in range(copies.shape[1]):
+        for a in range(len(own)):
+            value = copies[own[a], t]
+            for m in range(a):
+                value -= A[a, m] * column[m]
+            column[a] = value / A[a, a]
+            total += column[a] * column[a]
+    return total
 
 
 @compiled(**FAST)
@@ -91,21 +108,3 @@ def _trace(A: Floats, size: int) -> float:
             column[a] = value / A[a, a]
             total += column[a] * column[a]
     return total
-
-
-@compiled(**FAST)
-def _by_eigenvalues(whole: Floats, c: Floats, K: Floats, along: Floats, own: Ints, visible: float) -> tuple[float, int]:
-    block = np.empty((len(own), len(own)))
-    for a in range(len(own)):
-        for b in range(a + 1):
-            block[a, b] = block[b, a] = _product(whole, K, along, own[a], own[b])
-    w, V = np.linalg.eigh(block)
-    total, count = 0.0, 0
-    for m in range(len(own)):
-        if w[m] > visible:
-            part = 0.0
-            for a in range(len(own)):
-                part += V[a, m] * c[own[a]]
-            total += part * part / w[m]
-            count += 1
-    return total, count

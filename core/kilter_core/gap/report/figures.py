@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -139,8 +139,9 @@ def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) 
     fitted: list[list[int]] = [[]]
     taken: list[int] = []
     seen: dict[str, int] = {}
+    left = _left(search)
     while len(taken) < len(search.chosen):
-        sizes = {k: _left(search, [*taken, k]) for k in search.chosen if k not in taken}
+        sizes = {k: left(search.selector.columns([*taken, k])) for k in search.chosen if k not in taken}
         best = min(sizes, key=lambda k: sizes[k])
         taken.append(best)
         fitted.append(search.selector.columns(taken))
@@ -159,7 +160,13 @@ def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) 
     ]
 
 
-def _left(search: SearchResult, chosen: Sequence[int]) -> float:
-    """Rms error with some of the chosen candidates, mm or deg."""
-    r = _residuals(search.problem, search.selector.columns(chosen))[search.problem.settings.used]
-    return search.problem.settings.source.rms(r) * _unit(search)
+def _left(search: SearchResult) -> Callable[[Sequence[int]], float]:
+    """What tells the rms error with some of the chosen columns, mm or deg; a basis of each set of them takes long."""
+    problem, at = search.problem, {k: n for n, k in enumerate(search.columns)}
+    W, settings = problem.projected(search.columns), problem.settings
+
+    def rms(columns: Sequence[int]) -> float:
+        left = problem.y - W[:, [at[k] for k in columns]] @ problem.gram.solve(columns)
+        return settings.source.rms(settings.whitening.back(left)[settings.used]) * _unit(search)
+
+    return rms

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT
-from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.gram import RIDGE, Gram
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats, Ints
@@ -108,24 +108,26 @@ class CandidateSets:
         return [self._tail(gram, chosen, k) if self.signed(gram, chosen, k) else 1.0 for k in chosen]
 
     def _tail(self, gram: Gram, chosen: tuple[int, ...], place: int) -> float:
-        """Tail probability of one member given the others: from the inverse of the whole set where its columns are independent.
+        """Tail probability of one member given the others: from the inverse of the whole set.
 
         What a member takes beside the others is its coefficients in the inverse of its part of that inverse, so nothing is
         projected off anything.
         """
         gram, columns = self.without(gram, (place,)), self.columns(chosen)
         rest = self.columns([m for m in chosen if m != place])
-        inverse, rank = gram.inverse(columns)
-        if rank < len(columns):
-            return self.scorer.tail_of(gram, place, rest)
-        others = set(rest)
+        inverse, others = gram.inverse(columns)[0], set(rest)
         own = [n for n, k in enumerate(columns) if k not in others]
         beta = inverse[own] @ gram.c[columns]
         if not own or (self.scorer.one_sided[place] and beta[0] < 0.0):
             return 1.0
-        taken = float(beta @ np.linalg.solve(inverse[np.ix_(own, own)], beta))
-        within = gram.yy - gram.reduction(columns)
-        return self.scorer.tail_of_ratio(place, len(own), within + taken, within, gram.nu - len(rest))
+        stay = [n for n, k in enumerate(columns) if k in others]
+        apart, cross = inverse[np.ix_(own, own)], inverse[np.ix_(own, stay)]
+        solved = np.linalg.solve(apart, np.column_stack([beta, cross]))
+        taken, within = float(beta @ solved[:, 0]), gram.yy - gram.reduction(columns)
+        diagonal, copied = inverse.diagonal(), float(np.sum(cross * solved[:, 1:]))
+        count = round(len(own) - RIDGE * (float(np.sum(diagonal[own])) + copied))
+        others_rank = round(len(stay) - RIDGE * (float(np.sum(diagonal[stay])) - copied))
+        return self.scorer.tail_of_ratio(place, count, within + taken, within, gram.nu - others_rank)
 
     def shown(self, gram: Gram, rest: Sequence[int], members: Sequence[int]) -> tuple[int, ...]:
         """Of joints beside the ``rest`` those that leave a trace, the faintest let go first; one at least.

@@ -146,7 +146,7 @@ def _forward_selection(
 def _renewed_in_time(problem: LinearizedProblem, columns: list[int], tick: Tick) -> LinearizedProblem:
     """The problem with noise and outliers judged again; itself where there was no time for it."""
     try:
-        return renewed(problem, columns, tick)
+        return renewed(problem, columns, tick, at_last=False)
     except OutOfTimeError:
         return problem
 

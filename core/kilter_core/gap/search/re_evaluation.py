@@ -24,19 +24,23 @@ from kilter_core.types import Bools, Floats, Progress
 WRONG = "wrong readings beyond those set aside"
 CHANGED = 0.02  # of the noise, from which a fit is made again
 FREER = 0.1  # of its freedom, from which the same
+MANY = 500  # visits above which names do not have them judged again, until the search ends or the noise changes
 FITS = 3  # of the geometry without wrong readings
 SEEN = 1e-12  # of the largest: smaller eigenvalues are directions that geometry imitates
 ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
 
 
-def renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
+def renewed(
+    problem: LinearizedProblem, columns: Sequence[int], tick: Tick = go_on, at_last: bool = True
+) -> LinearizedProblem:
     """The problem re-fitted with noise and outliers as the fit with these columns shows them; itself if unchanged.
 
     Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
     the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
+    Visits are judged by all of the library, named or not: among many they are ``at_last``, and under another noise.
     ``tick`` is called at every step, and may raise: then nothing was judged again.
     """
-    before, problem = problem, _renewed(problem, columns, tick)
+    before, problem = problem, _renewed(problem, columns, tick, at_last)
     for _ in range(ROUNDS if problem is not before and problem.settings.noise.repeats is not None else 0):
         noise = _with_noise(problem.settings, problem, columns, problem.settings.used).noise
         if _alike(problem.settings.noise, noise):
@@ -61,13 +65,14 @@ def without_wrong(problem: LinearizedProblem, budget: Budget, progress: Progress
     return problem
 
 
-def _renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick) -> LinearizedProblem:
+def _renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick, at_last: bool) -> LinearizedProblem:
     settings = problem.settings
     if settings.inflation > 1.0:  # rows correlated in time: a disturbance looks like what they share
         return problem
     every = replace(settings, used=np.ones(len(settings.used), dtype=bool))
     every = _with_noise(every, problem, columns, settings.used)
-    if len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values):
+    known = not at_last and len(settings.used) > MANY and _alike(settings.noise, every.noise)
+    if known or (len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values)):
         used = settings.used
     else:
         problem.resting()

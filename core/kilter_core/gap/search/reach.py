@@ -6,10 +6,12 @@ members bounds what the same candidate can do beside fewer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from kilter_core.gap.search.linear.fewer import Fewer
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Bools, Floats, Ints
@@ -19,26 +21,28 @@ ROUNDING = 0.2  # criterion points that rounded values, and rounding errors, may
 
 @dataclass
 class Reach:
-    """Bounds of one exchange after another, on one linearised problem ``gram`` at one noise ``variance``.
+    """Bounds of one exchange after another, on one linearised problem at one noise ``variance``.
 
-    ``scans`` are, for sets of library columns, what every candidate (K,) beside them reaches less its own price: infinite
-    where a scan says nothing of smaller sets, because the columns are nearly dependent or a sign was held against it.
+    ``whole`` is the set whose members go. ``scans`` are, for sets of library columns, what every candidate (K,) beside them
+    reaches less its own price: infinite where a scan says nothing of smaller sets, because a sign was held against it.
     """
 
     scorer: Scorer
-    gram: Gram
+    whole: Fewer
     variance: float
     price: Floats  # of a direction, then beyond directions of each candidate (1 + K,)
     now: float  # the criterion of the set as it is
     scans: dict[frozenset[int], Floats] = field(default_factory=dict)
 
-    def scanned(self, columns: list[int], S: Floats, d: Ints) -> None:
+    @property
+    def gram(self) -> Gram:
+        """The linearised problem."""
+        return self.whole.gram
+
+    def scanned(self, columns: Sequence[int], given: Gram, S: Floats, d: Ints) -> None:
         """Remember a scan: chi-square ``S (K,)`` that candidates take beside the columns in ``d (K,)`` directions."""
-        reaches = (self.gram.reduction(columns) + S) / self.variance - d * self.price[0] - self.price[1:]
-        told = (d > 0) & (d == self.scorer.new_columns(columns)) & ~(self.scorer.one_sided & (S == 0.0))
-        if self.gram.rank(columns) < len(columns):
-            told = np.zeros_like(told)
-        self.scans[frozenset(columns)] = np.where(told, reaches, np.inf)
+        reaches = (self.gram.yy - given.yy + S) / self.variance - d * self.price[0] - self.price[1:]
+        self.scans[frozenset(columns)] = np.where(self.scorer.one_sided & (S == 0.0), np.inf, reaches)
 
     def able(self, columns: list[int], price: Floats, least: float) -> Bools:
         """Candidates (K,) that beside these columns, where the whole costs ``price (K,)`` besides, may come to ``least``."""

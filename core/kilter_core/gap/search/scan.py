@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from kilter_core.gap.kernels.reductions import reductions
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.linear.gram import SURELY, VISIBLE, Gram, triangular
+from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, rooted
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.linear.projection import Projection
 from kilter_core.gap.search.linear.tails import tail
@@ -30,7 +30,6 @@ CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
 _NUMBERS = itertools.count()
-WIDE = 4  # columns of a candidate from which a triangle is faster than eigenvalues of many candidates at once
 AT_A_TIME = 100  # flips of signs: all of thousands of poses fill the memory
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
@@ -126,9 +125,7 @@ class Scorer:
         wanted = np.ones(len(self.candidates), dtype=bool) if among is None else among
         S, d = np.zeros(len(wanted)), np.zeros(len(wanted), dtype=np.int64)
         whole = gram.whole if gram.whole.flags.c_contiguous else gram.whole.T  # symmetric, so one form is compiled
-        reductions(
-            np.ascontiguousarray(whole), c, *gram.projected, wanted, *self._members, VISIBLE, SURELY / VISIBLE, S, d
-        )
+        reductions(np.ascontiguousarray(whole), c, *gram.projected, gram.free, wanted, *self._members, RIDGE, S, d)
         S[self.one_sided & (c[self._first] < 0.0)] = 0.0
         return S[None], d
 
@@ -147,7 +144,7 @@ class Scorer:
     def _halves(self, gram: Gram, n: int) -> tuple[Floats, Ints]:
         """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, and its rank (K,)."""
         block = self.blocks[n]
-        return gram.kept(("halves", self.number, n), (), lambda: _rooted(gram.blocks(block.columns)))
+        return gram.kept(("halves", self.number, n), (), lambda: _rooted(gram, block.columns))
 
     def new_columns(self, beside: Sequence[int]) -> Ints:
         """How many columns each candidate (K,) adds to some."""
@@ -159,17 +156,11 @@ class Scorer:
         return out
 
     def tail_of(self, gram: Gram, place: int, beside: Sequence[int] = ()) -> float:
-        """Tail probability of one candidate beside some columns, as :meth:`scores` has it: of its own columns alone.
-
-        A set with nearly dependent columns asks for that of each member, tens of thousands of times.
-        """
-        own = self.candidates[place].columns
-        part, *factors = gram.part(own, beside)
-        S, d, starts = np.zeros(1), np.zeros(1, dtype=np.int64), np.array([0, len(own)])
-        alone = np.ones(1, dtype=bool), starts, np.arange(len(own))
-        reductions(part.whole, part.c, *factors, *alone, VISIBLE, SURELY / VISIBLE, S, d)
-        wrong = S[0] <= 0.0 or (self.one_sided[place] and part.c[0] < 0.0)
-        return 1.0 if wrong else self._tail(place, int(d[0]), float(S[0]), part.yy, part.nu)
+        """Tail probability of one candidate beside some columns, as :meth:`scores` has it: of its own columns alone."""
+        own, given = self.candidates[place].columns, gram.given(beside)
+        taken = given.reduction(own)
+        wrong = taken <= 0.0 or (self.one_sided[place] and given.c[own[0]] < 0.0)
+        return 1.0 if wrong else self._tail(place, given.rank(own), taken, given.yy, given.nu)
 
     def scores(self, gram: Gram, among: Bools | None = None) -> Scores:
         """Scores of the data themselves, of all candidates or of those that are ``among`` them."""
@@ -277,23 +268,14 @@ class Null:
         return worst if p * tests > 1.0 / (len(self.bootstrap) + 1.0) else min(worst, max(p * tests, 1e-300))
 
 
-def _rooted(A: Floats) -> tuple[Floats, Ints]:
-    """Roots (K, d, d) of the pseudo-inverses of matrices (K, d, d), and their ranks (K,), as :meth:`Gram.inverse` has them."""
-    count, d = A.shape[:2]
-    root, degrees = np.zeros_like(A), np.full(count, d)
-    sure = np.zeros(count, dtype=bool)
-    if d >= WIDE:
-        # An eigenvalue is no larger than the least of the diagonal: many candidates share columns with what is taken.
-        for k in np.flatnonzero(np.diagonal(A, axis1=1, axis2=2).min(axis=1) > VISIBLE / SURELY):
-            found = triangular(A[k])
-            if found is not None:
-                root[k], sure[k] = found.T, True
-    left = ~sure if sure.any() else slice(None)
-    w, V = (A[:, :, 0], np.ones_like(A)) if d == 1 else np.linalg.eigh(A[left])
-    keep = w > VISIBLE
-    by = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
-    root[left], degrees[left] = V * by[:, None, :], keep.sum(axis=1)
-    return root, degrees
+def _rooted(gram: Gram, columns: Ints) -> tuple[Floats, Ints]:
+    """Roots (K, d, d) of the inverses of the blocks of sets of columns (K, d), and their ranks (K,), as those of a Gram.
+
+    Whatever data say of columns that are taken is rounding.
+    """
+    roots = [rooted(block) for block in gram.blocks(columns)]
+    degrees = np.array([gram.directions(root, own) for root, own in zip(roots, columns, strict=True)], dtype=np.int64)
+    return np.array([root.T for root in roots]) * gram.free[columns][:, :, None], degrees
 
 
 def warm_up() -> None:

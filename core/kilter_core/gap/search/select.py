@@ -15,6 +15,7 @@ import numpy as np
 
 from kilter_core.gap.search.candidate_sets import CandidateSets
 from kilter_core.gap.search.candidates import FAMILY, JOINT
+from kilter_core.gap.search.linear.fewer import Fewer
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.linear.linearized import Tick, go_on
 from kilter_core.gap.search.reach import Reach
@@ -114,8 +115,7 @@ class Selector(CandidateSets):
     def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace one or two members by one outside as long as the criterion grows, at most three times for each.
 
-        It may go in a circle: a scan can see directions of nearly dependent columns that the criterion of the whole set
-        does not (docs/explanation/surprises.md). Then no step is done twice.
+        It may go in a circle, since each set is judged at its own noise: no step is done twice.
         """
         path = [chosen]
         for left in reversed(range(3 * len(chosen))):
@@ -161,15 +161,15 @@ class Selector(CandidateSets):
         """Bounds of exchanges by what every candidate would do beside all that is chosen."""
         variance = self.variance(gram, chosen)
         price, now = np.r_[np.log(self.rows), self.extra], self.criterion(gram, chosen, variance)
-        reach, columns = Reach(self.scorer, gram, variance, price, now), self.columns(chosen)
-        given = gram.given(columns)
+        reach = Reach(self.scorer, Fewer(gram, self.columns(chosen)), variance, price, now)
+        given = reach.whole.given
         S, d = self.scorer.reductions(given, given.c[None])
-        reach.scanned(columns, S[0], d)
+        reach.scanned(reach.whole.columns, given, S[0], d)
         return reach
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
-        """Replace a family, or another of many parameters, by two others that together explain as much for less: it
-        imitates both.
+        """Replace a family, or another of many parameters, by two others that together explain more with no more directions:
+        it imitates both. More for more is what entries look for.
         """
         for family in (k for k in chosen if self._broad(k)):
             rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
@@ -178,10 +178,11 @@ class Selector(CandidateSets):
             if first is None:
                 continue
             second, value = self._best_instead(problem, (*rest, first), variance, critical, {*chosen, first})
-            after = (*rest, first) if second is None else (*rest, first, second)
             if second is None or value <= self.criterion(problem, chosen, variance):
                 continue
-            if max(self.tails(gram, after)[len(rest) :]) < critical:
+            after = (*rest, first, second)
+            directions, before = (problem.rank(self.columns(one)) for one in (after, chosen))
+            if directions <= before and max(self.tails(gram, after)[len(rest) :]) < critical:
                 chosen = after
         return chosen
 
@@ -339,31 +340,26 @@ class Selector(CandidateSets):
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 
     def _best_instead(
-        self,
-        gram: Gram,
-        rest: tuple[int, ...],
-        variance: float,
-        critical: float,
-        taken: set[int],
-        least: float = -np.inf,
-        reach: Reach | None = None,
-    ) -> tuple[int | None, float]:
+        self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int],
+        least: float = -np.inf, reach: Reach | None = None,
+    ) -> tuple[int | None, float]:  # fmt: skip
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
         columns, able = self.columns(rest), np.ones(len(self.scorer.candidates), dtype=bool)
         able[list(taken)] = False
+        whole = Fewer(gram, columns) if reach is None else reach.whole
+        left = whole.without(set(whole.columns) - set(columns))
+        price = self.price(rest, [left.rank])
         if reach is not None:
-            price = self.price(rest, [gram.rank(columns)]) + FAMILY_MARGIN * self.another_name(rest)
-            able &= reach.able(columns, price, least)
+            able &= reach.able(columns, price + FAMILY_MARGIN * self.another_name(rest), least)
             if not able.any():
                 return None, -np.inf
-        given = gram.given(columns)
-        among = None if reach is None else able.copy()
-        reductions, d = self.scorer.reductions(given, given.c[None], among)
+        given = left.given
+        reductions, d = self.scorer.reductions(given, given.c[None], None if reach is None else able)
         if reach is not None and len(rest) + 1 == len(taken):  # of smaller sets this says what they reach at most
-            reach.scanned(columns, reductions[0], d)
+            reach.scanned(columns, given, np.where(able, reductions[0], np.inf), d)
         value = np.round(reductions[0] / variance - d * np.log(self.rows) - self._beyond(rest), 1)
         able &= d > 0
-        without = self.criterion(gram, rest, variance)
+        without = (gram.yy - left.yy) / variance - price
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # no tail needs to be computed
             return None, -np.inf
         able &= self.scorer.scores_of(given, reductions, d).p < critical

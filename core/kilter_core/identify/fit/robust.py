@@ -97,11 +97,19 @@ def bulk_scale(size: Floats, dimension: int, first: float) -> float:
     return scale
 
 
-def redescended(sizes: Callable[[Floats], Floats], start: Floats, dimension: int) -> Robust:
+def undecided(size: Floats) -> bool:
+    """Say that the descent goes on until its weights are still."""
+    return False
+
+
+def redescended(
+    sizes: Callable[[Floats], Floats], start: Floats, dimension: int, decided: Callable[[Floats], bool] = undecided
+) -> Robust:
     """Tukey weights by a descent from a limit that holds every row to one that holds the bulk.
 
     ``sizes(weight)`` fits with weights (N,) and returns the sizes (N,) that are left; ``start (N,)`` are those of a first
     fit, at best one with a bounded loss. The same rows give the same weights. A third of the rows may be wrong, also alike.
+    ``decided(size)`` is asked after every fit at the last limit: whether what the sizes are wanted for needs no more.
     """
     final = tukey_limit(dimension)
     size, weight = start, np.ones(len(start))
@@ -116,7 +124,9 @@ def redescended(sizes: Callable[[Floats], Floats], start: Floats, dimension: int
         weight = after
         if still:
             break
-        size, coarse = sizes(weight), coarse * STEP
+        size, last, coarse = sizes(weight), coarse <= 1.0, coarse * STEP
+        if last and decided(size):
+            break
     return Robust(weight, size, bulk_scale(size, dimension, scale_of(size, dimension)))
 
 

@@ -83,7 +83,7 @@ def _end(search: SearchResult, k: int, best: float, end: float, least: float, ta
     others = [c for c in columns if c != k]
 
     def root(move: float) -> float:
-        values = solved(settings, search.problem.values, others, (k, best + move))[0]
+        values = solved(settings, search.problem.values, others, (k, best + move))
         return float(np.sqrt(max(2.0 * (loss(settings, values, columns) - least), 0.0)))
 
     move = profile_end(root, end - best, target, 1, close=0.0)

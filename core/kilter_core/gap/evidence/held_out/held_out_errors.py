@@ -103,7 +103,7 @@ class HoldoutEvaluator:
         if columns not in self._values:
             problem = self.search.problem
             begin = problem if columns else self.prepared.problem
-            self._values[columns] = solved(problem.settings, begin.values, columns)[0]
+            self._values[columns] = solved(problem.settings, begin.values, columns)
         return self._values[columns]
 
     def taken_off(self, place: int) -> float:

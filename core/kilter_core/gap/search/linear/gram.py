@@ -1,4 +1,10 @@
-"""Inner products of data and candidates: all that a selection needs, conditioned on one set of columns after another."""
+"""Inner products of data and candidates: all that a selection needs, conditioned on one set of columns after another.
+
+Rank is decided once, for every set alike: :data:`RIDGE` is added to the square of each column that enters, as if its
+amount had been measured to be zero, hardly surely. So every set has an inverse, what a set takes never becomes less with
+more columns, and a direction that the data do not see counts for nothing, smoothly: a set has as many directions as the
+trace of its fit, to the nearest whole number.
+"""
 
 from __future__ import annotations
 
@@ -11,23 +17,23 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from kilter_core.gap.search.linear.recent import Recent
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 T = TypeVar("T")
 
-SURELY = 0.5  # of the smallest eigenvalue that counts: what rounding may hide of a bound
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
+RIDGE = VISIBLE  # added to the square of a column: a direction of which so much is left counts half
 
 
 @dataclass(frozen=True)
 class Gram:
     """Inner products: ``whole (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters.
 
-    Conditioned on the columns ``taken``, A is ``whole`` less ``K (Q, t)`` times the rows taken: made where it is asked
-    for, since a selection conditions on thousands of sets. What depends on A alone is kept in ``cache``, and inverses in
-    ``inverses``, since scans are many times larger and would push them out; both are shared by all data on the same
-    candidates: resamples cost little. ``held`` gives the same with the loads held at their values, and ``there`` are the
-    columns whose effects act at the fit.
+    Conditioned on the columns ``taken``, A is ``whole`` less ``K (Q, k)`` times ``along (Q, k)``: made where it is asked
+    for, since a selection conditions on thousands of sets. ``copies (Q, t)`` is how those taken imitate each column.
+    What depends on A alone is kept in ``cache``, and inverses in ``inverses``, since scans are many times larger and would
+    push them out; both are shared by all data on the same candidates: resamples cost little. ``held`` gives the same with
+    the loads held at their values, and ``there`` are the columns whose effects act at the fit.
     """
 
     whole: Floats
@@ -38,6 +44,8 @@ class Gram:
     inverses: Recent = field(default_factory=Recent, repr=False, compare=False)
     taken: tuple[int, ...] = ()
     K: Floats | None = None
+    along: Floats | None = None
+    copies: Floats | None = None
     held: Callable[[], Gram] | None = field(default=None, repr=False, compare=False)
     there: frozenset[int] = frozenset()
     exchanges: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)  # found on these very data
@@ -52,43 +60,46 @@ class Gram:
 
     @cached_property
     def A(self) -> Floats:
-        """Inner products (Q, Q) of the candidates, what is taken projected off."""
-        if self.K is None:
+        """Inner products (Q, Q) of the candidates, what is taken projected off: nothing is left of the columns taken."""
+        if self.K is None or self.along is None:
             return self.whole
-        A = self.whole - self.K @ self._rows
+        A = self.whole - self.K @ self.along.T
+        A[list(self.taken)] = 0.0
+        A[:, list(self.taken)] = 0.0
         return np.asarray(0.5 * (A + A.T))
 
     @property
-    def projected(self) -> tuple[Floats, Floats]:
-        """The two factors (Q, t) of what is taken, whose products are taken off ``whole``."""
-        if self.K is None:
+    def projected(self) -> tuple[Floats, Floats, Floats]:
+        """The two factors (Q, k) of what is taken, whose products are taken off ``whole``, and the copies (Q, t)."""
+        if self.K is None or self.along is None or self.copies is None:
             nothing = np.empty((len(self.c), 0))
-            return nothing, nothing
-        return self.K, self._along
+            return nothing, nothing, nothing
+        return self.K, self.along, self.copies
+
+    @cached_property
+    def free(self) -> Bools:
+        """Columns (Q,) that are not taken."""
+        out = np.ones(len(self.c), dtype=bool)
+        out[list(self.taken)] = False
+        return out
 
     def blocks(self, columns: Ints) -> Floats:
         """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
         out = self.whole[columns[:, :, None], columns[:, None, :]]
-        if self.K is not None:
-            out = out - self.K[columns] @ self._along[columns].transpose(0, 2, 1)
+        if self.K is not None and self.along is not None:
+            free = self.free[columns]
+            out = (out - self.K[columns] @ self.along[columns].transpose(0, 2, 1)) * (
+                free[:, :, None] & free[:, None, :]
+            )
         return np.asarray(out)
 
     def block(self, columns: Ints) -> Floats:
         """The same of one set (d, d): sets of a hundred columns are asked for by the thousand."""
         out = self.whole.take(columns, 0).take(columns, 1)
-        if self.K is not None:
-            out = out - self.K[columns] @ self._rows.take(columns, 1)
+        if self.K is not None and self.along is not None:
+            free = self.free[columns]
+            out = (out - self.K[columns] @ self.along[columns].T) * np.outer(free, free)
         return np.asarray(out)
-
-    @cached_property
-    def _rows(self) -> Floats:
-        """Rows (t, Q) of what is taken."""
-        return np.asarray(self.whole[list(self.taken)])
-
-    @cached_property
-    def _along(self) -> Floats:
-        """The same by column (Q, t): those of a few columns are copied in one piece each."""
-        return np.ascontiguousarray(self._rows.T)
 
     def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
@@ -102,10 +113,28 @@ class Gram:
         return known
 
     def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
-        """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
-        return self.inverses.get(
-            (self.taken, *columns), lambda: _inverted(self.block(np.array(columns, dtype=np.int64)))
-        )
+        """Inverse (d, d) of the columns' own block, zero for those taken, and how many directions it has."""
+        return self.inverses.get((self.taken, *columns), lambda: self._inverse(np.array(columns, dtype=np.int64)))
+
+    def _inverse(self, columns: Ints) -> tuple[Floats, int]:
+        if not len(columns):
+            return np.zeros((0, 0)), 0
+        root = rooted(self.block(columns))
+        rank = self.directions(root, columns)
+        if self.taken:
+            root[:, ~self.free[columns]] = 0.0
+        return root.T @ root, rank
+
+    def directions(self, root: Floats, columns: Ints) -> int:
+        """How many directions columns (d,) add whose block has the inverse T'T: what they add to the trace of the fit.
+
+        What is taken is held less by its own ridge where a column copies it.
+        """
+        each = root.ravel(order="K")  # a view: a selection asks tens of thousands of times
+        short = float(each @ each)
+        if self.copies is not None:
+            short += float(np.sum((root @ (self.copies[columns] * self.free[columns, None])) ** 2))
+        return round(len(root) - RIDGE * short)
 
     def solve(self, columns: Sequence[int]) -> Floats:
         """Least-squares coefficients of unit columns."""
@@ -125,57 +154,28 @@ class Gram:
             return self
         index = list(columns)
         if self.taken:
-            return Gram(self.A, self.c, self.yy, self.nu).given(index)
-        K = self.whole[index].T @ self.inverse(index)[0]  # not kept: it is large, and soon made
+            return Gram(self.A, self.c * self.free, self.yy, self.nu).given(index)
+        along = np.ascontiguousarray(self.whole[index].T)
+        K = along @ self.inverse(index)[0]  # not kept: it is large, and soon made
+        c = self.c - K @ self.c[index]
+        c[index] = 0.0
         return replace(
-            self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
-            taken=tuple(index), K=K, exchanges={},
+            self, c=c, yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
+            taken=tuple(index), K=K, along=along, copies=K, exchanges={},
         )  # fmt: skip
-
-    def part(self, own: Sequence[int], taken: Sequence[int]) -> tuple[Gram, Floats, Floats]:
-        """The columns ``own (d,)`` alone beside others, and what is projected off them: two factors (d, t), as
-        :attr:`projected`. One candidate is asked for where all of them are not.
-        """
-        if self.taken:
-            return Gram(self.A, self.c, self.yy, self.nu).part(own, taken)
-        mine, index = list(own), list(taken)
-        along = np.ascontiguousarray(self.whole[index][:, mine].T)
-        K = along @ self.inverse(index)[0]
-        whole = np.ascontiguousarray(self.whole[mine][:, mine])
-        yy, nu = self.yy - self.reduction(index), self.nu - self.rank(index)
-        return Gram(whole, self.c[mine] - K @ self.c[index], yy, nu), K, along
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""
         return replace(self, c=c, yy=yy, held=None, exchanges={})
 
 
-def _inverted(A: Floats) -> tuple[Floats, int]:
-    """Pseudo-inverse and rank of a matrix (d, d): by its eigenvalues only where one may be too small to count."""
-    root = triangular(A)
-    if root is not None:
-        return root.T @ root, len(A)
-    return by_eigenvalues(A)
-
-
-def by_eigenvalues(A: Floats) -> tuple[Floats, int]:
-    """Pseudo-inverse and rank of a matrix (d, d) by its eigenvalues, several times slower."""
+def rooted(A: Floats) -> Floats:
+    """T (d, d) with T'T the inverse of a block (d, d) with its ridge: a triangle, unless rounding is larger than the ridge."""
+    ridged = A + RIDGE * np.eye(len(A))
+    factor, fault = dpotrf(ridged, lower=1, clean=1)
+    if not fault:
+        root, fault = dtrtri(factor, lower=1)
+        if not fault:
+            return np.asarray(root)
     w, V = np.linalg.eigh(A)
-    keep = w > VISIBLE
-    return (V[:, keep] / w[keep]) @ V[:, keep].T, int(keep.sum())
-
-
-def triangular(A: Floats) -> Floats | None:
-    """Triangle T (d, d) with T'T the inverse of a matrix; None where an eigenvalue may be as small as :data:`VISIBLE`.
-
-    The trace of the inverse is the sum of the inverse eigenvalues, so no eigenvalue is below its own inverse.
-    """
-    if not A.size:
-        return None
-    factor, fault = dpotrf(A, lower=1, clean=1)
-    # The diagonal of the inverse triangle is part of the trace: where it alone is too much nothing is inverted.
-    if fault or not factor.diagonal().min() ** 2 * SURELY > VISIBLE:
-        return None
-    root, fault = dtrtri(factor, lower=1)
-    each = root.ravel(order="K")  # a view: a selection asks tens of thousands of times
-    return None if fault or not float(each @ each) < SURELY / VISIBLE else np.asarray(root)
+    return np.asarray((V / np.sqrt(np.maximum(w, 0.0) + RIDGE)).T)

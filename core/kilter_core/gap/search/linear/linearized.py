@@ -38,7 +38,7 @@ BEYOND = 1e-6  # prior sigmas beyond the end of a range that are not rounding
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
 UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
-STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
+STILL = 0.3  # change of the fit, in sigmas over all data, that counts as converged: a tenth of a criterion point
 
 
 @dataclass(frozen=True)
@@ -176,13 +176,13 @@ def go_on() -> None:
 
 def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
     """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
-    values = solved(settings, values, columns, tick=tick)[0]
+    values = solved(settings, values, columns, tick=tick)
     other = reloaded(settings, values)  # once: the next name, or the next noise, brings the next fit
     for _ in range(PASSES):
         other = doubted(other, values)
         if other is settings:
             break
-        settings, values = other, solved(other, values, columns, tick=tick)[0]
+        settings, values = other, solved(other, values, columns, tick=tick)
     tick()
     return linearize_at(settings, values)
 
@@ -225,8 +225,8 @@ def solved(
     columns: Sequence[int],
     held: tuple[int, float] | None = None,
     tick: Tick = go_on,
-) -> tuple[Floats, float]:
-    """Values of the nonlinear fit and its chi-square; the rest of the library is zero.
+) -> Floats:
+    """Values of the nonlinear fit; the rest of the library is zero.
 
     ``held`` keeps one more library parameter at a value, as a profile does. ``tick`` is called at every step, and may
     raise: on ten thousand poses a fit takes seconds, and who cancels should not wait for its end.
@@ -237,9 +237,7 @@ def solved(
     if held is not None:
         library[held[0]] = held[1]
     values = settings.source.moved(values, np.zeros(len(settings.source.prior_mean)), library)
-    values = within_range(SearchProblem(settings, free), values, tick)
-    there = linearize_at(settings, values, only=free)
-    return values, there.gram.given(range(len(free))).yy
+    return within_range(SearchProblem(settings, free), values, tick)
 
 
 def loss(settings: ProblemSettings, values: Floats, columns: Sequence[int]) -> float:

@@ -19,7 +19,7 @@ from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go
 from kilter_core.gap.search.linear.projection import Stacked
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.rows.wrong_rows import are_wrong
-from kilter_core.identify.fit.robust import redescended
+from kilter_core.identify.fit.robust import bulk_scale, redescended, scale_of
 from kilter_core.types import Bools, Floats
 
 CHANCE = 0.001  # of setting any good visit aside
@@ -28,6 +28,7 @@ UNSEEN = 1e-6
 TOO_SMALL = 0.001  # chance of a bulk so far below the noise of the repeats, from which the repeats hold wrong readings
 SUPPLE = 0.4  # library parameters per measured scalar above which the library can explain anything
 WILD = 2.0  # times the squared limit, when geometry and what was named predict alone
+ALIKE = 3  # fits in a row that let go of the same visits, after which the descent ends: its weights go on for dozens
 LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
 
 
@@ -84,11 +85,21 @@ def _far(
     far = np.zeros(len(used), dtype=bool)
     if len(used) > LARGE and float(start.max(initial=0.0)) < limit:
         return far
-    robust = redescended(sizes, start, dimension)
-    # A noise that comes from the fit, or is refuted, holds the wrong readings themselves: the bulk says better what it is.
-    refuted = not supple and _refuted(problem.settings, robust.scale)
-    least = 1.0 if problem.settings.trusted and not refuted else 0.0
-    far[used] = robust.size > limit * max(least, robust.scale)
+
+    def beyond(size: Floats, scale: float) -> Bools:
+        # A noise that comes from the fit, or is refuted, holds the wrong readings themselves: the bulk says better what it is.
+        refuted = not supple and _refuted(problem.settings, scale)
+        least = 1.0 if problem.settings.trusted and not refuted else 0.0
+        return np.asarray(size > limit * max(least, scale))
+
+    known: list[bytes] = []
+
+    def decided(size: Floats) -> bool:
+        known.append(beyond(size, bulk_scale(size, dimension, scale_of(size, dimension))).tobytes())
+        return len(set(known[-ALIKE:])) == 1 and len(known) >= ALIKE
+
+    robust = redescended(sizes, start, dimension, decided)
+    far[used] = beyond(robust.size, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
     return far if are_wrong(problem, far, whole) else np.zeros_like(far)
