@@ -146,7 +146,7 @@ class _Preparation:
         self.warnings += rounding_warnings(one, source, held)
         left, every = source.residual(values), np.ones(len(visits), dtype=bool)
         settings = ProblemSettings(
-            source, approached(noise, left, every, _lost(source, left)), every, visits.pose, trusted=noise.absolute,
+            source, approached(noise, left, every, source.lost(left.size)), every, visits.pose, trusted=noise.absolute,
             rounding=None if held else one,
         )  # fmt: skip
         problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
@@ -294,7 +294,7 @@ class _Preparation:
             return stated_noise(visits.observations.sigma, visits, size)
         self.warnings.append(no_repeats_warning(visits))
         every = np.ones(len(visits), dtype=bool)
-        return source.even(fit_noise(visit_residual, visits, every, _lost(source, visit_residual)))
+        return source.even(fit_noise(visit_residual, visits, every, source.lost(visit_residual.size)))
 
     def _stated(self, visits: Visits) -> float | None:
         """Standard deviation m of a coordinate of a row, as the instrument states it: the columns of rows, else the option."""
@@ -362,11 +362,6 @@ def windowed(
 ) -> Observations:
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
     return averaged(rows, source.residual_of_rows(values, rows, tick), windows_of(rows, width), source.live)
-
-
-def _lost(source: Source, residual: Floats) -> float:
-    """Share of the freedom of residuals (V, m) that the geometry took."""
-    return min(0.9, int(np.sum(~source.soft)) / max(residual.size, 1))
 
 
 def _weighed(problem: LinearizedProblem) -> LinearizedProblem:

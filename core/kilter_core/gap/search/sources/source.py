@@ -98,6 +98,10 @@ class Source(ABC):
         """Numbers of a visit that were not measured, or only set a sensor's zero, on average."""
         return 0.0
 
+    def lost(self, numbers: int) -> float:
+        """Share of the freedom of so many measured numbers that the geometry takes."""
+        return min(0.9, int(np.sum(~self.soft)) / max(numbers, 1))
+
     @property
     def left_share(self) -> float:
         """Share of the numbers of held-out rows that is left when what does not belong to the arm was fitted to them."""
