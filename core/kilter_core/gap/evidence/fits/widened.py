@@ -2,9 +2,9 @@
 
 The prior of an amplitude says how large it usually is, and keeps what the rows hardly show near zero while a search tries
 one effect after another. Of one that was named, twenty times larger than usual, it took several standard deviations, and
-where the rows know it less well than the prior does, nearly all. Amplitudes that the rows do not tell from zero by
-themselves keep their priors: without them, curves of a joint that imitate one another and the geometry ran to the ends of
-their ranges, and the error of a real arm from 0.4 to 2.7 mm.
+where the rows know it less well than the prior does, nearly all. Shapes without a cause keep their priors, and so do
+amplitudes that the rows do not tell from zero by themselves: without them, curves of a joint that imitate one another and
+the geometry ran to the ends of their ranges, and the error of a real arm from 0.4 to 2.7 mm.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from kilter_core.gap.evidence.fits.final_fit import by_rows
 from kilter_core.gap.evidence.fits.fitted_again import fitted_again, repeated
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.types import Bools
 
 LARGER = 1.5  # times the prior deviation, from which an amplitude has a prior of its own size
 TOLD = 3.0  # of its standard deviations by the rows alone, beside those of all other names, from which they tell it
@@ -31,13 +32,20 @@ def widened(found: SearchResult) -> SearchResult:
     return repeated(_once, found, PASSES)
 
 
+def _caused(found: SearchResult) -> Bools:
+    """Which columns (d,) are of effects with a cause: how large a shape without one is, nobody asks."""
+    candidates = found.selector.scorer.candidates
+    shapes = {column for k in found.chosen if candidates[k].empirical for column in candidates[k].columns}
+    return np.array([column not in shapes for column in found.columns], dtype=bool)
+
+
 def _once(found: SearchResult) -> SearchResult:
     problem, columns = found.problem, found.columns
     if not columns:
         return found
     source, prior = problem.settings.source, problem.settings.source.library_sigma
     asked, unsure = by_rows(found)
-    far = (asked > TOLD * unsure) & (asked > LARGER * prior[columns])
+    far = (asked > TOLD * unsure) & (asked > LARGER * prior[columns]) & _caused(found)
     if not np.any(far):
         return found
     sigma = prior.copy()
