@@ -345,7 +345,7 @@ class Selector(CandidateSets):
     ) -> tuple[int | None, float]:  # fmt: skip
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
         columns, able = self.columns(rest), np.ones(len(self.scorer.candidates), dtype=bool)
-        able[list(taken)] = False
+        able[[*taken, *self.closed]] = False
         whole = Fewer(gram, columns) if reach is None else reach.whole
         left = whole.without(set(whole.columns) - set(columns))
         price = self.price(rest, [left.rank])

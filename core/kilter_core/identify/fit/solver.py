@@ -112,19 +112,20 @@ class _Step(Generic[P]):
 
 def minimise(
     objective: Objective[P], start: Floats, here: P, progress: StepProgress | None = None, enough: float = 0.0,
-    patience: int = PATIENCE,
+    patience: int = PATIENCE, idle: int = MAX_ITERATIONS,
 ) -> Minimum[P]:  # fmt: skip
     """Walk downhill from ``start``, where ``here`` is known, to a minimum; the loss never rises.
 
     ``enough`` ends the walk early, once a step takes less than this share off the loss. ``patience`` is the number of slow
-    steps before the second derivative is taken.
+    steps before the second derivative is taken, ``idle`` that of steps in a row that did not gain what is worth taking, though
+    they promised it, after which the walk ends.
 
     Raises:
         NotConvergedError: numbers that are not finite.
 
     """
     values, damping, slow, last, before = start, FIRST_DAMPING, 0, np.zeros(0), np.inf
-    curved, age = np.zeros(0), 0
+    curved, age, vain = np.zeros(0), 0, 0
     for iteration in range(1, MAX_ITERATIONS + 1):
         if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
@@ -147,7 +148,8 @@ def minimise(
             return Minimum(values, here, iteration, last)
         gained = here.loss - taken.point.loss
         values, here, damping, last = taken.values, taken.point, taken.damping, taken.step
-        if taken.last or gained < enough * here.loss:
+        vain = vain + 1 if gained < objective.worth(here.loss) else 0
+        if taken.last or gained < enough * here.loss or vain == idle:
             return Minimum(values, here, iteration, last)
         slow += FADING * before < gained < SLOW * here.loss
         before = gained

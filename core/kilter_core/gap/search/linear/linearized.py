@@ -35,6 +35,7 @@ CHANGED = 0.05  # of the noise variance: less scatter more or less changes no we
 HOLDING_PASSES = 4  # fits of what is left where amplitudes came out beyond what is physical
 ROUNDING = 1e-9  # of a loss, by which residuals with and without derivatives differ at most
 BEYOND = 1e-6  # prior sigmas beyond the end of a range that are not rounding
+IDLE = 3  # steps in a row that gained less than a change that counts, after which a fit ends
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
 UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
@@ -251,10 +252,13 @@ def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:
 
     Those that come out beyond it are held at the end of their range, and the rest is fitted again.
     """
+    first: float | None = None  # a fit held at its ranges that is worse than its start is not mended by holding more
     for _ in range(HOLDING_PASSES):
-        values = minimise(problem, values, problem.at(values), lambda *_: tick(), patience=PATIENCE).values
-        values, after = problem.brought_back(values)
-        if after is problem:
+        here = problem.at(values)
+        first = here.loss if first is None else first
+        found = minimise(problem, values, here, lambda *_: tick(), patience=PATIENCE, idle=IDLE)
+        values, after = problem.brought_back(found.values)
+        if after is problem or found.point.loss > first:
             break
         problem = after
     return values
