@@ -160,6 +160,14 @@ class Arm:
             out[:, 3:] += weight * np.array([pin.log3(a @ b.T) for a, b in zip(R, R0, strict=True)]) / h
         return out
 
+    def torques(self, q: Floats, payload: tuple[float, Floats] | None = None) -> Floats:
+        """Joint torques (N, n) of many rows at rest: the first that :meth:`reactions` returns of each."""
+        model, _ = self._carrying(payload)
+        data, rest = model.createData(), np.zeros(len(self.moving))
+        first = [self.first_of(j) for j in range(self.n)]
+        sides = np.sign([self.moving[k].ratio for k in first])
+        return np.array([sides * pin.rnea(model, data, motors, rest, rest)[first] for motors in self.motors(q)])
+
     def reactions(
         self,
         q: Floats,
