@@ -1,8 +1,8 @@
 """Temporary files of tests in memory, where there is room for them.
 
-A test of the server waits ten times for a disk, 4 ms each on a quiet one. No test asks what a power cut leaves: a process that
-is killed loses nothing that it wrote, on a disk and in memory alike; full, broken and read-only disks are file systems of
-their own.
+A test of the server waits ten times for a disk, 4 ms each (median). No test asks what a power cut leaves: a process
+that is killed loses nothing that it wrote, on a disk and in memory alike; full, broken and read-only disks are file
+systems of their own, or failures that a library feigns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Markers that change places and columns that move over: what a plain search, frame by frame, says of random recordings."""
+"""Markers that change places and columns that move over: as a plain search, frame by frame, finds them."""
 
 from __future__ import annotations
 

@@ -42,8 +42,8 @@ def test_intervals_of_views_beside_a_tracker_hold_at_poses_held_out(
 ) -> None:
     """25 views, 12 points. Taken with all 96 numbers of a view, 3 % of wrong corners doubled every interval.
 
-    Of intervals twice as wide all 480 numbers of 8 arms are inside, of intervals two thirds as wide 81 %; the coordinates of an
-    arm share its errors, so their mean is uncertain by 1 %, and by 0.7 % with 16.
+    Of intervals twice as wide all 480 numbers of 8 arms are inside, of intervals two thirds as wide 81 %. Were they
+    independent, their share would be uncertain by 1 %, that of the 960 of 16 arms by 0.7 %.
     """
     names = {step.name for step in soft().steps}
     inside, told = [], []

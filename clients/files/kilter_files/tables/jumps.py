@@ -1,4 +1,4 @@
-"""Where the columns of a recording cannot be right: markers that change places, and columns that all move over by some."""
+"""Where columns of a recording cannot be right: markers that change places, columns that all move over by some."""
 
 from __future__ import annotations
 

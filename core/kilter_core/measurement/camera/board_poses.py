@@ -24,9 +24,8 @@ FEWEST_IN_SPACE = 6
 
 
 def board_poses(camera: Camera, intrinsics: Floats, board: Board, pixels: Floats) -> Found:
-    """Poses of a board before a camera: position (N, 3), rotation (N, 3, 3), rms (N,) px, and which views (N,) tell one.
-
-    ``pixels (N, m, 2)`` are NaN where a corner was not seen. What is returned cannot be written to.
+    """Poses of a board before a camera: position (N, 3), rotation (N, 3, 3), rms (N,) px, and which views (N,) tell
+    one. ``pixels (N, m, 2)`` are NaN where a corner was not seen. What is returned cannot be written to.
     """
     lens, corners, seen = (
         np.ascontiguousarray(given, dtype=np.float64) for given in (intrinsics, board.corners, pixels)
