@@ -157,8 +157,8 @@ def causes(one: Watched, days: int) -> Iterator[tuple[str, bool]]:
 def ramp(one: Watched, days: int) -> Iterator[tuple[str, bool]]:
     """A zero that creeps until the tool is 0.2 mm off, 0.1 mm a month."""
     joint = int(one.rng.integers(2, 4))
-    tool = np.array([one.arm.point(q) for q in one.q])
-    moved = np.array([one.arm.after(f"zero_{joint}", 1e-6).point(q) for q in one.q])
+    tool = one.arm.point(one.q)
+    moved = one.arm.after(f"zero_{joint}", 1e-6).point(one.q)
     a_day = 1e-4 / MONTH / (float(np.linalg.norm(moved - tool, axis=1).max()) / 1e-6)
     made = [stored(day, one.check(one.arm)) for day in range(WARM_UP)]
     made += [stored(WARM_UP + day, one.check(one.arm.after(f"zero_{joint}", a_day * day))) for day in range(60)]

@@ -13,9 +13,12 @@ import pytest
 from hypothesis import settings
 
 from tests.measured_seconds import measured
+from tests.temporary_files import put_in_memory
 
 # Set before numpy is imported: its threads make small fits ten times slower on two busy cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+put_in_memory()
 
 # A first call loads compiled code, and the machine may be busy: no test fails by the clock.
 settings.register_profile("kilter", deadline=None)

@@ -97,7 +97,7 @@ class Scene:
     def tools(self, q: Floats) -> tuple[Floats, Floats]:
         """True tool poses, (N, 3) and (N, 3, 3)."""
         if self.yielding.any():
-            q = q - self.yielding * np.array([self.drawn.reactions(row)[0] for row in q])
+            q = q - self.yielding * self.drawn.torques(q)
         return self.built.poses(q)
 
     def in_camera(self, q: Floats, eye: Eye, sheet: Sheet) -> Floats:

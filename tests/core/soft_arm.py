@@ -40,8 +40,10 @@ class Scene:
     def points(self, q: Floats, payload_kg: Floats | None = None) -> Floats:
         """Tool points (N, 3) m of the built arm in the tracker's frame, its gears giving way to the load."""
         loads = np.zeros(len(q)) if payload_kg is None else payload_kg
-        torques = [self.drawn.reactions(row, payload=(kg, np.zeros(3)))[0] for row, kg in zip(q, loads, strict=True)]
-        return self.built.poses(q - COMPLIANCE * np.array(torques))[0]
+        torques = np.zeros_like(q)
+        for kg in np.unique(loads):
+            torques[loads == kg] = self.drawn.torques(q[loads == kg], payload=(kg, np.zeros(3)))
+        return self.built.poses(q - COMPLIANCE * torques)[0]
 
     def columns(self) -> dict[str, list[float]]:
         """The rows as they are uploaded."""

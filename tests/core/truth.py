@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ class Arm:
         assert set(errors) <= {s.name for s in self.steps}, errors
         return replace(self, steps=tuple(replace(s, value=s.value + errors.get(s.name, 0.0)) for s in self.steps))
 
-    @property
+    @cached_property
     def moving(self) -> list[Step]:
         return [s for s in self.steps if s.joint is not None]
 
@@ -109,19 +110,30 @@ class Arm:
         return model, frame
 
     def motors(self, q: Floats) -> Floats:
-        """Pinocchio joint vector of a joint vector."""
-        return np.array([s.ratio * q[s.joint] + s.value for s in self.moving])
+        """Pinocchio joint vector of a joint vector, of each of many (..., n)."""
+        return self.rates(q) + np.array([s.value for s in self.moving])
 
     def rates(self, qd: Floats) -> Floats:
-        return np.array([s.ratio * qd[s.joint] for s in self.moving])
+        return np.take(qd, [s.joint for s in self.moving], axis=-1) * np.array([s.ratio for s in self.moving])
+
+    @cached_property
+    def _built(self) -> dict[bytes, tuple[Any, int]]:
+        """Models by their payload: reactions are asked row by row, and building one takes longer than they do."""
+        return {}
+
+    def _carrying(self, payload: tuple[float, Floats] | None) -> tuple[Any, int]:
+        key = b"" if payload is None else np.array([payload[0], *payload[1]]).tobytes()
+        if key not in self._built:
+            self._built[key] = self.pinocchio(payload)
+        return self._built[key]
 
     def poses(self, q: Floats) -> tuple[Floats, Floats]:
         """Tool positions (N, 3) and rotations (N, 3, 3)."""
         model, frame = self.pinocchio()
         data = model.createData()
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
-        for k, row in enumerate(q):
-            pin.forwardKinematics(model, data, self.motors(row))
+        for k, motors in enumerate(self.motors(q)):
+            pin.forwardKinematics(model, data, motors)
             pose = pin.updateFramePlacement(model, data, frame)
             p[k], R[k] = pose.translation, pose.rotation
         return p, R
@@ -131,8 +143,8 @@ class Arm:
         model, frame = self.pinocchio()
         data = model.createData()
         out = np.zeros((len(q), 6, self.n))
-        for k, row in enumerate(q):
-            J = pin.computeFrameJacobian(model, data, self.motors(row), frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)
+        for k, motors in enumerate(self.motors(q)):
+            J = pin.computeFrameJacobian(model, data, motors, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)
             for m, step in enumerate(self.moving):
                 out[k, :, step.joint] += step.ratio * J[:, m]
         return out
@@ -148,6 +160,14 @@ class Arm:
             out[:, 3:] += weight * np.array([pin.log3(a @ b.T) for a, b in zip(R, R0, strict=True)]) / h
         return out
 
+    def torques(self, q: Floats, payload: tuple[float, Floats] | None = None) -> Floats:
+        """Joint torques (N, n) of many rows at rest: the first that :meth:`reactions` returns of each."""
+        model, _ = self._carrying(payload)
+        data, rest = model.createData(), np.zeros(len(self.moving))
+        first = [self.first_of(j) for j in range(self.n)]
+        sides = np.sign([self.moving[k].ratio for k in first])
+        return np.array([sides * pin.rnea(model, data, motors, rest, rest)[first] for motors in self.motors(q)])
+
     def reactions(
         self,
         q: Floats,
@@ -161,7 +181,7 @@ class Arm:
         Returns joint torques (n,), wrenches (n, 6) in the joint frames of the core, and the wrench (6,) on the root.
         ``external (6,)`` acts on the tool point, in the tool frame.
         """
-        model, frame = self.pinocchio(payload)
+        model, frame = self._carrying(payload)
         data, none = model.createData(), np.zeros(self.n)
         forces = pin.StdVec_Force()
         for _ in range(model.njoints):

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ from tests.blind.run import run as benchmark
 from tests.service.conftest import Katana
 from tests.service.parts import killing, noted, recorded, where
 
-pytest.importorskip("distributed")
+# Not importorskip: each tester would import it, a second of processor time.
+pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed")
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 

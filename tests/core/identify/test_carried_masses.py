@@ -45,7 +45,7 @@ def standing() -> Arm:
 def measured(arm: Arm, seed: int) -> Observations:
     rng = np.random.default_rng(seed)
     q = np.array([0.0, -1.2, 1.4, -0.6, 0.9, 0.2]) + rng.uniform(-1.2, 1.2, (60, 6))
-    load = -np.array([arm.reactions(row)[0] for row in q])
+    load = -arm.torques(q)
     bent = q.copy()
     for joint, c in SOFT.items():
         bent[:, joint - 1] += c * load[:, joint - 1]

@@ -309,7 +309,7 @@ def test_bad_arms_are_not_accused(seed: int, kind: str) -> None:
 
 def bent(arm: Arm, q: Floats, rng: np.random.Generator) -> Floats:
     """Joint angles when the joint that gravity works on most gives way, by up to 30 to 60 mm at the tool."""
-    torque = np.array([arm.reactions(row)[0] for row in q])
+    torque = arm.torques(q)
     lever = np.linalg.norm(arm.joint_jacobians(q)[:, :3], axis=1)
     joint = int(np.argmax(torque.std(axis=0) * lever.mean(axis=0)))
     largest = np.abs(lever[:, joint] * torque[:, joint]).max()

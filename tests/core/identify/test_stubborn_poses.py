@@ -128,7 +128,7 @@ def observed(arm: Arm, q: Floats, rng: np.random.Generator, see: str) -> Observa
     tool = pin.SE3(np.eye(3), np.array([0.05, 0.02, 0.15])) * small_pose(rng, 0.02, 0.2)
     true = replace(with_hidden_errors(arm, rng, 1e-3, 2e-3), base=some_pose(rng, 4.0), tool=tool)
     stiffness = np.array([1.0 if step.axis[0] == "r" else 0.02 for step in arm.moving])
-    moved = q - 2e-5 * np.array([arm.reactions(row)[0] for row in q]) * stiffness
+    moved = q - 2e-5 * arm.torques(q) * stiffness
     size, phase = rng.normal(0.0, 1e-3, (2, arm.n)), rng.uniform(0.0, 6.28, (2, arm.n))
     moved += size[0] * np.sin(2 * q + phase[0]) + size[1] * np.sin(3 * q + phase[1])
     moved += 2e-4 * rng.choice([-1.0, 1.0], q.shape)

@@ -190,7 +190,7 @@ def _loaded(rng: np.random.Generator) -> tuple[Arm, Floats, Floats]:
     arm = ur10(bodies=tuple(Body(j, 3.0, np.array([-0.2, 0.02, 0.05])) for j in range(6)))
     q = np.array([0.0, -1.2, 1.4, -0.6, 0.9, 0.2]) + rng.uniform(-1.0, 1.0, (50, 6))
     bent = q.copy()
-    bent[:, 1:3] -= 2e-5 * np.array([arm.reactions(row)[0] for row in q])[:, 1:3]
+    bent[:, 1:3] -= 2e-5 * arm.torques(q)[:, 1:3]
     return arm, q, bent
 
 

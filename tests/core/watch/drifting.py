@@ -29,37 +29,39 @@ class DriftingArm:
     scale: float = 0.0
 
     def frames(self, q: Floats) -> list[Floats]:
-        """Frames (4, 4) of the base and after each row."""
+        """Frames (..., 4, 4) of the base and after each row, of one joint vector (6,) or many (..., 6)."""
         d, a, alpha = self.rows.T
         c, s, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
-        steps = np.zeros((len(q), 4, 4))
-        steps[:, 0] = np.stack([c, -s * ca, s * sa, a * c], axis=1)
-        steps[:, 1] = np.stack([s, c * ca, -c * sa, a * s], axis=1)
-        steps[:, 2, 1:] = np.stack([sa, ca, d], axis=1)
-        steps[:, 3, 3] = 1.0
-        out = [self.base]
-        for step in steps:
-            out.append(out[-1] @ step)
+        steps = np.zeros((*q.shape, 4, 4))
+        steps[..., 0, :] = np.stack([c, -s * ca, s * sa, a * c], axis=-1)
+        steps[..., 1, :] = np.stack([s, c * ca, -c * sa, a * s], axis=-1)
+        steps[..., 2, 1:] = np.stack([sa, ca, d], axis=1)
+        steps[..., 3, 3] = 1.0
+        out = [np.broadcast_to(self.base, (*q.shape[:-1], 4, 4))]
+        for k in range(q.shape[-1]):
+            out.append(out[-1] @ steps[..., k, :, :])
         return out
 
     def torques(self, q: Floats) -> Floats:
-        """Moment (6,) of gravity about each axis, N m; where the arm is meant to be."""
-        frames = np.array(self.frames(q))
-        places = np.einsum("kij,kj->ki", frames[1:, :3, :3], self.centres) + frames[1:, :3, 3]
+        """Moments (..., 6) of gravity about each axis, N m; where the arm is meant to be."""
+        frames = np.stack(self.frames(q), axis=-3)
+        places = np.einsum("...kij,kj->...ki", frames[..., 1:, :3, :3], self.centres) + frames[..., 1:, :3, 3]
         forces = self.masses[:, None] * (self.base[:3, :3] @ GRAVITY)
         # The moment about an axis is that of all forces beyond it: those about the origin, moved there.
-        about_origin = np.cumsum(np.cross(places, forces)[::-1], axis=0)[::-1]
+        about_origin = np.cumsum(np.cross(places, forces)[..., ::-1, :], axis=-2)[..., ::-1, :]
         beyond = np.cumsum(forces[::-1], axis=0)[::-1]
-        moments = about_origin - np.cross(frames[:6, :3, 3], beyond)
-        return np.asarray(np.sum(frames[:6, :3, 2] * moments, axis=1))
+        moments = about_origin - np.cross(frames[..., :6, :3, 3], beyond)
+        return np.asarray(np.sum(frames[..., :6, :3, 2] * moments, axis=-1))
 
     def point(self, q: Floats) -> Floats:
-        """Where an instrument sees the tool point (3,) m."""
-        moved = q + self.zeros + self.compliance * self.torques(q)
-        return (1.0 + self.scale) * (self.frames(moved)[-1] @ self.tool)[:3, 3]
+        """Where an instrument sees the tool point (..., 3) m of one joint vector (6,) or many (..., 6)."""
+        moved = q + self.zeros
+        if self.compliance.any():
+            moved = moved + self.compliance * self.torques(q)
+        return np.asarray((1.0 + self.scale) * (self.frames(moved)[-1] @ self.tool)[..., :3, 3])
 
     def measured(self, q: Floats, rng: np.random.Generator, noise: float) -> Observations:
-        seen = np.array([self.point(row) for row in q])
+        seen = self.point(q)
         return Observations(q, position=seen + rng.normal(0.0, noise, seen.shape))
 
     def document(self) -> dict[str, Any]:

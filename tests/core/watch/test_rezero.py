@@ -36,7 +36,7 @@ def fitted() -> Fitted:
 def misfit(calibration: Calibration, arm: DriftingArm) -> float:
     """Mean error (m) of an arm on poses that nobody measured, without noise."""
     q = some_poses(60, np.random.default_rng(99))
-    seen = np.array([arm.point(row) for row in q])
+    seen = arm.point(q)
     return float(np.linalg.norm(calibration.predict(Observations(q)).position - seen, axis=1).mean())
 
 

@@ -19,8 +19,8 @@ from kilter_files.match.dwells import Dwell, RestOptions, find_dwells, thin
 from kilter_files.match.pair_checks import refuse_knocks, refuse_wrong_pairs
 from kilter_files.match.rigid_body import Body, Poses, poses, seen_enough
 from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.jumps import jumps
 from kilter_files.tables.recording import Recording
-from kilter_files.tables.survey import jumps
 
 SAME_POSE_DEG = 0.01
 MOVED_DEG = 0.05

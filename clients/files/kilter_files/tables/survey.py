@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.units import SIZES
+from kilter_files.tables.jumps import jumps
 from kilter_files.tables.recording import Block, Recording
 
-JUMP_MM = 5.0
-SHIFT_SHARE = 0.05  # a jump is explained by moved columns when this little of it is left
 FAR_MM = 30_000.0  # no optical tracker sees markers 30 m away
 NEAR_MM = 50.0  # a tracker stands farther away
 NOISE_FRAMES = 200_000
@@ -90,53 +89,6 @@ def _spread(values: Floats) -> float:
     for _ in range(3):
         sigma = float(np.sqrt(np.mean(size[size <= 4 * sigma] ** 2)))
     return sigma
-
-
-def jumps(points: Floats, rows: NDArray[np.int64], names: tuple[str, ...]) -> list[tuple[int, str]]:
-    """Return the rows where markers changed places, or where all columns moved over by some."""
-    step = np.abs(np.diff(points, axis=0))
-    with np.errstate(invalid="ignore"):
-        moved = np.where(np.isnan(step), 0.0, step).max(axis=2) > JUMP_MM
-    found: list[tuple[int, str]] = []
-    for k in np.flatnonzero(moved.any(axis=1)):
-        what = _shifted(points[k], points[k + 1]) or _swapped(points[k], points[k + 1], moved[k], names)
-        if not what and k:
-            # in fast motion a marker is nearer to where it was going than to where it was
-            what = _swapped(2 * points[k] - points[k - 1], points[k + 1], moved[k], names)
-        if what:
-            found.append((int(rows[k + 1]), what))
-    return found
-
-
-def _shifted(before: Floats, after: Floats) -> str:
-    old, new = before.ravel(), after.ravel()
-    known = ~np.isnan(old) & ~np.isnan(new)
-    if known.sum() < 3:
-        return ""
-    size = float(np.median(np.abs(new[known] - old[known])))
-    if size < JUMP_MM:
-        return ""
-    for by in (1, 2, -1, -2):
-        left = np.abs(new[by:] - old[:-by]) if by > 0 else np.abs(new[:by] - old[-by:])
-        left = left[~np.isnan(left)]
-        if len(left) >= 2 and float(np.max(left)) < SHIFT_SHARE * size:
-            return f"all columns moved by {by} here"
-    return ""
-
-
-def _swapped(before: Floats, after: Floats, moved: NDArray[np.bool_], names: tuple[str, ...]) -> str:
-    suspects = np.flatnonzero(moved)
-    if not 2 <= len(suspects) <= 64:
-        return ""
-    apart = np.linalg.norm(after[suspects][:, None] - before[suspects][None], axis=2)
-    own = np.diag(apart)
-    with np.errstate(invalid="ignore"):
-        crossed = np.maximum(apart, apart.T) < SHIFT_SHARE * np.minimum(own[:, None], own[None])
-    pairs = np.argwhere(np.triu(crossed, 1))
-    if not len(pairs):
-        return ""
-    first, second = (names[suspects[i]] for i in pairs[0])
-    return f"the markers {first!r} and {second!r} change places here"
 
 
 def _ranges(found: Survey, block: Block) -> None:

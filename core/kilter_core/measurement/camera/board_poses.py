@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,27 +16,45 @@ from kilter_core.types import Bools, Floats
 STEPS = 12
 RESTING = 1e-9  # m and rad: a last step, after which rounding decides what gains
 Lens = tuple[str, Floats]
+Found = tuple[Floats, Floats, Floats, Bools]
+# An identification asks for the poses of the same views up to seven times: its checks, its start, its report.
+MOST_KEPT, MOST_BYTES = 16, 1 << 20
 PLANAR = 1e-6  # share of the largest spread below which corners lie in a plane
 FEWEST_IN_SPACE = 6
 
 
-def board_poses(
-    camera: Camera, intrinsics: Floats, board: Board, pixels: Floats
-) -> tuple[Floats, Floats, Floats, Bools]:
-    """Poses of a board before a camera: position (N, 3), rotation (N, 3, 3), rms (N,) px, and which views (N,) tell one.
-
-    ``pixels (N, m, 2)`` are NaN where a corner was not seen.
+def board_poses(camera: Camera, intrinsics: Floats, board: Board, pixels: Floats) -> Found:
+    """Poses of a board before a camera: position (N, 3), rotation (N, 3, 3), rms (N,) px, and which views (N,) tell
+    one. ``pixels (N, m, 2)`` are NaN where a corner was not seen. What is returned cannot be written to.
     """
-    corners = np.array(board.corners)
+    lens, corners, seen = (
+        np.ascontiguousarray(given, dtype=np.float64) for given in (intrinsics, board.corners, pixels)
+    )
+    if seen.nbytes > MOST_BYTES:
+        return _found(camera.model, lens, corners, seen)
+    return _kept(camera.model, lens.tobytes(), corners.tobytes(), seen.shape, seen.tobytes())
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def _kept(model: str, intrinsics: bytes, corners: bytes, shape: tuple[int, ...], pixels: bytes) -> Found:
+    """As :func:`_found`, of the same numbers once."""
+    lens, places, seen = (np.frombuffer(given) for given in (intrinsics, corners, pixels))
+    found = _found(model, lens, places.reshape(-1, 3), seen.reshape(shape))
+    for one in found:
+        one.flags.writeable = False
+    return found
+
+
+def _found(model: str, intrinsics: Floats, corners: Floats, pixels: Floats) -> Found:
     centre, frame, flat = _plane_of(corners)
     local = (corners - centre) @ frame
     seen: Bools = np.asarray(~np.isnan(pixels).any(axis=2))
     usable = seen.sum(axis=1) >= (4 if flat else FEWEST_IN_SPACE)
     if not usable.all():
-        return _of_usable(camera, intrinsics, board, pixels, usable)
-    flats = np.where(seen[..., None], normalised(camera.model, intrinsics, pixels), 0.0)
+        return _of_usable(model, intrinsics, corners, pixels, usable)
+    flats = np.where(seen[..., None], normalised(model, intrinsics, pixels), 0.0)
     p, R = (_by_homography if flat else _in_space)(local, flats, seen)
-    lens = camera.model, intrinsics
+    lens = model, intrinsics
     p, R, rms = _refined(lens, local, p, R, pixels)
     if flat:
         p, R, rms = _better((p, R, rms), _refined(lens, local, p, _other_side(p, R), pixels))
@@ -42,14 +62,12 @@ def board_poses(
     return p - R_board @ centre, R_board, rms, np.asarray(np.isfinite(rms) & (p[:, 2] > 0.0))
 
 
-def _of_usable(
-    camera: Camera, intrinsics: Floats, board: Board, pixels: Floats, usable: Bools
-) -> tuple[Floats, Floats, Floats, Bools]:
+def _of_usable(model: str, intrinsics: Floats, corners: Floats, pixels: Floats, usable: Bools) -> Found:
     """Poses of the views with enough corners; of the others NaN."""
     n = len(pixels)
     p, R, rms, told = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full(n, np.nan), np.zeros(n, dtype=bool)
     if usable.any():
-        p[usable], R[usable], rms[usable], told[usable] = board_poses(camera, intrinsics, board, pixels[usable])
+        p[usable], R[usable], rms[usable], told[usable] = _found(model, intrinsics, corners, pixels[usable])
     return p, R, rms, told
 
 
