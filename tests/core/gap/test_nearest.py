@@ -22,3 +22,11 @@ def test_a_fit_begins_at_geometry_alone_where_what_is_taken_out_was_large() -> N
     assert nearest(alone.settings, starts, [names.index("backlash_1")]) is alone.values
     assert nearest(alone.settings, starts, [names.index("encoder_scale_2")]) is with_it.values
     np.testing.assert_array_equal(nearest(alone.settings, starts[:1], []), with_it.values)
+
+
+def test_a_fit_that_rests_has_the_same_derivatives() -> None:
+    problem = prepare_data(Calibration.nominal(katana()), campaign(katana(), seed=5), OPTIONS).problem
+    kept = problem.of_unit([2, 0])
+    problem.derivatives.kept = None
+    np.testing.assert_allclose(problem.of_unit([2, 0]), kept, rtol=1e-12, atol=1e-12)
+    assert problem.derivatives.kept is None

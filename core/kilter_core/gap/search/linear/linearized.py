@@ -72,6 +72,12 @@ class LinearizedProblem:
         """Whitened unit columns before projection (R, Q)."""
         return self.derivatives.W
 
+    def of_unit(self, columns: Sequence[int]) -> Floats:
+        """Whitened derivatives (R, P + d) by geometry and library ``columns``, of a unit each; a fit that rests makes no others."""
+        if self.derivatives.kept is None:
+            return np.hstack(self.settings.linearised(self.values, self.derivatives.batch, columns)[1:])
+        return np.hstack([self.G, self.W_raw[:, list(columns)] * self.size[list(columns)]])
+
     def resting(self) -> None:
         """Let go of what fills the memory: nothing is asked of this fit for a while, or never again."""
         self.derivatives.let_go()
