@@ -73,7 +73,7 @@ class LinearizedProblem:
         return self.derivatives.W
 
     def of_unit(self, columns: Sequence[int]) -> Floats:
-        """Whitened derivatives (R, P + d) by geometry and library ``columns``, of a unit each; a fit that rests makes no others."""
+        """Whitened derivatives (R, P + d) by geometry and library ``columns``, of a unit each; at rest it makes no others."""
         if self.derivatives.kept is None:
             return np.hstack(self.settings.linearised(self.values, self.derivatives.batch, columns)[1:])
         return np.hstack([self.G, self.W_raw[:, list(columns)] * self.size[list(columns)]])
