@@ -50,6 +50,22 @@ def test_a_family_whose_joints_all_show_stays_a_family():
     assert search.improved(gram, (5,), CRITICAL) == (5,)
 
 
+def test_a_family_does_not_give_way_to_two_others_that_take_more_directions():
+    """They explain more because they have more; a real arm's one family became twelve names that way."""
+    rng = np.random.default_rng(4)
+    W = rng.standard_normal((200, 8))
+    y = W @ np.array([9.0, 9.0, 4.0, 4.0, 4.0, 4.0, 4.0, 4.0]) + rng.standard_normal(200)
+    W[:, 2] += 2.0 * W[:, 0]
+    W[:, 5] += 2.0 * W[:, 1]
+    family = candidate("compliance", (0, 1), FAMILY, (0, 1))
+    others = [candidate("curve", (2, 3, 4), WHOLE), candidate("field", (5, 6, 7), WHOLE)]
+    gram = gram_of(W, y)
+    search = selector([family, *others], gram, 200, absolute=True)
+    variance = search.variance(gram, (0,))
+    assert search.criterion(gram, (1, 2), variance) > search.criterion(gram, (0,), variance)
+    assert search.divided(gram, (0,), CRITICAL) == (0,)
+
+
 def hiding(strength, seed):
     """Two columns alike, of which the data hold the difference: alone either leaves nearly everything."""
     rng = np.random.default_rng(seed)

@@ -107,3 +107,21 @@ def test_rows_without_noise_end():
     found = robustly(X, y)
     assert np.allclose(solve(X, y, found.weight), truth)
     assert found.weight[3] == 0.0
+
+
+def test_a_descent_ends_where_what_it_is_for_is_decided():
+    X, y, _, bad = plane(1, wrong=0.3)
+    fits, asked = [], []
+
+    def sizes(weight):
+        fits.append(weight)
+        return np.linalg.norm(y - X @ solve(X, y, weight), axis=1)
+
+    def decided(size):
+        asked.append(size)
+        return True
+
+    found = redescended(sizes, sizes(np.ones(len(y))), 3, decided)
+    assert len(asked) == 1
+    assert len(fits) > 3  # the limit came all the way down first
+    assert (found.weight[bad] == 0.0).all()

@@ -89,3 +89,20 @@ def test_derivatives_are_not_taken_where_a_shorter_step_still_climbs(radius: flo
     found = [minimise(one, start, one.at(start)).values for one in (valley, cheap)]
     np.testing.assert_array_equal(*found)
     assert cheap.asked < valley.asked
+
+
+class Vain(Valley):
+    """The same, whose loss hardly falls whatever its slope promises."""
+
+    def worth(self, loss: float) -> float:
+        return 1e-9
+
+    def at(self, values: Floats) -> Seen:
+        seen = super().at(values)
+        return Seen(seen.r, seen.J, 1e-6 * seen.loss)
+
+
+def test_a_walk_ends_after_steps_that_gain_nothing_worth_taking() -> None:
+    start = RADIUS * np.array([np.cos(2.9), np.sin(2.9)])
+    found = [minimise(valley, start, valley.at(start), idle=idle) for valley, idle in ((Vain(), 2), (Vain(), 60))]
+    assert found[0].iterations == 2 < found[1].iterations

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.gap.budget import SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, refit
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, nearest, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.re_evaluation import renewed, under
 from kilter_core.gap.search.scan import Null, Scorer, null_of
@@ -125,7 +125,9 @@ def _forward_selection(
         tick = partial(budget.ending(progress, SEARCHING, MORE), *now)
         problem.resting()
         try:
-            other = refit(problem.settings, problem.values, selector.columns(after), tick)
+            columns = selector.columns(after)
+            start = nearest(problem.settings, (problem.values, begin.values), columns)
+            other = refit(problem.settings, start, columns, tick)
         except OutOfTimeError:
             break
         if worse(selector, (other, after), (problem, chosen)):

@@ -25,11 +25,11 @@ def rejudged(found: SearchResult, alpha: float, limits: Floats, budget: Budget |
     noise and outliers stay as they are.
     """
     tick = (budget or Budget()).tick(MEASURING, AGAIN)
-    for _ in range(ROUNDS):
+    for round_ in range(ROUNDS):
         found = finalize(found, alpha)
         try:
             at, selector = when(found.problem, found.selector, found.chosen, limits, tick)
-            problem = renewed(at, found.columns, tick)
+            problem = renewed(at, found.columns, tick, at_last=not round_)
         except OutOfTimeError:
             return found
         if problem is found.problem:

@@ -72,7 +72,7 @@ def of_all(found: SearchResult) -> tuple[Floats, Prior, Floats]:
     """Whitened Jacobian (R, F), prior (F,) and covariance (F, F) of the geometry and the named effects."""
     problem, columns = found.problem, found.columns
     source = problem.settings.source
-    J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / widening(found)
+    J = problem.of_unit(columns) / widening(found)
     prior = source.prior_with(columns)
     H = (J * prior.sigma).T @ (J * prior.sigma)
     prior.add_to(H)

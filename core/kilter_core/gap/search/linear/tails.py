@@ -18,5 +18,9 @@ def tail(taken: ArrayLike, d: ArrayLike, freedom: ArrayLike = np.inf) -> Floats:
     size = np.maximum(np.asarray(taken, dtype=np.float64), 0.0)
     known, count = np.asarray(freedom, dtype=np.float64), np.maximum(np.asarray(d, dtype=np.float64), 1.0)
     finite = np.isfinite(known)
+    if not finite.any():  # a selection asks tens of thousands of times, of a noise of one kind
+        return np.asarray(gammaincc(count / 2.0, size / 2.0))
+    if finite.all():
+        return np.asarray(fdtrc(count, np.maximum(known, 1.0), size / count))
     estimated = fdtrc(count, np.where(finite, np.maximum(known, 1.0), 1.0), size / count)
     return np.where(finite, estimated, gammaincc(count / 2.0, size / 2.0))
