@@ -63,7 +63,7 @@ def evaluate(
         return {
             "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
             "within_u95": None, "left_open": left, "rows": none.to_document(),
-            "warnings": [*_worse(stages, measurement), *tell_less(left, shown, "By these views")],
+            "warnings": [*_worse(stages, measurement), *tell_less({"pixels": {"left_open": left}}, shown, "By these views")],
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
     within = table.within

@@ -266,8 +266,7 @@ def _views(
     views = with_control(result.views, begin, measurement.observations)
     views = with_held(views, result.calibration, validation, measurement)
     shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}
-    left = (views.get("pixels") or {}).get("left_open")
-    said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(left, shown.get("identified"))
+    said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(views, shown.get("identified"))
     return {"views": views, "warnings": (*warnings, *said)}
 
 

@@ -82,9 +82,10 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
 
 
 def tell_less(
-    left: Mapping[str, float] | None, held_mm: float | None, seen: str = "By views held out"
+    said: Mapping[str, Any], held_mm: float | None, seen: str = "By views held out"
 ) -> Iterator[dict[str, Any]]:
-    """Warn where a fit to views ``left`` more open than views show, ``held_mm`` rms, which were ``seen`` apart from it."""
+    """Warn where a fit to views leaves more open than views show, ``held_mm`` rms, which were ``seen`` apart from it."""
+    left = (said.get("pixels") or {}).get("left_open")
     if left is None or held_mm is None or left["rms_mm"] <= BEYOND_SHOWN * held_mm:
         return
     yield {
