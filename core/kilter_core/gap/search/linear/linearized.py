@@ -39,7 +39,7 @@ IDLE = 3  # steps in a row that gained less than a change that counts, after whi
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
 UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
-STILL = 0.3  # change of the fit, in sigmas over all data, that counts as converged: a tenth of a criterion point
+STILL = 0.1  # change of the fit, in sigmas over all data, that counts as converged
 
 
 @dataclass(frozen=True)
