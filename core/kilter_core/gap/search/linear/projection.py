@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.gap.search.linear.bases import UNFELT
 from kilter_core.gap.search.linear.soft import Soft
 from kilter_core.types import Floats
 
 AT_ONCE = 400_000  # numbers of the columns that are made at a time: 3 MB, which the processor's cache holds
 MOST_AT_ONCE = 4_000_000  # the same of columns that are kept: 32 MB
-UNFELT = 1e-3  # noise sigmas that one prior sigma of a direction moves all data by, below which nothing shows it
 
 
 @dataclass(frozen=True)
