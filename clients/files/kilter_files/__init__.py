@@ -8,41 +8,28 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from kilter_files.ground.errors import FileError, UsageError
-from kilter_files.ground.later import Later, np
+from kilter_files.ground.later import later, np
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 if TYPE_CHECKING:
+    from kilter_files.formats.reader import LogHints
+    from kilter_files.look.draft import Draft
+    from kilter_files.tables.joint_log import JointLog
+
+    DEVICES: Mapping[str, Callable[[Path], Table]]
+
+with later(__name__):
     from kilter_files.formats import opening, reader, registry, tracker_header
     from kilter_files.formats.joints import joint_log
-    from kilter_files.formats.reader import LogHints
     from kilter_files.ground import units
     from kilter_files.look import draft as drafts
     from kilter_files.look import inspection
-    from kilter_files.look.draft import Draft
     from kilter_files.maps import column_map as column_maps
     from kilter_files.maps import joined as joins
     from kilter_files.maps import mapped
     from kilter_files.rig import points
     from kilter_files.tables import joint_log as joint_logs
     from kilter_files.tables import source
-    from kilter_files.tables.joint_log import JointLog
-
-    DEVICES: Mapping[str, Callable[[Path], Table]]
-else:
-    joint_log = Later("kilter_files.formats.joints.joint_log")
-    opening = Later("kilter_files.formats.opening")
-    tracker_header = Later("kilter_files.formats.tracker_header")
-    reader = Later("kilter_files.formats.reader")
-    registry = Later("kilter_files.formats.registry")
-    units = Later("kilter_files.ground.units")
-    drafts = Later("kilter_files.look.draft")
-    inspection = Later("kilter_files.look.inspection")
-    column_maps = Later("kilter_files.maps.column_map")
-    joins = Later("kilter_files.maps.joined")
-    mapped = Later("kilter_files.maps.mapped")
-    points = Later("kilter_files.rig.points")
-    joint_logs = Later("kilter_files.tables.joint_log")
-    source = Later("kilter_files.tables.source")
 
 __all__ = ["DEVICES", "Prepared", "draft", "inspect", "prepare", "read_joints"]
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
 
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_service.ground.db import failures
-else:
-    failures = Later("kilter_service.ground.db.failures")
 
 
 def log_failure(log: logging.Logger, error: Exception, message: str, *arguments: object) -> None:

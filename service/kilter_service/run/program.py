@@ -11,11 +11,11 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from pydantic import ValidationError
 
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 from kilter_service.ground.files.private_files import UMASK, protect
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings
 from kilter_service.ground.version import code_version
@@ -24,7 +24,7 @@ from kilter_service.stream.signing import command
 from kilter_service.web.observability import logs, tracing
 
 # A command loads what it runs, and nothing else.
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_service.ground import db
     from kilter_service.ground.db import failures, revision
     from kilter_service.ground.files import server_file
@@ -38,24 +38,6 @@ if TYPE_CHECKING:
     from kilter_service.stream.ros2 import process as ros2_process
     from kilter_service.web.audit import service as audits
     from kilter_service.web.auth import listen_rules, token
-else:
-    audits = Later("kilter_service.web.audit.service")
-    listen_rules = Later("kilter_service.web.auth.listen_rules")
-    token = Later("kilter_service.web.auth.token")
-    commands = Later("kilter_service.run.backup.commands")
-    upgrading = Later("kilter_service.run.backup.upgrade")
-    compiling = Later("kilter_service.run.compiling")
-    corrector_process = Later("kilter_service.stream.corrector.process")
-    db = Later("kilter_service.ground.db")
-    failures = Later("kilter_service.ground.db.failures")
-    revision = Later("kilter_service.ground.db.revision")
-    doctor_commands = Later("kilter_service.run.doctor.commands")
-    retention = Later("kilter_service.jobs.retention.service")
-    jobs = Later("kilter_service.jobs.work.worker")
-    ros2_process = Later("kilter_service.stream.ros2.process")
-    server_file = Later("kilter_service.ground.files.server_file")
-    serving = Later("kilter_service.run.serving")
-    supervisor = Later("kilter_service.run.supervisor")
 
 ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder
 TRACED = frozenset({"api", "worker"})

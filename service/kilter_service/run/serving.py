@@ -10,19 +10,15 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes.memory import ShortPauses, keep_small
 from kilter_service.ground.settings import Settings
 
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_service.ground import db
     from kilter_service.ground.db import revision
-else:
-    db = Later("kilter_service.ground.db")
-    revision = Later("kilter_service.ground.db.revision")
 
 log = logging.getLogger("kilter.api")
 

@@ -17,9 +17,9 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import private_folder
 from kilter_service.ground.files.server_file import ServerFile
@@ -32,10 +32,8 @@ from kilter_service.stream.corrector.orphan import goes_on_alone
 from kilter_service.web.auth.listen_rules import check_binding
 from kilter_service.web.auth.token import admin_token
 
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_service.run.backup import upgrade
-else:
-    upgrade = Later("kilter_service.run.backup.upgrade")
 
 log = logging.getLogger("kilter.serve")
 

@@ -7,31 +7,15 @@ whose package is of an extra calls :func:`need` first, which says what installs 
 
 from __future__ import annotations
 
+import builtins
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from threading import RLock
+from types import SimpleNamespace
+from typing import Any
 
 from kilter_files.ground.errors import MissingPackageError
-
-__all__ = [
-    "Image",
-    "ImageOps",
-    "csv",
-    "interpolate",
-    "mujoco",
-    "need",
-    "np",
-    "pa",
-    "parquet",
-    "pc",
-    "pypdfium2",
-    "rosbag1",
-    "rosbag2",
-    "special",
-    "stats",
-    "transform",
-    "typesys",
-    "yaml",
-]
 
 
 class Later:
@@ -50,6 +34,37 @@ class Later:
         if name.startswith("__"):  # what asks whether this is a module, a class or a wrapper imports nothing
             raise AttributeError(name)
         return getattr(import_module(self._name), name)
+
+
+_ONE_BLOCK = RLock()
+
+
+@contextmanager
+def later(module: str) -> Iterator[None]:
+    """Import each module that the block names at its first use: ``with later(__name__):`` and the imports.
+
+    It is said once, for whoever runs it and for whoever checks types. Only the statements of ``module`` wait: what other
+    threads import meanwhile they have at once.
+    """
+
+    def named(name: str, *how: Any, **further: Any) -> Any:
+        if not how or how[0].get("__name__") != module:
+            return at_once(name, *how, **further)
+        wanted = how[2]
+        if wanted:  # from a.b import c: whose attribute c is taken
+            return SimpleNamespace(**{one: Later(f"{name}.{one}") for one in wanted})
+        it: Any = Later(name)  # import a.b as c: whose attribute b is taken
+        for part in reversed(name.split(".")[1:]):
+            it = SimpleNamespace(**{part: it})
+        return it
+
+    with _ONE_BLOCK:
+        at_once = builtins.__import__
+        builtins.__import__ = named
+        try:
+            yield
+        finally:
+            builtins.__import__ = at_once
 
 
 def need(what: str, package: str, *modules: str, install: str = "", instead: str = "") -> Any:
@@ -73,7 +88,7 @@ def need(what: str, package: str, *modules: str, install: str = "", instead: str
         raise MissingPackageError(f"{what} {package}. {remedy}", package=package) from error
 
 
-if TYPE_CHECKING:
+with later(__name__):
     import mujoco
     import numpy as np
     import pyarrow as pa
@@ -85,21 +100,3 @@ if TYPE_CHECKING:
     from rosbags import rosbag1, rosbag2, typesys
     from scipy import interpolate, special, stats
     from scipy.spatial import transform
-else:
-    csv = Later("pyarrow.csv")
-    Image = Later("PIL.Image")
-    ImageOps = Later("PIL.ImageOps")
-    interpolate = Later("scipy.interpolate")
-    mujoco = Later("mujoco")
-    np = Later("numpy")
-    pa = Later("pyarrow")
-    parquet = Later("pyarrow.parquet")
-    pc = Later("pyarrow.compute")
-    pypdfium2 = Later("pypdfium2")
-    rosbag1 = Later("rosbags.rosbag1")
-    rosbag2 = Later("rosbags.rosbag2")
-    special = Later("scipy.special")
-    stats = Later("scipy.stats")
-    transform = Later("scipy.spatial.transform")
-    typesys = Later("rosbags.typesys")
-    yaml = Later("yaml")

@@ -9,20 +9,17 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import MissingPackageError
 from kilter_files.ground.faults import fault
-from kilter_files.ground.later import Later, need, np, pa, parquet
+from kilter_files.ground.later import later, need, np, pa, parquet
 from kilter_files.ground.units import MARKER
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
-if TYPE_CHECKING:
+with later(__name__):  # they need numpy, which rows without markers do not
     from kilter_files.match import knocks, shape_change
-else:  # they need numpy, which rows without markers do not
-    knocks = Later("kilter_files.match.knocks")
-    shape_change = Later("kilter_files.match.shape_change")
 
 A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 SHOWN = 4

@@ -6,60 +6,9 @@ something else here begins with ``files_``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from kilter_files.ground.later import later
 
-from kilter_files.ground.later import Later
-
-__all__ = [
-    "bag_pictures",
-    "ballbar",
-    "clock_checks",
-    "cut_recording",
-    "drawn_circle",
-    "dwells",
-    "files_arm",
-    "files_ballbar_join",
-    "files_beside_rows",
-    "files_calibration",
-    "files_episodes",
-    "files_exported",
-    "files_feeds",
-    "files_found",
-    "files_height",
-    "files_homing",
-    "files_link_meshes",
-    "files_marks",
-    "files_moved",
-    "files_newest",
-    "files_poses",
-    "files_postures",
-    "files_reading",
-    "files_refusals",
-    "files_report",
-    "files_run",
-    "files_second",
-    "files_server",
-    "files_session",
-    "files_sources",
-    "files_summary",
-    "files_taken",
-    "files_target",
-    "files_tilt_join",
-    "files_unusual",
-    "frames_by_time",
-    "joint_log",
-    "kit_coverage",
-    "kit_loads",
-    "kit_words",
-    "matching",
-    "one_target",
-    "read",
-    "readings",
-    "rigid",
-    "rigid_body",
-]
-
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_files.formats.joints import joint_log
     from kilter_files.formats.joints.lerobot import beside_rows as files_beside_rows
     from kilter_files.formats.joints.lerobot import calibration as files_calibration
@@ -100,50 +49,3 @@ if TYPE_CHECKING:
     from kilter_files.robots import link_meshes as files_link_meshes
     from kilter_files.robots import read
     from kilter_files.tables import cut_recording
-else:
-    joint_log = Later("kilter_files.formats.joints.joint_log")
-    files_beside_rows = Later("kilter_files.formats.joints.lerobot.beside_rows")
-    files_calibration = Later("kilter_files.formats.joints.lerobot.calibration")
-    files_episodes = Later("kilter_files.formats.joints.lerobot.episodes")
-    files_homing = Later("kilter_files.formats.joints.lerobot.homing")
-    files_moved = Later("kilter_files.formats.joints.lerobot.moved")
-    ballbar = Later("kilter_files.formats.logs.ballbar")
-    files_found = Later("kilter_files.formats.programs.found")
-    files_marks = Later("kilter_files.formats.programs.marks")
-    one_target = Later("kilter_files.formats.programs.one_target")
-    files_postures = Later("kilter_files.formats.programs.poses.postures")
-    rigid = Later("kilter_files.formats.programs.rigid")
-    files_reading = Later("kilter_files.formats.programs.reading")
-    files_refusals = Later("kilter_files.look.refusals")
-    files_summary = Later("kilter_files.look.summary")
-    files_unusual = Later("kilter_files.look.unusual")
-    files_arm = Later("kilter_files.match.arm")
-    clock_checks = Later("kilter_files.match.clock_checks")
-    dwells = Later("kilter_files.match.dwells")
-    frames_by_time = Later("kilter_files.match.frames_by_time")
-    matching = Later("kilter_files.match.matching")
-    rigid_body = Later("kilter_files.match.rigid_body")
-    files_ballbar_join = Later("kilter_files.rig.ballbar_join")
-    drawn_circle = Later("kilter_files.rig.drawn_circle")
-    files_height = Later("kilter_files.rig.height")
-    kit_coverage = Later("kilter_files.rig.kit.coverage")
-    kit_loads = Later("kilter_files.rig.kit.loads")
-    kit_words = Later("kilter_files.rig.kit.words")
-    files_feeds = Later("kilter_files.rig.live.feeds")
-    files_newest = Later("kilter_files.rig.live.newest")
-    files_server = Later("kilter_files.rig.live.server")
-    files_session = Later("kilter_files.rig.live.session")
-    files_taken = Later("kilter_files.rig.live.taken")
-    readings = Later("kilter_files.rig.readings")
-    bag_pictures = Later("kilter_files.rig.see.bag_pictures")
-    files_poses = Later("kilter_files.rig.see.poses")
-    files_run = Later("kilter_files.rig.see.run")
-    files_second = Later("kilter_files.rig.see.second")
-    files_sources = Later("kilter_files.rig.see.sources")
-    files_target = Later("kilter_files.rig.see.target")
-    files_report = Later("kilter_files.rig.sheet.report")
-    files_tilt_join = Later("kilter_files.rig.tilt_join")
-    files_exported = Later("kilter_files.robots.exported")
-    files_link_meshes = Later("kilter_files.robots.link_meshes")
-    read = Later("kilter_files.robots.read")
-    cut_recording = Later("kilter_files.tables.cut_recording")

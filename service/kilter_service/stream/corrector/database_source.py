@@ -5,27 +5,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Hashable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 from kilter_service.ground.core import program
 from kilter_service.stream.corrector.active import Active, version_number, workspace_of
 
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_service.ground import correction_limits, db
     from kilter_service.ground.db import revision
     from kilter_service.robots import compensation
     from kilter_service.robots import store as robots
     from kilter_service.versions import store
-
-else:
-    correction_limits = Later("kilter_service.ground.correction_limits")
-    db = Later("kilter_service.ground.db")
-    revision = Later("kilter_service.ground.db.revision")
-    compensation = Later("kilter_service.robots.compensation")
-    robots = Later("kilter_service.robots.store")
-    store = Later("kilter_service.versions.store")
 
 log = logging.getLogger("kilter.corrector")
 

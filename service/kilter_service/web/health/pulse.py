@@ -8,21 +8,16 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
 
-if TYPE_CHECKING:
+with later(__name__):
     from kilter_service.ground import db
     from kilter_service.ground.db import revision
     from kilter_service.web.health import store
-
-else:
-    db = Later("kilter_service.ground.db")
-    revision = Later("kilter_service.ground.db.revision")
-    store = Later("kilter_service.web.health.store")
 
 log = logging.getLogger("kilter.health")
 

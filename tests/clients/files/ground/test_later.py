@@ -39,3 +39,25 @@ def test_what_is_needed_is_imported_or_its_command_is_named() -> None:
         later.need("Archives need", "No-Such", "zipfile", "no_such_package", instead="unpack it yourself")
     assert str(caught.value) == "Archives need No-Such. Install it with: pip install No-Such, or unpack it yourself."
     assert caught.value.context == {"package": "No-Such"}
+
+
+WAITING = """
+import sys
+import threading
+from kilter_files.ground.later import later
+
+with later(__name__):
+    import xml.dom.minidom as dom
+    from json import tool
+    other = threading.Thread(target=exec, args=("import wave", {"__name__": "other"}))
+    other.start()
+    other.join()
+loaded = [name in sys.modules for name in ("xml.dom.minidom", "json.tool", "wave")]
+import colorsys
+print(*loaded, "colorsys" in sys.modules, dom.parseString("<a/>").documentElement.tagName, callable(tool.main))
+"""
+
+
+def test_only_what_the_module_itself_imports_in_its_block_waits() -> None:
+    done = subprocess.run([sys.executable, "-c", WAITING], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False", "True", "True", "a", "True"]

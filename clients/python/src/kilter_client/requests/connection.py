@@ -6,17 +6,15 @@ import os
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
 from kilter_client.requests.server_address import Place, locate
 from kilter_client.requests.steps import Answer, Follow, Pause, Relocate, Request, Step, Steps, refuse
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 
-if TYPE_CHECKING:
-    import httpx
-else:
-    httpx = Later("httpx")  # 0.2 s: not when the package is imported
+with later(__name__):
+    import httpx  # 0.2 s: not when the package is imported
 
 T = TypeVar("T")
 Reword = Callable[[KilterError], None]

@@ -12,14 +12,12 @@ import socket
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from kilter_files.ground.later import Later
+from kilter_files.ground.later import later
 
-if TYPE_CHECKING:
+with later(__name__):
     import ssl
-else:
-    ssl = Later("ssl")
 
 PATIENCE_S, ALERT_S = 3.0, 1.0
 EXPIRED, NOT_YET, OTHER_NAMES = 10, 9, (62, 64)  # X509_V_ERR_… of OpenSSL
