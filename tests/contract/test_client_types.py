@@ -8,9 +8,13 @@ from typing import Any
 
 import pytest
 
+from kilter_client.results.record import scalar_names
 from kilter_client.typed.jobs import PlanJob
+from kilter_client.typed.versions import Version, VersionSummary
 from tools.contract import client_types
 from tools.contract.client_types import client_modules
+
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def schema(**properties: Any) -> dict[str, Any]:
@@ -103,3 +107,23 @@ def test_what_all_jobs_have_is_written_once(interface: Path) -> None:
 def test_a_job_reads_what_it_inherits() -> None:
     job = PlanJob.read({"id": "job_1", "kind": "plan", "state": "queued", "attempts": 2})
     assert (job.id, job.kind, job.state, job.attempts, job.result) == ("job_1", "plan", "queued", 2, None)
+
+
+def test_a_type_inherits_the_fields_that_it_has_of_another_one() -> None:
+    short, long = VersionSummary.read({"id": "ver_1", "name": "a"}), Version.read({"id": "ver_1", "name": "a"})
+    assert isinstance(long, VersionSummary)
+    assert (long.id, long.version_id, long.name) == (short.id, short.version_id, short.name)
+    assert list(long.document) == ["id", "name"]
+
+
+def test_what_is_inherited_is_described_too() -> None:
+    page = (REPOSITORY / "docs/reference/library-types.md").read_text(encoding="utf-8")
+    table = page.partition("### PlanJob\n")[2].partition("###")[0]
+    assert "| `robot` | `str` | Name of the robot. |" in table
+    assert "|  |" not in page
+
+
+def test_columns_of_records_are_by_the_alphabet_whatever_is_inherited() -> None:
+    names = scalar_names(Version)
+    assert names[:2] == ("id", "name")
+    assert list(names[2:]) == sorted(names[2:])

@@ -1,9 +1,10 @@
-"""The Python client's types, from the snapshot of the HTTP interface: a frozen dataclass for each schema of an answer."""
+"""The Python client's types, from the snapshot of the HTTP interface: a type for each schema of an answer."""
 
 from __future__ import annotations
 
 import json
 import re
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -51,11 +52,14 @@ MODULES: Mapping[str, Sequence[str]] = {
     "server": ("Health", "ResolvedReference", "JobSummary", "Today", "BridgeList"),
 }
 JOB = "/v1/jobs/{job}"
-# Types that stand in one module and share most fields: what all of them have is written once, in a type that they inherit.
+# Types that share most fields: what all of them have is written once, in a type that they inherit.
 FAMILIES: Mapping[str, tuple[str, str]] = {
-    "AnyJob": ("Job", "What every job has"),
-    "AnyCheck": ("Check", "What the check of every kind of job says"),
+    "AnyJob": (r"(?!Fleet)\w+Job", "What every job has."),
+    "AnyCheck": (r"(?!Robot)\w+Check", "What the check of every kind of job says."),
+    "AnyFit": ("IdentifyResult|Details", "What a fit says of itself, as a result and within its version."),
+    "AnyFound": ("BoardFound|CameraFound", "What a fit found of a camera or of a board."),
 }
+INHERITED = 6  # fields that a type has of another one: with so many it inherits them
 # What is written by hand for a type: how it is shown, and what can be made of it.
 SHOWN: Mapping[str, tuple[str, str]] = {
     "ActivatedVersion": ("ShownActivated", "shown_jobs"),
@@ -79,6 +83,7 @@ SHOWN: Mapping[str, tuple[str, str]] = {
 RENAMED = {"class": "class_", "document": "posted"}
 PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "null": "None"}
 REFERENCE = "#/components/schemas/"
+INDENT = " " * 12
 HEAD = '"""{}, made from the interface by `make contract`: change it there."""\n\nfrom __future__ import annotations\n'
 
 
@@ -87,19 +92,48 @@ def client_modules(snapshot: Path) -> dict[str, str]:
     interface = json.loads(snapshot.read_text(encoding="utf-8"))
     schemas = interface["components"]["schemas"]
     jobs = _kinds_of_job(interface)
+    modules = {**MODULES, "jobs": [*jobs.values()], "others": _answers(interface)}
+    every = _needed(schemas, [root for roots in modules.values() for root in roots], {}, {})
+    families = _families(schemas, every)
+    schemas = {**schemas, **families}
+    bases = _bases(schemas, [*families, *every])
     held: dict[str, str] = {}
     texts = {}
-    for module, roots in {**MODULES, "jobs": [*jobs.values()]}.items():
-        own = _needed(schemas, roots, held)
+    for module, roots in modules.items():
+        own = _needed(schemas, roots, held, bases)
         held |= dict.fromkeys(own, module)
-        texts[module] = _module(module, schemas, own, held)
-    others = _needed(schemas, _answers(interface), held)
-    if others:
-        held |= dict.fromkeys(others, "others")
-        texts["others"] = _module("others", schemas, others, held)
+        if own:
+            texts[module] = _module(module, schemas, own, held, bases)
     texts["options"] = _options(schemas, [f"{name.removesuffix('Job')}Options" for name in jobs.values()])
-    texts["names"] = _names(held, jobs)
+    texts["names"] = _names({name: module for name, module in held.items() if name not in families}, jobs)
     return texts
+
+
+def _families(schemas: Schema, every: Sequence[str]) -> dict[str, Schema]:
+    """Schema of what all types of each family have."""
+    found: dict[str, Schema] = {}
+    for base, (names, text) in FAMILIES.items():
+        family = [name for name in every if re.fullmatch(names, name)]
+        if len(family) > 1:
+            first, *others = map(_said, (schemas[name] for name in family))
+            same = {field for field, one in first.items() if all(other.get(field) == one for other in others)}
+            properties = {field: one for field, one in schemas[family[0]]["properties"].items() if field in same}
+            found[base] = {"description": text, "properties": properties}
+    return found
+
+
+def _bases(schemas: Schema, every: Sequence[str]) -> dict[str, str]:
+    """For each type the one whose fields it has all, if that is of some length: the longest."""
+    said = {name: _said(schemas[name]).items() for name in every}
+    long = [name for name in every if name in FAMILIES or len(said[name]) >= INHERITED]
+    return {
+        name: base for name in every for base in sorted(long, key=lambda one: len(said[one])) if said[base] < said[name]
+    }
+
+
+def _said(schema: Schema) -> dict[str, tuple[str, str]]:
+    """Type and text of each field."""
+    return {field: (_type(one), _text(_described(one))) for field, one in schema.get("properties", {}).items()}
 
 
 def _kinds_of_job(interface: Schema) -> dict[str, str]:
@@ -119,14 +153,14 @@ def _answers(interface: Schema) -> list[str]:
     return [name for name in found if not name.endswith(("List", "Robot"))]
 
 
-def _needed(schemas: Schema, roots: Sequence[str], held: Mapping[str, str]) -> list[str]:
+def _needed(schemas: Schema, roots: Sequence[str], held: Mapping[str, str], bases: Mapping[str, str]) -> list[str]:
     """Schemas that a module holds, what is needed before what needs it."""
     own: list[str] = []
 
     def visit(name: str) -> None:
         if name in held or name in own:
             return
-        for needed in sorted(_named(_types(schemas[name]))):
+        for needed in sorted(_needs(schemas, name, bases)):
             visit(needed)
         own.append(name)
 
@@ -135,8 +169,15 @@ def _needed(schemas: Schema, roots: Sequence[str], held: Mapping[str, str]) -> l
     return own
 
 
-def _types(schema: Schema) -> dict[str, str]:
-    return {name: _type(field) for name, field in schema.get("properties", {}).items()}
+def _needs(schemas: Schema, name: str, bases: Mapping[str, str]) -> set[str]:
+    """The types that stand in the text of a type."""
+    return _named(_own(schemas, name, bases)) | ({bases[name]} if name in bases else set())
+
+
+def _own(schemas: Schema, name: str, bases: Mapping[str, str]) -> dict[str, str]:
+    """Types of the fields that are not inherited."""
+    inherited = schemas[bases[name]]["properties"] if name in bases else {}
+    return {field: _type(one) for field, one in schemas[name].get("properties", {}).items() if field not in inherited}
 
 
 def _named(types: Mapping[str, str]) -> set[str]:
@@ -178,60 +219,44 @@ def _array(schema: Schema) -> str:
     return f"Records[{inner}]" if "$ref" in items else f"tuple[{inner}, ...]"
 
 
-def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str, str]) -> str:
-    classes = "\n".join(_classes(module, schemas, own))
+def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str, str], bases: Mapping[str, str]) -> str:
+    classes = "\n".join(line for name in own for line in _class(name, schemas, bases))
     lines = [HEAD.format(f"What the server answers about {module.replace('_', ' ')}")]
     if re.search(r"\bMapping\[", classes):
         lines.append("from collections.abc import Mapping")
-    lines.append("from dataclasses import dataclass")
     typing = [name for name in ("Any", "ClassVar") if re.search(rf"\b{name}\b", classes)]
     if typing:
         lines.append(f"from typing import {', '.join(typing)}")
-    lines.append("\nfrom kilter_client.results.record import Record" + (", Records" if "Records[" in classes else ""))
+    if len(lines) > 1:
+        lines.append("")
+    records = [name for name, used in (("Record", "Record):"), ("Records", "Records[")) if used in classes]
+    if records:
+        lines.append(f"from kilter_client.results.record import {', '.join(records)}")
     for where in ("shown", "shown_jobs"):
         shown = sorted({SHOWN[name][0] for name in own if name in SHOWN and SHOWN[name][1] == where})
         if shown:
             lines.append(f"from kilter_client.results.{where} import {', '.join(shown)}")
     used: dict[str, set[str]] = {}
     for name in own:
-        for needed in _named(_types(schemas[name])) - set(own):
+        for needed in _needs(schemas, name, bases) - set(own):
             used.setdefault(held[needed], set()).add(needed)
     lines += [f"from kilter_client.typed.{other} import {', '.join(sorted(used[other]))}" for other in sorted(used)]
     return "\n".join(lines) + "\n\n" + classes
 
 
-def _classes(module: str, schemas: Schema, own: Sequence[str]) -> Iterator[str]:
-    """The text of each type; that of a family's base stands before the first of the family."""
-    bases: dict[str, str] = {}
-    shared: dict[str, Schema] = {}
-    for base, (ending, text) in FAMILIES.items():
-        family = [name for name in own if name.endswith(ending)] if module == f"{ending.lower()}s" else []
-        if len(family) > 1:
-            bases |= dict.fromkeys(family, base)
-            first, *others = (schemas[name]["properties"] for name in family)
-            same = {field: one for field, one in first.items() if all(other.get(field) == one for other in others)}
-            shared[base] = {"description": f"{text}.", "properties": same}
-    for name in own:
-        base = bases.get(name, "Record")
-        if base in shared and name == next(one for one in own if bases.get(one) == base):
-            yield from _class(base, shared[base], "Record", {})
-        yield from _class(name, schemas[name], base, shared.get(base, {}).get("properties", {}))
-
-
-def _class(name: str, schema: Schema, base: str, inherited: Schema) -> Iterator[str]:
-    bases = f"{SHOWN[name][0]}, {base}" if name in SHOWN else base
-    own = {field: one for field, one in schema["properties"].items() if field not in inherited}
-    yield "\n@dataclass(frozen=True, kw_only=True, eq=False, repr=False)"
-    yield f"class {name}({bases}):"
-    yield f'    """{_text(schema["description"])}"""'
+def _class(name: str, schemas: Schema, bases: Mapping[str, str]) -> Iterator[str]:
+    base = bases.get(name, "Record")
+    yield f"\nclass {name}({SHOWN[name][0]}, {base}):" if name in SHOWN else f"\nclass {name}({base}):"
+    yield f'    """{_text(schemas[name]["description"])}"""'
+    own, properties = _own(schemas, name, bases), schemas[name]["properties"]
     if own:
         yield ""
-    renamed = {RENAMED[field]: field for field in own if field in RENAMED}
-    if renamed:
+    if any(field in RENAMED for field in own):
+        renamed = {RENAMED[field]: field for field in properties if field in RENAMED}
         yield f"    RENAMED: ClassVar[Mapping[str, str]] = {renamed!r}"
-    for field, one in own.items():
-        yield f"    {RENAMED.get(field, field)}: {_type(one)}"
-        yield f'    """{_text(_described(one))}"""'
+    for field, kind in own.items():
+        yield f"    {RENAMED.get(field, field)}: {kind}"
+        yield f'    """{_text(_described(properties[field]))}"""'
     yield ""
 
 
@@ -277,7 +302,19 @@ def _given(schema: Schema) -> str:
 
 
 def _names(held: Mapping[str, str], jobs: Mapping[str, str]) -> str:
-    lines = [HEAD.format("In which module each type is"), "MODULE_OF = {"]
-    lines += [f"    {name!r}: {module!r}," for name, module in sorted(held.items())]
-    lines += ["}", "JOBS = {", *(f"    {kind!r}: {name!r}," for kind, name in jobs.items()), "}"]
+    lines = [
+        HEAD.format("In which module each type is"),
+        "MODULE_OF = {",
+        "    name: module",
+        "    for module, names in {",
+    ]
+    for module in dict.fromkeys(held.values()):
+        names = " ".join(sorted(name for name, where in held.items() if where == module))
+        lines += [
+            f'        {module!r}: """',
+            textwrap.fill(names, 116, initial_indent=INDENT, subsequent_indent=INDENT),
+            f'{INDENT}""",',
+        ]
+    lines += ["    }.items()", "    for name in names.split()", "}"]
+    lines += ["JOBS = {", *(f"    {kind!r}: {name!r}," for kind, name in jobs.items()), "}"]
     return "\n".join([*lines, ""])

@@ -142,7 +142,7 @@ def types_page() -> str:
         "beside a value. Lists are empty and values None where an answer has none; `result.document` is the answer as "
         "it came, also with what this release of the library does not know.\n"
     )
-    for module in dict.fromkeys(MODULE_OF.values()):
+    for module in dict.fromkeys(MODULE_OF[name] for name in sorted(MODULE_OF)):
         lines.append(f"## {module.replace('_', ' ').capitalize()}\n")
         found = import_module(f"kilter_client.typed.{module}")
         for name in sorted(name for name, where in MODULE_OF.items() if where == module):
@@ -218,8 +218,10 @@ def _kind(kind: type) -> Iterator[str]:
 def _type(kind: type) -> Iterator[str]:
     yield f"### {kind.__name__}\n"
     yield f"{_words(inspect.getdoc(kind) or '')}\n"
-    described = dict(re.findall(r'^    (\w+): [^\n]+\n    """(.*?)"""$', inspect.getsource(kind), re.M | re.S))
-    own = [one for one in fields(kind) if one.name != "document"]
+    bases = [base for base in kind.__mro__ if base.__module__.startswith("kilter_client.typed.")]
+    source = "".join(inspect.getsource(base) for base in bases)
+    described = dict(re.findall(r'^    (\w+): [^\n]+\n    """(.*?)"""$', source, re.M | re.S))
+    own = sorted((one for one in fields(kind) if one.name != "document"), key=lambda one: one.name)
     if own:
         yield "| field | type | meaning |\n|---|---|---|"
         for one in own:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from kilter_client.results.record import Record
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DryRun(Record):
     """What a file or columns hold, before anything is stored."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from kilter_client.results.record import Record
 from kilter_client.results.rows import saved, saved_together
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FilteredProgram(Record):
     """A program with its targets corrected: ``text``, and what to review before an arm runs it.
 

@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import NoneType, UnionType
-from typing import Any, ClassVar, Generic, Self, TypeVar, get_args, get_origin, get_type_hints, overload
+from typing import (
+    Any,
+    ClassVar,
+    Generic,
+    Self,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 from kilter_client.errors import UsageError
 from kilter_client.requests.steps import Steps
@@ -21,8 +32,16 @@ SCALARS = (str, int, float, bool)
 MOST_SHOWN, WIDEST = 8, 60  # fields of a repr, and letters of one
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Record:
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+class _OfFields:
+    """Whatever derives from it is a frozen dataclass of the fields that it names."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
+
+
+class Record(_OfFields):
     """A part of an answer: its fields by name, and ``document``, as the server sent it.
 
     ``record["name"]`` looks into the document, and so finds what this release of the library does not know yet. A field
@@ -121,9 +140,9 @@ def _short(value: Any) -> str:
 
 
 def scalar_names(kind: type[Record]) -> tuple[str, ...]:
-    """Return the names of fields that hold a number or a word, names of things first."""
+    """Return the names of fields that hold a number or a word, names of things first, then by the alphabet."""
     hints = get_type_hints(kind)
-    found = [one.name for one in fields(kind) if _inner(hints[one.name])[0] in SCALARS]
+    found = sorted(one.name for one in fields(kind) if _inner(hints[one.name])[0] in SCALARS)
     first = [name for name in ("id", "name", "unit") if name in found]
     return (*first, *(name for name in found if name not in first))
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.budgets import Budget
 from kilter_client.typed.fits import Errors, Remark
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JudgedCampaign(Record):
     """Rows of a campaign that the version was not fitted to, and what it leaves of them."""
 
@@ -50,7 +48,6 @@ class JudgedCampaign(Record):
     """When it was measured, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Acceptance(Record):
     """A decision about a tolerance of the position of the tool."""
 

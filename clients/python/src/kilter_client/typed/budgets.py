@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Contribution(Record):
     """A source of uncertainty, as the root mean square over rows and coordinates."""
 
@@ -27,7 +24,6 @@ class Contribution(Record):
     """`A`: by the scatter of measurements; `B`: by other knowledge, as a certificate."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Correlation(Record):
     """Two sources that are not known independently."""
 
@@ -37,7 +33,6 @@ class Correlation(Record):
     """Their correlation before they were told apart; as contributions they do not correlate: the second has what the first does with it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Budget(Record):
     """What is not known of a coordinate of the tool at some rows: standard uncertainties and, with `k`, expanded ones."""
 

@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class CameraFound(Record):
+class AnyFound(Record):
+    """What a fit found of a camera or of a board."""
+
+    frame: str
+    """Frame of the numbers: the robot's `base`, or its `flange`."""
+    mount: str
+    """`fixed` in the room, or on the `flange`."""
+    name: str
+    """Its name."""
+    rx_deg: float
+    """Roll, degrees (URDF)."""
+    ry_deg: float
+    """Pitch, degrees."""
+    rz_deg: float
+    """Yaw, degrees."""
+    sigma_deg: tuple[float, ...]
+    """Standard deviations of rotations about its own axes, degrees; None: not known."""
+    sigma_mm: tuple[float, ...]
+    """Standard deviations of the place along its own axes, mm; None: not known."""
+    x_mm: float
+    """Place along x, mm."""
+    y_mm: float
+    """Place along y, mm."""
+    z_mm: float
+    """Place along z, mm."""
+
+
+class CameraFound(AnyFound):
     """A camera as a fit found it; z of its frame looks ahead, x to the right and y down."""
 
     cx_px: float
@@ -19,8 +43,6 @@ class CameraFound(Record):
     """Numbers of the lens, in OpenCV's order."""
     distortion_model: str
     """Model of the lens."""
-    frame: str
-    """Frame of the numbers: the robot's `base`, or its `flange`."""
     fx_px: float
     """Focal length along u, px."""
     fy_px: float
@@ -29,63 +51,19 @@ class CameraFound(Record):
     """Height of its pictures, px."""
     intrinsics_sigmas: tuple[float, ...]
     """Standard deviations of fx, fy, cx, cy (px) and of the lens, 0 where held; None: not known."""
-    mount: str
-    """`fixed` in the room, or on the `flange`."""
-    name: str
-    """Its name."""
-    rx_deg: float
-    """Roll, degrees (URDF)."""
-    ry_deg: float
-    """Pitch, degrees."""
-    rz_deg: float
-    """Yaw, degrees."""
-    sigma_deg: tuple[float, ...]
-    """Standard deviations of rotations about its own axes, degrees; None: not known."""
-    sigma_mm: tuple[float, ...]
-    """Standard deviations of the place along its own axes, mm; None: not known."""
     width_px: int
     """Width of its pictures, px."""
-    x_mm: float
-    """Place along x, mm."""
-    y_mm: float
-    """Place along y, mm."""
-    z_mm: float
-    """Place along z, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BoardFound(Record):
+class BoardFound(AnyFound):
     """A board as a fit found it."""
 
-    frame: str
-    """Frame of the numbers: the robot's `base`, or its `flange`."""
-    mount: str
-    """`fixed` in the room, or on the `flange`."""
-    name: str
-    """Its name."""
-    rx_deg: float
-    """Roll, degrees (URDF)."""
-    ry_deg: float
-    """Pitch, degrees."""
-    rz_deg: float
-    """Yaw, degrees."""
     scale_percent: float
     """By how much it is larger than described, percent."""
     scale_sigma_percent: float | None
     """Standard deviation of that, percent; None: held."""
-    sigma_deg: tuple[float, ...]
-    """Standard deviations of rotations about its own axes, degrees; None: not known."""
-    sigma_mm: tuple[float, ...]
-    """Standard deviations of the place along its own axes, mm; None: not known."""
-    x_mm: float
-    """Place along x, mm."""
-    y_mm: float
-    """Place along y, mm."""
-    z_mm: float
-    """Place along z, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LeftOpen(Record):
     """How far off the tool may be by what a fit to views leaves open, with base and tool where they fit best."""
 
@@ -95,7 +73,6 @@ class LeftOpen(Record):
     """Root mean square distance that is expected, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ToolScatter(Record):
     """How far off the tool is in views, the noise of the views taken off."""
 
@@ -109,7 +86,6 @@ class ToolScatter(Record):
     """Root mean square distance, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PixelsFound(Record):
     """What pixels alone say of their own noise and of the tool."""
 

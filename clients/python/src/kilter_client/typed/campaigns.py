@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownCampaign, ShownUpload
 from kilter_client.typed.fits import Remark
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Board(Record):
     """A board, or a solid of several, whose corners were seen."""
 
@@ -23,7 +20,6 @@ class Board(Record):
     """Standard deviation of its scale, percent: it is then fitted; None: the scale is exact."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Camera(Record):
     """A camera that measured; where it stands is fitted."""
 
@@ -53,7 +49,6 @@ class Camera(Record):
     """Width of its pictures, px."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Conditions(Record):
     """What held during the whole campaign; a column of the rows takes precedence over it."""
 
@@ -75,7 +70,6 @@ class Conditions(Record):
     """Moment on the tool point in the tool frame, N m."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Upload(Record):
     """A stored file of observations."""
 
@@ -91,7 +85,6 @@ class Upload(Record):
     """SHA-256 of the bytes that were sent, 64 hexadecimal digits."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Campaign(ShownCampaign, Record):
     """A campaign and what was uploaded to it."""
 
@@ -127,7 +120,6 @@ class Campaign(ShownCampaign, Record):
     """What the instrument's certificate has against it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Uploaded(ShownUpload, Record):
     """What an upload became; ``new`` is false when the same bytes were there already."""
 
@@ -147,7 +139,6 @@ class Uploaded(ShownUpload, Record):
     """What looks odd in the rows and may be right: they are stored."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Instrument(Record):
     """A stored instrument."""
 

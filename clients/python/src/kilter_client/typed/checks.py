@@ -2,60 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.fits import NullDirection
 from kilter_client.typed.searches import Detectable, Untestable
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class CheckedCampaign(Record):
-    """A campaign that a job would use."""
-
-    device: str
-    """What it was measured with."""
-    id: str
-    """Id of the campaign."""
-    name: str
-    """Name of the campaign."""
-    poses: int | None
-    """Distinct poses among the rows; None: it cannot be read."""
-    role: str
-    """What it was measured for: `train`, `validation` or `confirmation`."""
-    rows: int
-    """Rows it has."""
-    use: str
-    """What this job takes it for."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Duration(Record):
-    """How long the job would compute, in seconds, without waiting for other jobs."""
-
-    basis: str
-    """What this rests on: earlier jobs of this server, the job's own beginning, timed here, or a rule."""
-    expected: float
-    """Most likely, s."""
-    high: float
-    """Hardly more, s."""
-    low: float
-    """Hardly less, s."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class HeldOut(Record):
-    """What a job would not fit, but judge by."""
-
-    how: str
-    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap search holds out by itself; `none`."""
-    poses: int
-    """Distinct poses among them."""
-    rows: int
-    """Rows held out."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UnknownParameter(Record):
     """A parameter that the poses do not tell."""
 
@@ -67,7 +18,6 @@ class UnknownParameter(Record):
     """What would tell it; tried on the model, under these conditions."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Identifiability(Record):
     """What the poses tell of the parameters, by the Jacobian at the start of the fit."""
 
@@ -87,7 +37,49 @@ class Identifiability(Record):
     """How many independent combinations of them the poses see at all."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CheckedCampaign(Record):
+    """A campaign that a job would use."""
+
+    device: str
+    """What it was measured with."""
+    id: str
+    """Id of the campaign."""
+    name: str
+    """Name of the campaign."""
+    poses: int | None
+    """Distinct poses among the rows; None: it cannot be read."""
+    role: str
+    """What it was measured for: `train`, `validation` or `confirmation`."""
+    rows: int
+    """Rows it has."""
+    use: str
+    """What this job takes it for."""
+
+
+class Duration(Record):
+    """How long the job would compute, in seconds, without waiting for other jobs."""
+
+    basis: str
+    """What this rests on: earlier jobs of this server, the job's own beginning, timed here, or a rule."""
+    expected: float
+    """Most likely, s."""
+    high: float
+    """Hardly more, s."""
+    low: float
+    """Hardly less, s."""
+
+
+class HeldOut(Record):
+    """What a job would not fit, but judge by."""
+
+    how: str
+    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap search holds out by itself; `none`."""
+    poses: int
+    """Distinct poses among them."""
+    rows: int
+    """Rows held out."""
+
+
 class JobProblem(Record):
     """Why the job would fail."""
 
@@ -97,7 +89,6 @@ class JobProblem(Record):
     """What is wrong, and what helps."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Missing(Record):
     """What the job would run without, and what that costs."""
 
@@ -109,9 +100,8 @@ class Missing(Record):
     """What is missing, or not seen."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AnyCheck(Record):
-    """What the check of every kind of job says."""
+class RezeroCheck(Record):
+    """What a re-zeroing would do."""
 
     campaigns: Records[CheckedCampaign]
     """Campaigns it would use, in the order given."""
@@ -119,6 +109,8 @@ class AnyCheck(Record):
     """How long it would compute, s."""
     held_out: HeldOut
     """What would be held out."""
+    kind: str
+    """Kind of the job."""
     limited: tuple[str, ...]
     """Where this check looked at less than the job would, in words."""
     missing: Records[Missing]
@@ -137,17 +129,13 @@ class AnyCheck(Record):
     """Whether the job would run through, as far as can be predicted."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class IdentifyCheck(AnyCheck):
+class IdentifyCheck(RezeroCheck):
     """What an identification would do."""
 
     identifiability: Identifiability | None
     """What the poses tell of the parameters; None: see `problems`."""
-    kind: str
-    """Kind of the job."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Testability(Record):
     """What a gap search could test, judged with the geometry fitted and nothing named."""
 
@@ -157,51 +145,124 @@ class Testability(Record):
     """Parameters that can be tested, with the smallest amplitude seen."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GapCheck(AnyCheck):
+class GapCheck(RezeroCheck):
     """What a gap search would do."""
 
-    kind: str
-    """Kind of the job."""
     testability: Testability | None
     """What could be tested; None: see `problems`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class EvaluateCheck(AnyCheck):
+class EvaluateCheck(Record):
     """What an evaluation would do."""
 
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
     kind: str
     """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """Why it would fail; empty if it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the nominal robot."""
+    would_run: bool
+    """Whether the job would run through, as far as can be predicted."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PlanCheck(AnyCheck):
+class PlanCheck(Record):
     """What a plan would do."""
 
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
     kind: str
     """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """Why it would fail; empty if it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the nominal robot."""
+    would_run: bool
+    """Whether the job would run through, as far as can be predicted."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointParametersCheck(AnyCheck):
+class JointParametersCheck(Record):
     """What a measurement of joints would do."""
 
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
     kind: str
     """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """Why it would fail; empty if it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the nominal robot."""
+    would_run: bool
+    """Whether the job would run through, as far as can be predicted."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DriftCheck(AnyCheck):
+class DriftCheck(Record):
     """What a check of an arm would do."""
 
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
     kind: str
     """Kind of the job."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RezeroCheck(AnyCheck):
-    """What a re-zeroing would do."""
-
-    kind: str
-    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """Why it would fail; empty if it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the nominal robot."""
+    would_run: bool
+    """Whether the job would run through, as far as can be predicted."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownDiff
 from kilter_client.typed.fits import Metrics
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Rival(Record):
     """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
 
@@ -23,7 +20,6 @@ class Rival(Record):
     """Poses compared."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Record):
     """Mean errors on rows that no version compared was fitted to, base and tool refitted to each campaign.
 
@@ -47,7 +43,6 @@ class Comparison(Record):
     """Rows compared."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PairedErrors(Record):
     """What two versions leave of the same rows, base and tool as each version has them. Rows of one pose count once."""
 
@@ -81,7 +76,6 @@ class PairedErrors(Record):
     """On how many it leaves more."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ParameterChange(Record):
     """A parameter in two versions; None where a version does not have it."""
 
@@ -103,7 +97,6 @@ class ParameterChange(Record):
     """Unit of the numbers."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VersionDiff(ShownDiff, Record):
     """What differs from version a to version b; either may be `nominal`, the nominal robot."""
 
@@ -127,7 +120,6 @@ class VersionDiff(ShownDiff, Record):
     """All parameters of both, and how they differ."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Tombstone(Record):
     """What is left of something that was purged."""
 

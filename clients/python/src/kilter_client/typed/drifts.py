@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownDrift
@@ -11,7 +10,6 @@ from kilter_client.typed.fits import Metrics, Objection, Parameter, Remark, Stag
 from kilter_client.typed.plans import SmallestChange
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ChangedNumber(Record):
     """A number that changed."""
 
@@ -27,7 +25,6 @@ class ChangedNumber(Record):
     """Its unit: deg, mm, deg/(N m), mm/N, ppm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DriftCause(Record):
     """A cause that was looked at."""
 
@@ -49,7 +46,6 @@ class DriftCause(Record):
     """The cause as people say it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DriftResult(ShownDrift, Record):
     """Whether an arm has moved since its version was made, and by what."""
 
@@ -105,7 +101,6 @@ class DriftResult(ShownDrift, Record):
     """What to know before trusting the result."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RezeroResult(ShownDrift, Record):
     """A version in which the one or few parameters that moved are as these rows say, and all others as before."""
 
@@ -131,7 +126,6 @@ class RezeroResult(ShownDrift, Record):
     """What to know before trusting the result."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CheckOfRobot(Record):
     """A check of an arm."""
 
@@ -153,7 +147,6 @@ class CheckOfRobot(Record):
     """The version it was checked against."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ControlChart(Record):
     """Sums of one number over the checks of the active version: what it differs by from the checks before, and keeps doing."""
 
@@ -179,7 +172,6 @@ class ControlChart(Record):
     """The same as people say it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DriftMark(Record):
     """Something that was done to a robot or its version between checks."""
 
@@ -195,39 +187,6 @@ class DriftMark(Record):
     """What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the first check that agrees again with a version that the check before missed; `repair`: what somebody recorded."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DriftHistory(Record):
-    """The checks of a robot, oldest first, and the control charts of its active version."""
-
-    age_days: int | None
-    """Whole days since then; None: none."""
-    charts: Records[ControlChart]
-    """A chart for each number, over the checks of the active version."""
-    checks: int
-    """Checks of the active version, since the last repair."""
-    false_alarm: float
-    """Chance at which a single check says that the arm has moved."""
-    history: Records[CheckOfRobot]
-    """All checks against any version, oldest first; at most 1000."""
-    last: CheckOfRobot | None
-    """The last of them; None: none."""
-    marks: Records[DriftMark]
-    """What was done to its version, oldest first."""
-    repaired_at: str | None
-    """When the arm was last repaired: checks and charts of the active version count from then on."""
-    robot: str
-    """Name of the robot."""
-    run_length: int
-    """Checks between two false alarms of all charts together."""
-    sentence: str
-    """The same in words."""
-    state: str
-    """`never`: not checked since its version was activated or the arm repaired; `ok`; `creeping`: no check says so, all together do; `cannot_tell` and `moved`: the last check."""
-    version_id: str | None
-    """The active version; None: none."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DriftSummary(Record):
     """How a robot stands by its checks."""
 
@@ -247,7 +206,23 @@ class DriftSummary(Record):
     """The active version; None: none."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriftHistory(DriftSummary):
+    """The checks of a robot, oldest first, and the control charts of its active version."""
+
+    charts: Records[ControlChart]
+    """A chart for each number, over the checks of the active version."""
+    false_alarm: float
+    """Chance at which a single check says that the arm has moved."""
+    history: Records[CheckOfRobot]
+    """All checks against any version, oldest first; at most 1000."""
+    marks: Records[DriftMark]
+    """What was done to its version, oldest first."""
+    repaired_at: str | None
+    """When the arm was last repaired: checks and charts of the active version count from then on."""
+    run_length: int
+    """Checks between two false alarms of all charts together."""
+
+
 class DriftList(Record):
     """How all robots stand, the worst first."""
 
@@ -255,7 +230,6 @@ class DriftList(Record):
     """The robots, the worst first."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Repair(Record):
     """A repair of an arm: from then on it is another one for its checks."""
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CurveDistance(Record):
     """How far the curves of both directions are apart, on average, in `unit`."""
 
@@ -19,7 +16,6 @@ class CurveDistance(Record):
     """The one of direction 1 less the one of -1."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CurveSide(Record):
     """A curve over the quantity that an effect follows."""
 
@@ -35,7 +31,6 @@ class CurveSide(Record):
     """What the joint rotates or moves by, in `unit`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CurveRival(Record):
     """The refused effect that comes nearest to the visits, with a zero of its own."""
 
@@ -49,7 +44,6 @@ class CurveRival(Record):
     """Squares that it leaves at the visits, as a multiple of those that the curve leaves."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CurveVisits(Record):
     """What each visit says that an effect does: the curve and what is left, as motion of the joint."""
 
@@ -69,7 +63,6 @@ class CurveVisits(Record):
     """What the visit says, in `unit`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class EffectCurve(Record):
     """What a named effect does to one of its joints, over the quantity that it follows; no lever arm is in it."""
 

@@ -3,48 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownEvaluation
-from kilter_client.typed.budgets import Budget
 from kilter_client.typed.cameras import LeftOpen
-from kilter_client.typed.fits import Errors, Remark
+from kilter_client.typed.fits import Remark, StageErrors
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class CampaignErrors(Record):
+class CampaignErrors(StageErrors):
     """Errors of several models on the rows of a campaign."""
 
-    budget: Budget | None
-    """What is not known of these rows, with the expanded uncertainty; None: not computed."""
-    fitted: int | None
-    """Of an evaluation: rows that the version was fitted to, in whatever file; None: not looked for."""
-    geometry_fitted: Errors | None
-    """Of a version, on rows held out: the geometry fitted to the same rows without effects, the best rigid arm; None: no effects, nothing held out, or not computed."""
-    geometry_only: Errors | None
-    """Earlier name, of two things: of an identification the same as `geometry_fitted`, of an evaluation as `without_effects`."""
-    identified: Errors | None
-    """The model that was identified."""
     left_open: LeftOpen | None
     """Of views: how far off the tool may be at these poses by what the version's fit leaves open, which views hardly show. Null: not known, or something else tells where the tool is."""
-    left_out: int | None
-    """Rows that were left out of them, as no measurements; None: not known."""
-    n: int | None
-    """Points the errors are taken over."""
     name: str | None
     """What the campaign was called; None: an earlier release did not say it."""
-    nominal: Errors | None
-    """The nominal robot, in its own base and tool."""
-    registration_only: Errors | None
-    """The nominal robot, base and tool fitted."""
     within_u95: float | None
     """Share of the coordinates whose error is within its 95 % interval; None: nothing is known."""
-    without_effects: Errors | None
-    """Of an evaluation: the version with its effects left out and its geometry as it is, as a file of geometry alone has it; None: no effects, or not computed."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CriterionOfPose(Record):
     """A criterion of ISO 9283 at one pose."""
 
@@ -62,7 +38,6 @@ class CriterionOfPose(Record):
     """Its coordinates, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Criterion(Record):
     """A criterion of ISO 9283."""
 
@@ -82,7 +57,6 @@ class Criterion(Record):
     """The criterion of each series, mm, in time."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RefusedCriterion(Record):
     """A criterion that the rows do not support."""
 
@@ -94,7 +68,6 @@ class RefusedCriterion(Record):
     """Symbol of the criterion."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Iso9283(Record):
     """Criteria of ISO 9283 of a campaign."""
 
@@ -104,7 +77,6 @@ class Iso9283(Record):
     """Criteria that the rows do not support."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RowErrors(Record):
     """Errors of rows, measured minus predicted, as columns; of many rows 2000, evenly chosen."""
 
@@ -126,7 +98,6 @@ class RowErrors(Record):
     """Half width of the 95 % interval along z, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class EvaluateResult(ShownEvaluation, Record):
     """How well a version predicts campaigns: errors, or criteria of ISO 9283."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from kilter_client.results.record import Record, Records
@@ -11,7 +10,6 @@ from kilter_client.results.shown import ShownFigure, ShownMetrics, ShownParamete
 from kilter_client.typed.budgets import Budget
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Errors(Record):
     """Errors of a model on some rows, measured minus predicted. Every marker that was seen counts as a point."""
 
@@ -33,7 +31,6 @@ class Errors(Record):
     """Rms along z, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StageErrors(Record):
     """Errors of several models on the same rows."""
 
@@ -59,7 +56,6 @@ class StageErrors(Record):
     """Of an evaluation: the version with its effects left out and its geometry as it is, as a file of geometry alone has it; None: no effects, or not computed."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Metrics(ShownMetrics, Record):
     """Errors of an identification; empty where no tool was measured."""
 
@@ -69,7 +65,6 @@ class Metrics(ShownMetrics, Record):
     """On the rows that were held out; None: none were."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Parameter(ShownParameter, Record):
     """A parameter that was identified, in the unit it is read in."""
 
@@ -105,7 +100,6 @@ class Parameter(ShownParameter, Record):
     """Its value; None: it could not be measured."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Term(Record):
     """A parameter's part in a sum."""
 
@@ -115,7 +109,6 @@ class Term(Record):
     """Name of the parameter."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class IdentifiableSum(Record):
     """A sum of parameters that the data know where they do not tell its members."""
 
@@ -135,7 +128,6 @@ class IdentifiableSum(Record):
     """Value of the sum."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Member(Record):
     """A parameter's part in a direction."""
 
@@ -145,7 +137,6 @@ class Member(Record):
     """Its part, -1 to 1, by what it alone would do to the measurements."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NullDirection(Record):
     """A combination of parameters that the data cannot tell."""
 
@@ -159,7 +150,6 @@ class NullDirection(Record):
     """Sums of its members that the data do know."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Objection(Record):
     """What speaks against activating a version."""
 
@@ -169,7 +159,6 @@ class Objection(Record):
     """What speaks against it, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OddMass(Record):
     """A mass or a centre far from what was stated."""
 
@@ -185,7 +174,6 @@ class OddMass(Record):
     """What the data say."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Remark(Record):
     """A warning: ``code`` is for programs, ``message`` says what is the matter and what helps. The rest goes with the code."""
 
@@ -241,7 +229,6 @@ class Remark(Record):
     """How many visits it is about."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Text(Record):
     """A text in a figure."""
 
@@ -249,7 +236,6 @@ class Text(Record):
     """The text; may hold `<br>` and `<sup>`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Axis(Record):
     """An axis."""
 
@@ -275,7 +261,6 @@ class Axis(Record):
     """Whether zero has a line."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Legend(Record):
     """Where the legend is."""
 
@@ -289,7 +274,6 @@ class Legend(Record):
     """Which edge of it `y` is of."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Margin(Record):
     """Room round the axes."""
 
@@ -297,7 +281,6 @@ class Margin(Record):
     """Above, pixels."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Origin(Record):
     """Whose figure it is."""
 
@@ -309,7 +292,6 @@ class Origin(Record):
     """Id of the version."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Scene(Record):
     """The axes of a figure in space."""
 
@@ -323,7 +305,6 @@ class Scene(Record):
     """Axis z."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Layout(Record):
     """Layout of a figure; further fields are more axes: `xaxis2`, `yaxis2` and so on."""
 
@@ -349,7 +330,6 @@ class Layout(Record):
     """The first y axis."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Figure(ShownFigure, Record):
     """A figure as a Plotly document."""
 
@@ -359,7 +339,6 @@ class Figure(ShownFigure, Record):
     """Layout, as Plotly has it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Reference(Record):
     """Where the frames that a correction works in come from."""
 
@@ -369,7 +348,6 @@ class Reference(Record):
     """The same of the tool."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LoadNumber(Record):
     """A mass or a coordinate of a centre, as stated and as the data leave it."""
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FleetVersion(Record):
     """A version of another robot of the type."""
 
@@ -19,7 +16,6 @@ class FleetVersion(Record):
     """Id of its version."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LeftOneOut(Record):
     """A robot as the others of its type predict it."""
 
@@ -33,7 +29,6 @@ class LeftOneOut(Record):
     """Name of the robot."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PriorUsed(Record):
     """What other robots of the type said beforehand, and how far this arm was believed to be as they are."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownFit
@@ -12,7 +11,6 @@ from kilter_client.typed.fits import Figure, LoadNumber, Metrics, NullDirection,
 from kilter_client.typed.fleet_priors import PriorUsed
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CorrelatedGroup(Record):
     """Parameters that go together."""
 
@@ -22,7 +20,6 @@ class CorrelatedGroup(Record):
     """Names of the parameters."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Influence(Record):
     """How far a parameter moves the tool."""
 
@@ -44,7 +41,6 @@ class Influence(Record):
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class KindErrors(Record):
     """Rms error of each model on what one kind measured, in the kind's unit."""
 
@@ -56,7 +52,6 @@ class KindErrors(Record):
     """The nominal robot, base and tool fitted."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class KindOfMeasurement(Record):
     """What one kind of measurement says in a fit."""
 
@@ -82,7 +77,6 @@ class KindOfMeasurement(Record):
     """Rms errors on the rows that were held out."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Learned(Record):
     """Whether an effect that was learned predicts held-out poses better."""
 
@@ -100,7 +94,6 @@ class Learned(Record):
     """Poses it was tried on."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MassesTaken(Record):
     """How an identification took masses and centres, where an effect follows the load."""
 
@@ -112,7 +105,6 @@ class MassesTaken(Record):
     """With which standard deviations, and how to change that, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Method(Record):
     """The method of a fit, and what it reports."""
 
@@ -144,7 +136,6 @@ class Method(Record):
     """Sweeps over the poses of a method that goes pose by pose."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Noise(Record):
     """What the rows of an identification scatter by."""
 
@@ -160,7 +151,6 @@ class Noise(Record):
     """Rows too far from the repeats of their pose to be noise."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Observability(Record):
     """Observability indices of the poses, per prior standard deviation and in mm."""
 
@@ -180,7 +170,6 @@ class Observability(Record):
     """Combinations of parameters that the poses can tell."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OwnBase(Record):
     """A base, or a tool, that was fitted to rows of its own."""
 
@@ -196,7 +185,6 @@ class OwnBase(Record):
     """What the rows were used for."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Scale(Record):
     """The standard deviations that residuals were weighed by."""
 
@@ -206,7 +194,6 @@ class Scale(Record):
     """Of an orientation, degrees."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SetAside(Record):
     """A row that counts less than half in a fit with a robust loss, or that a search left out."""
 
@@ -224,9 +211,8 @@ class SetAside(Record):
     """What it counts, 0 to 1."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class IdentifyResult(ShownFit, Record):
-    """What an identification found; the version holds the same."""
+class AnyFit(Record):
+    """What a fit says of itself, as a result and within its version."""
 
     base_refitted: Records[OwnBase]
     """Bases that were fitted to rows of their own."""
@@ -236,8 +222,6 @@ class IdentifyResult(ShownFit, Record):
     """Cameras as they were found; None: none measured."""
     correlated_groups: Records[CorrelatedGroup]
     """Parameters that go together."""
-    figures: Mapping[str, Figure]
-    """Figures by name."""
     influence: Records[Influence]
     """How far each parameter moves the tool, at up to 500 rows (all with method `influence`)."""
     intervals: str | None
@@ -256,22 +240,12 @@ class IdentifyResult(ShownFit, Record):
     """What each kind of measurement says."""
     method: Method | None
     """The method, and what it reports."""
-    metrics: Metrics | None
-    """Errors on the rows fitted and on those held out."""
     noise: Noise | None
     """What the rows scatter by."""
-    noise_mm: float | None
-    """Standard deviation of a coordinate of the noise, mm."""
     noise_source: str | None
     """What the noise was estimated from."""
-    null_directions: Records[NullDirection]
-    """What the data could not tell."""
-    objections: Records[Objection]
-    """What it found against activating the version."""
     observability: Observability | None
     """Observability indices of the poses."""
-    parameters: Records[Parameter]
-    """Parameters that were identified."""
     pixels: PixelsFound | None
     """What views alone say; None: a tracker measured too, or no camera."""
     prior: PriorUsed | None
@@ -284,13 +258,29 @@ class IdentifyResult(ShownFit, Record):
     """Rows that a robust loss or a search set aside."""
     tool_refitted: Records[OwnBase]
     """Tools that were fitted to rows of their own."""
+
+
+class IdentifyResult(ShownFit, AnyFit):
+    """What an identification found; the version holds the same."""
+
+    figures: Mapping[str, Figure]
+    """Figures by name."""
+    metrics: Metrics | None
+    """Errors on the rows fitted and on those held out."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate of the noise, mm."""
+    null_directions: Records[NullDirection]
+    """What the data could not tell."""
+    objections: Records[Objection]
+    """What it found against activating the version."""
+    parameters: Records[Parameter]
+    """Parameters that were identified."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]
     """What to know before trusting the result."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Configuration(Record):
     """A configuration to read the inclinometer in."""
 
@@ -306,7 +296,6 @@ class Configuration(Record):
     """All joints, degrees; mm for prismatic ones."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Motion(Record):
     """A motion of a joint, before and after what was found of it is taken off."""
 
@@ -320,7 +309,6 @@ class Motion(Record):
     """`fitted` or `predicted`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointMotions(Record):
     """A joint with an encoder on its link side."""
 
@@ -332,7 +320,6 @@ class JointMotions(Record):
     """Its motions, fitted and predicted."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointParametersResult(ShownFit, Record):
     """What was measured of the joints, or where to read."""
 

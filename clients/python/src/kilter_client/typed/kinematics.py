@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.robots import Pose
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Flanges(Record):
     """Poses of the flange, without the robot's own tool, in the frame of its root, without its base."""
 
@@ -16,7 +13,6 @@ class Flanges(Record):
     """The flange in the frame of the robot's root, row by row."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Posture(Record):
     """Joints that bring the flange to a pose, and which of the arm's branches they are."""
 
@@ -34,7 +30,6 @@ class Posture(Record):
     """Which of the two bends of joint 5 it is."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Postures(Record):
     """All joints of each pose."""
 

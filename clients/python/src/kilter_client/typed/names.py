@@ -3,208 +3,86 @@
 from __future__ import annotations
 
 MODULE_OF = {
-    "Acceptance": "acceptance",
-    "ActivatedVersion": "versions",
-    "Activation": "versions",
-    "Adequacy": "search_numbers",
-    "Alias": "searches",
-    "AliasMatrix": "search_numbers",
-    "AliasPair": "search_numbers",
-    "Amount": "searches",
-    "Amplitude": "search_numbers",
-    "AtJoints": "search_numbers",
-    "AuditChange": "others",
-    "AuditEntry": "others",
-    "AuditPage": "others",
-    "Axis": "fits",
-    "AxisReport": "robots",
-    "Board": "campaigns",
-    "BoardFound": "cameras",
-    "Bridge": "server",
-    "BridgeList": "server",
-    "Budget": "budgets",
-    "Camera": "campaigns",
-    "CameraFound": "cameras",
-    "Campaign": "campaigns",
-    "CampaignErrors": "evaluations",
-    "ChangedNumber": "drifts",
-    "Check": "server",
-    "CheckOfRobot": "drifts",
-    "CheckedCampaign": "checks",
-    "CheckedRows": "others",
-    "CircleAxis": "robots",
-    "Claim": "searches",
-    "Comparison": "comparisons",
-    "Conditions": "campaigns",
-    "Configuration": "identifications",
-    "Contribution": "budgets",
-    "ControlChart": "drifts",
-    "CorrectionLimits": "versions",
-    "CorrelatedGroup": "identifications",
-    "Correlation": "budgets",
-    "Covariance": "versions",
-    "Criterion": "evaluations",
-    "CriterionOfPose": "evaluations",
-    "CurveDistance": "effect_curves",
-    "CurveRival": "effect_curves",
-    "CurveSide": "effect_curves",
-    "CurveVisits": "effect_curves",
-    "Details": "versions",
-    "Detectable": "searches",
-    "DriftCause": "drifts",
-    "DriftCheck": "checks",
-    "DriftHistory": "drifts",
-    "DriftJob": "jobs",
-    "DriftList": "drifts",
-    "DriftMark": "drifts",
-    "DriftResult": "drifts",
-    "DriftSummary": "drifts",
-    "Duration": "checks",
-    "EffectCurve": "effect_curves",
-    "Errors": "fits",
-    "ErrorsToday": "server",
-    "EvaluateCheck": "checks",
-    "EvaluateJob": "jobs",
-    "EvaluateResult": "evaluations",
-    "Evidence": "search_numbers",
-    "Figure": "fits",
-    "Flanges": "kinematics",
-    "FleetCounts": "others",
-    "FleetJob": "others",
-    "FleetJobSummary": "others",
-    "FleetRobot": "others",
-    "FleetVersion": "fleet_priors",
-    "FoundRobot": "robots",
-    "Frame": "robots",
-    "GapCheck": "checks",
-    "GapJob": "jobs",
-    "GapKind": "searches",
-    "GapNoise": "search_numbers",
-    "GapResult": "searches",
-    "GapSize": "search_numbers",
-    "GapStep": "search_numbers",
-    "Gates": "search_numbers",
-    "Halves": "searches",
-    "Health": "server",
-    "HeldOut": "checks",
-    "HeldOutGain": "searches",
-    "Identifiability": "checks",
-    "IdentifiableSum": "fits",
-    "IdentifyCheck": "checks",
-    "IdentifyJob": "jobs",
-    "IdentifyResult": "identifications",
-    "Identity": "others",
-    "Influence": "identifications",
-    "Instrument": "campaigns",
-    "Iso9283": "evaluations",
-    "JobError": "server",
-    "JobProblem": "checks",
-    "JobSummary": "server",
-    "JointMotions": "identifications",
-    "JointParametersCheck": "checks",
-    "JointParametersJob": "jobs",
-    "JointParametersResult": "identifications",
-    "JointPreview": "previews",
-    "JointSummary": "robots",
-    "JudgedCampaign": "acceptance",
-    "KindErrors": "identifications",
-    "KindOfMeasurement": "identifications",
-    "Layout": "fits",
-    "Learned": "identifications",
-    "LeftOneOut": "fleet_priors",
-    "LeftOpen": "cameras",
-    "Legend": "fits",
-    "LoadNumber": "fits",
-    "LoginLink": "others",
-    "MadeToken": "others",
-    "Margin": "fits",
-    "MassesTaken": "identifications",
-    "MeasuredCampaign": "server",
-    "Member": "fits",
-    "Mesh": "robots",
-    "Method": "identifications",
-    "Metrics": "fits",
-    "Missing": "checks",
-    "Motion": "identifications",
-    "NamedEffect": "searches",
-    "NamedMissing": "server",
-    "NegativeControl": "search_numbers",
-    "NextPose": "searches",
-    "Noise": "identifications",
-    "NullDirection": "fits",
-    "Objection": "fits",
-    "Observability": "identifications",
-    "OddMass": "fits",
-    "OffPoint": "robots",
-    "Origin": "fits",
-    "OwnBase": "identifications",
-    "PairedErrors": "comparisons",
-    "Parameter": "fits",
-    "ParameterChange": "comparisons",
-    "PhysicalClass": "searches",
-    "PixelsFound": "cameras",
-    "Place": "search_numbers",
-    "PlanCheck": "checks",
-    "PlanJob": "jobs",
-    "PlanResult": "plans",
-    "PlannedPose": "plans",
-    "Pose": "robots",
-    "Posture": "kinematics",
-    "Postures": "kinematics",
-    "Predictive": "search_numbers",
-    "PriorUsed": "fleet_priors",
-    "Progress": "server",
-    "Proposal": "plans",
-    "Reference": "fits",
-    "Refused": "searches",
-    "RefusedCriterion": "evaluations",
-    "Remark": "fits",
-    "Repair": "drifts",
-    "RepeatDrift": "search_numbers",
-    "Replication": "searches",
-    "ResidualRows": "others",
-    "ResolvedReference": "server",
-    "RezeroCheck": "checks",
-    "RezeroJob": "jobs",
-    "RezeroResult": "drifts",
-    "Rival": "comparisons",
-    "RobotCheck": "robots",
-    "RobotReport": "robots",
-    "RobotSummary": "robots",
-    "RowErrors": "evaluations",
-    "Scale": "identifications",
-    "Scene": "fits",
-    "SearchToday": "server",
-    "Separation": "searches",
-    "SetAside": "identifications",
-    "ShuffledEffect": "search_numbers",
-    "SmallestChange": "plans",
-    "StageErrors": "fits",
-    "StreamSession": "others",
-    "SuspiciousRow": "others",
-    "SuspiciousRows": "others",
-    "Term": "fits",
-    "Testability": "checks",
-    "Text": "fits",
-    "Today": "server",
-    "Token": "others",
-    "ToldApart": "searches",
-    "Tombstone": "comparisons",
-    "ToolScatter": "cameras",
-    "UnknownParameter": "checks",
-    "UnseenFit": "search_numbers",
-    "Untestable": "searches",
-    "Upload": "campaigns",
-    "Uploaded": "campaigns",
-    "UrdfShape": "others",
-    "UrdfShapes": "others",
-    "UsedCampaign": "versions",
-    "Version": "versions",
-    "VersionDiff": "comparisons",
-    "VersionPreview": "previews",
-    "VersionSummary": "versions",
-    "Workspace": "versions",
-    "Zero": "robots",
+    name: module
+    for module, names in {
+        "robots": """
+            AxisReport CircleAxis FoundRobot Frame JointSummary Mesh OffPoint Pose RobotCheck RobotReport
+            RobotSummary Zero
+            """,
+        "budgets": """
+            Budget Contribution Correlation
+            """,
+        "kinematics": """
+            Flanges Posture Postures
+            """,
+        "fits": """
+            Axis Errors Figure IdentifiableSum Layout Legend LoadNumber Margin Member Metrics NullDirection
+            Objection OddMass Origin Parameter Reference Remark Scene StageErrors Term Text
+            """,
+        "acceptance": """
+            Acceptance JudgedCampaign
+            """,
+        "campaigns": """
+            Board Camera Campaign Conditions Instrument Upload Uploaded
+            """,
+        "cameras": """
+            BoardFound CameraFound LeftOpen PixelsFound ToolScatter
+            """,
+        "fleet_priors": """
+            FleetVersion LeftOneOut PriorUsed
+            """,
+        "identifications": """
+            Configuration CorrelatedGroup IdentifyResult Influence JointMotions JointParametersResult KindErrors
+            KindOfMeasurement Learned MassesTaken Method Motion Noise Observability OwnBase Scale SetAside
+            """,
+        "comparisons": """
+            Comparison PairedErrors ParameterChange Rival Tombstone VersionDiff
+            """,
+        "previews": """
+            JointPreview VersionPreview
+            """,
+        "versions": """
+            ActivatedVersion Activation CorrectionLimits Covariance Details UsedCampaign Version VersionSummary
+            Workspace
+            """,
+        "search_numbers": """
+            Adequacy AliasMatrix AliasPair Amplitude AtJoints Evidence GapNoise GapSize GapStep Gates
+            NegativeControl Place Predictive RepeatDrift ShuffledEffect UnseenFit
+            """,
+        "effect_curves": """
+            CurveDistance CurveRival CurveSide CurveVisits EffectCurve
+            """,
+        "searches": """
+            Alias Amount Claim Detectable GapKind GapResult Halves HeldOutGain NamedEffect NextPose PhysicalClass
+            Refused Replication Separation ToldApart Untestable
+            """,
+        "evaluations": """
+            CampaignErrors Criterion CriterionOfPose EvaluateResult Iso9283 RefusedCriterion RowErrors
+            """,
+        "plans": """
+            PlanResult PlannedPose Proposal SmallestChange
+            """,
+        "drifts": """
+            ChangedNumber CheckOfRobot ControlChart DriftCause DriftHistory DriftList DriftMark DriftResult
+            DriftSummary Repair RezeroResult
+            """,
+        "checks": """
+            CheckedCampaign DriftCheck Duration EvaluateCheck GapCheck HeldOut Identifiability IdentifyCheck
+            JobProblem JointParametersCheck Missing PlanCheck RezeroCheck Testability UnknownParameter
+            """,
+        "server": """
+            Bridge BridgeList Check ErrorsToday Health JobError JobSummary MeasuredCampaign NamedMissing Progress
+            ResolvedReference SearchToday Today
+            """,
+        "jobs": """
+            DriftJob EvaluateJob GapJob IdentifyJob JointParametersJob PlanJob RezeroJob
+            """,
+        "others": """
+            AuditChange AuditEntry AuditPage CheckedRows FleetCounts FleetJob FleetJobSummary FleetRobot Identity
+            LoginLink MadeToken ResidualRows StreamSession SuspiciousRow SuspiciousRows Token UrdfShape UrdfShapes
+            """,
+    }.items()
+    for name in names.split()
 }
 JOBS = {
     "drift": "DriftJob",

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.comparisons import Comparison
 from kilter_client.typed.fits import Objection, Remark
 from kilter_client.typed.server import JobError, Progress
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AuditChange(Record):
     """One thing that a request changed."""
 
@@ -22,7 +19,6 @@ class AuditChange(Record):
     """What it is: a kind of entry and its key, or `active_version`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AuditEntry(Record):
     """What one request changed, and who sent it. Its hash covers `previous`, a line break and `content`."""
 
@@ -54,7 +50,6 @@ class AuditEntry(Record):
     """Id of the token; empty: the server's own."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AuditPage(Record):
     """The audit, oldest first."""
 
@@ -64,7 +59,6 @@ class AuditPage(Record):
     """Give it as `after` for the page that follows; None: this is the last."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CheckedRows(Record):
     """What an upload to a robot would take; nothing was stored."""
 
@@ -76,7 +70,6 @@ class CheckedRows(Record):
     """What looks odd in the rows and may be right: they are stored."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FleetCounts(Record):
     """How many robots are in which state."""
 
@@ -94,7 +87,27 @@ class FleetCounts(Record):
     """Robots with a new version."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetJobSummary(Record):
+    """A fleet job in a list."""
+
+    counts: FleetCounts
+    """How many of them are in which state."""
+    created_at: str
+    """When it was asked for."""
+    finished_at: str | None
+    """When its last job was over; None: not yet."""
+    id: str
+    """Id of the fleet job, `flt_` and 16 hexadecimal digits."""
+    name: str
+    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
+    progress: Progress
+    """How far it is, over all robots."""
+    robots: int
+    """How many robots it is about."""
+    state: str
+    """`queued` and `running` become one of the other three; `succeeded`: at least one robot has a new version, `failed`: none has."""
+
+
 class FleetRobot(Record):
     """What became of a robot of a fleet job."""
 
@@ -126,53 +139,13 @@ class FleetRobot(Record):
     """What the comparison left out."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class FleetJob(Record):
+class FleetJob(FleetJobSummary):
     """A fleet job with a row for each robot."""
 
-    counts: FleetCounts
-    """How many of them are in which state."""
-    created_at: str
-    """When it was asked for."""
-    finished_at: str | None
-    """When its last job was over; None: not yet."""
-    id: str
-    """Id of the fleet job, `flt_` and 16 hexadecimal digits."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
-    progress: Progress
-    """How far it is, over all robots."""
     report: Records[FleetRobot]
     """What became of each robot, by name."""
-    robots: int
-    """How many robots it is about."""
-    state: str
-    """`queued` and `running` become one of the other three; `succeeded`: at least one robot has a new version, `failed`: none has."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class FleetJobSummary(Record):
-    """A fleet job in a list."""
-
-    counts: FleetCounts
-    """How many of them are in which state."""
-    created_at: str
-    """When it was asked for."""
-    finished_at: str | None
-    """When its last job was over; None: not yet."""
-    id: str
-    """Id of the fleet job, `flt_` and 16 hexadecimal digits."""
-    name: str
-    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
-    progress: Progress
-    """How far it is, over all robots."""
-    robots: int
-    """How many robots it is about."""
-    state: str
-    """`queued` and `running` become one of the other three; `succeeded`: at least one robot has a new version, `failed`: none has."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Identity(Record):
     """Who sends this request, and what that allows."""
 
@@ -186,7 +159,6 @@ class Identity(Record):
     """Id of the token; empty: the server's own, or none."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LoginLink(Record):
     """A link that logs a browser in once, in the role of whoever asked for it."""
 
@@ -196,9 +168,8 @@ class LoginLink(Record):
     """To append to the address of the server. What is behind `#` stays in the browser and is in no log."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class MadeToken(Record):
-    """A token that was just made."""
+class Token(Record):
+    """A token; what is sent with requests is shown once, when it is made."""
 
     created_at: str
     """When it was made."""
@@ -218,11 +189,15 @@ class MadeToken(Record):
     """Names of the robots it is limited to; None: all robots. A robot of that name may be added later."""
     role: str
     """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
+
+
+class MadeToken(Token):
+    """A token that was just made."""
+
     token: str
     """What to send with requests (KILTER_TOKEN); it is shown this once only."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ResidualRows(Record):
     """What a version leaves of rows, measured minus predicted, as columns; every one has a value for each row."""
 
@@ -252,7 +227,6 @@ class ResidualRows(Record):
     """Half width of the 95 % interval along z, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StreamSession(Record):
     """Id and keys of a session. Whoever has them can send setpoints on this stream."""
 
@@ -280,7 +254,6 @@ class StreamSession(Record):
     """What to know before the arm is driven, as that nobody said whether the controller corrects by itself."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SuspiciousRow(Record):
     """A row that looks wrong, as one of those who say so sees it."""
 
@@ -310,7 +283,6 @@ class SuspiciousRow(Record):
     """What looks wrong, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SuspiciousRows(Record):
     """All rows of a campaign that look wrong, by row; a row may be named by several."""
 
@@ -328,31 +300,6 @@ class SuspiciousRows(Record):
     """The same in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Token(Record):
-    """A token; what is sent with requests is shown once, when it is made."""
-
-    created_at: str
-    """When it was made."""
-    created_by: str
-    """Who made it."""
-    expires_at: str | None
-    """When it expires; None: never."""
-    id: str
-    """Its id."""
-    name: str
-    """Whose token it is or what it is for; the records of changes show it."""
-    revoked_at: str | None
-    """When it was revoked; None: it was not."""
-    revoked_by: str
-    """Who revoked it; empty: nobody."""
-    robots: tuple[str, ...]
-    """Names of the robots it is limited to; None: all robots. A robot of that name may be added later."""
-    role: str
-    """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UrdfShape(Record):
     """A shape that the robot's URDF gives a link: a file, or a box, cylinder or sphere."""
 
@@ -374,7 +321,6 @@ class UrdfShape(Record):
     """The URDF's name of the link."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UrdfShapes(Record):
     """What the robot's URDF draws of the arm."""
 

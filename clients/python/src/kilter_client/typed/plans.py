@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownPlan
 from kilter_client.typed.fits import Remark
 from kilter_client.typed.searches import ToldApart
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PlannedPose(Record):
     """A pose to measure; further fields are the joints, as in a measurement: `q1_deg` ..., `q3_mm` of a prismatic joint."""
 
@@ -32,7 +29,6 @@ class PlannedPose(Record):
     """Number of the cycle, for the column of that name."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Proposal(Record):
     """Poses that belong together."""
 
@@ -46,7 +42,6 @@ class Proposal(Record):
     """How many poses."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SmallestChange(Record):
     """The smallest change of a cause that such rows show in 95 % of the checks."""
 
@@ -60,7 +55,6 @@ class SmallestChange(Record):
     """The cause as people say it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PlanResult(ShownPlan, Record):
     """Poses to measure. Collisions are not checked."""
 

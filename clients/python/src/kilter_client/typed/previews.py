@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointPreview(Record):
     """The largest correction of a joint."""
 
@@ -22,7 +20,6 @@ class JointPreview(Record):
     """Largest correction, mm; None: revolute, or nothing was corrected."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VersionPreview(Record):
     """How a version would correct, without activating it: what `correct` does with these poses, within its limits."""
 

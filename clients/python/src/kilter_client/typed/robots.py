@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from kilter_client.results.record import Record, Records
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointSummary(Record):
     """A joint as Kilter understood it."""
 
@@ -27,48 +25,6 @@ class JointSummary(Record):
     """Name of the joint."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobotReport(Record):
-    """A robot with its joints, the names of its geometric parameters, and the document it was posted as."""
-
-    RENAMED: ClassVar[Mapping[str, str]] = {"posted": "document"}
-    active_version: str | None
-    """The version it is corrected with; None: none."""
-    campaigns: int
-    """How many campaigns it has."""
-    controller_compensation: str
-    """Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a calibration that Kilter exported; `unknown`: nobody said."""
-    controller_sentence: str
-    """The same, and what follows from it, in words."""
-    convention: str
-    """Convention of the document it was posted as."""
-    created_at: str
-    """When it was added."""
-    posted: Mapping[str, Any]
-    """The document as it was posted, with what the controller is said to do now."""
-    drives: tuple[str, ...]
-    """Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."""
-    joints: Records[JointSummary]
-    """Joints from base to tool."""
-    name: str
-    """Name of the robot."""
-    notes: tuple[str, ...]
-    """What of the document was left out, in words."""
-    parameters: tuple[str, ...]
-    """Names of the geometric parameters, without base and tool."""
-    remarks: str
-    """What people noted on the robot."""
-    retired_at: str | None
-    """Since when it is out of use; None: it is in use."""
-    sha256: str
-    """SHA-256 of the chain that the document was resolved to when it was posted, 64 hexadecimal digits."""
-    source_sha256: str
-    """SHA-256 of the posted document, of a URDF that of its text, 64 hexadecimal digits."""
-    versions: int
-    """How many versions it has."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobotSummary(Record):
     """A robot in a list."""
 
@@ -94,7 +50,26 @@ class RobotSummary(Record):
     """How many versions it has."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RobotReport(RobotSummary):
+    """A robot with its joints, the names of its geometric parameters, and the document it was posted as."""
+
+    RENAMED: ClassVar[Mapping[str, str]] = {"posted": "document"}
+    posted: Mapping[str, Any]
+    """The document as it was posted, with what the controller is said to do now."""
+    drives: tuple[str, ...]
+    """Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."""
+    joints: Records[JointSummary]
+    """Joints from base to tool."""
+    notes: tuple[str, ...]
+    """What of the document was left out, in words."""
+    parameters: tuple[str, ...]
+    """Names of the geometric parameters, without base and tool."""
+    sha256: str
+    """SHA-256 of the chain that the document was resolved to when it was posted, 64 hexadecimal digits."""
+    source_sha256: str
+    """SHA-256 of the posted document, of a URDF that of its text, 64 hexadecimal digits."""
+
+
 class AxisReport(Record):
     """An axis at zero, in the frame in which the pose of the base is given; a joint that drives several axes has several."""
 
@@ -116,7 +91,6 @@ class AxisReport(Record):
     """Motion of the axis per motion of the joint, no unit."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Pose(Record):
     """A frame: position, then Rz Ry Rx (the convention of URDF)."""
 
@@ -134,7 +108,6 @@ class Pose(Record):
     """Position along z, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Zero(Record):
     """The arm at zero: base, a point on each axis, flange and tool point; and the tool's pose."""
 
@@ -144,7 +117,6 @@ class Zero(Record):
     """Pose of the tool point."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobotCheck(Record):
     """What a robot document comes to; ``suspicious`` is what looks wrong and may be right."""
 
@@ -166,7 +138,6 @@ class RobotCheck(Record):
     """The arm at zero."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CircleAxis(Record):
     """What an axis rests on: its rows, its arc (or stroke), the widest radius, and how well direction and place are known."""
 
@@ -190,7 +161,6 @@ class CircleAxis(Record):
     """Stroke the joint moved over, mm; None for a revolute joint."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FoundRobot(Record):
     """A robot document to add, its axes, and how far the whole is from the rows."""
 
@@ -202,7 +172,6 @@ class FoundRobot(Record):
     """The document, ready to be added."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OffPoint(Record):
     """How far a point is from where the frame has it."""
 
@@ -212,7 +181,6 @@ class OffPoint(Record):
     """Name of the point."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Frame(Record):
     """The frame's pose in the device's coordinates, as `base` of a robot that stands on it; and how well the points fit."""
 
@@ -224,7 +192,6 @@ class Frame(Record):
     """Rms distance of the points from where the frame has them, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Mesh(Record):
     """The shape of a link. It is drawn only: no load and no identification uses it."""
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kilter_client.results.record import Record, Records
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Place(Record):
     """A level of a factor at which the model was wrong."""
 
@@ -23,7 +20,6 @@ class Place(Record):
     """Visits at this level."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UnseenFit(Record):
     """Whether held-out rows, which no choice saw, agree with the model within the noise and what was fitted."""
 
@@ -45,7 +41,6 @@ class UnseenFit(Record):
     """Whether more is left, and more of it than is too small to matter."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Adequacy(Record):
     """Whether what is left is no more than the noise."""
 
@@ -77,7 +72,6 @@ class Adequacy(Record):
     """Whether the misfit is below it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AtJoints(Record):
     """An effect at some joints."""
 
@@ -87,7 +81,6 @@ class AtJoints(Record):
     """Joints it acts at, from 1; None: it does not act at joints."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AliasPair(Record):
     """Two effects whose signatures correlate in these rows."""
 
@@ -99,7 +92,6 @@ class AliasPair(Record):
     """The other."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AliasMatrix(Record):
     """How well the signatures of effects correlate in these rows after the geometry is fitted."""
 
@@ -111,7 +103,6 @@ class AliasMatrix(Record):
     """Correlation of each two signatures, 0 to 1."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RepeatDrift(Record):
     """How far repeats drifted."""
 
@@ -131,7 +122,6 @@ class RepeatDrift(Record):
     """Whether by a clock; false: by the order of the rows."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapNoise(Record):
     """The noise: standard deviations of a coordinate. Joint data have the `_deg` fields."""
 
@@ -161,7 +151,6 @@ class GapNoise(Record):
     """Within a visit, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapStep(Record):
     """A step of the search."""
 
@@ -171,7 +160,6 @@ class GapStep(Record):
     """What was named then."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictive(Record):
     """How many held-out coordinates are within their 95 % predictive intervals."""
 
@@ -183,7 +171,6 @@ class Predictive(Record):
     """Both numbers for each held-out pose."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapSize(Record):
     """The gap before and after, as rms of the 3-D error, beside the noise. Joint data have the `_deg` fields."""
 
@@ -233,7 +220,6 @@ class GapSize(Record):
     """What noise alone would leave there, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ShuffledEffect(Record):
     """What became of an effect when its labels were shuffled."""
 
@@ -251,7 +237,6 @@ class ShuffledEffect(Record):
     """Share in which it was still named, 0 to 1."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NegativeControl(Record):
     """What shuffled rows would name."""
 
@@ -265,7 +250,6 @@ class NegativeControl(Record):
     """How often rows were shuffled."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Evidence(Record):
     """The number that each gate was decided by; None where there was none."""
 
@@ -301,7 +285,6 @@ class Evidence(Record):
     """Poses that took no part in choosing."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Gates(Record):
     """The tests an effect passed or did not; all must be passed to be confirmed."""
 
@@ -333,7 +316,6 @@ class Gates(Record):
     """Poses that took no part in choosing judged it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Amplitude(Record):
     """A parameter of an effect that was named."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar
 
 from kilter_client.results.record import Record, Records
@@ -26,7 +25,6 @@ from kilter_client.typed.search_numbers import (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Detectable(Record):
     """The smallest amplitude that would be seen."""
 
@@ -42,7 +40,6 @@ class Detectable(Record):
     """Share of its signature that geometry cannot imitate, 0 to 1."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapKind(Record):
     """What a search says of one kind of measurement, in the kind's unit. Errors of the tool are rms lengths in space."""
 
@@ -66,7 +63,6 @@ class GapKind(Record):
     """Rms error before, on the held-out rows."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Alias(Record):
     """A rival that does as well."""
 
@@ -82,7 +78,6 @@ class Alias(Record):
     """Chance that the rival is the right one."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Separation(Record):
     """Evidence that would separate an effect from the others of its physical class."""
 
@@ -98,7 +93,6 @@ class Separation(Record):
     """What is asked for."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Claim(Record):
     """What is claimed: the narrowest set that the data single out."""
 
@@ -114,7 +108,6 @@ class Claim(Record):
     """The claim in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Halves(Record):
     """What the two halves of a campaign, one after the other, say of an effect where something else is left."""
 
@@ -136,7 +129,6 @@ class Halves(Record):
     """The same without it, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HeldOutGain(Record):
     """What held-out poses gain by an effect."""
 
@@ -148,7 +140,6 @@ class HeldOutGain(Record):
     """Standard error of the gain."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PhysicalClass(Record):
     """What acts at the same place in the same way, members of the library or not."""
 
@@ -162,7 +153,6 @@ class PhysicalClass(Record):
     """Members that it does not have, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Amount(Record):
     """A parameter as the confirmation has it."""
 
@@ -176,7 +166,6 @@ class Amount(Record):
     """Its value."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Replication(Record):
     """What a confirmation says of an effect."""
 
@@ -196,7 +185,6 @@ class Replication(Record):
     """The same by the search's fit without the effect, mm."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NamedEffect(Record):
     """An effect that was named, and how sure that is."""
 
@@ -245,7 +233,6 @@ class NamedEffect(Record):
     """`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NextPose(Record):
     """A pose to measure next."""
 
@@ -267,7 +254,6 @@ class NextPose(Record):
     """The two that it tells apart."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Refused(Record):
     """A candidate that was tested and not named."""
 
@@ -281,7 +267,6 @@ class Refused(Record):
     """How often chance alone explains as much, of all candidates the best."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ToldApart(Record):
     """Whether proposed poses tell two effects apart, and what does where they do not."""
 
@@ -301,7 +286,6 @@ class ToldApart(Record):
     """The two in question."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Untestable(Record):
     """What these rows cannot say."""
 
@@ -317,7 +301,6 @@ class Untestable(Record):
     """What to measure so that it can be tested."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapResult(ShownSearch, Record):
     """What a gap search found. The version holds the named effects and the geometry fitted with them."""
 

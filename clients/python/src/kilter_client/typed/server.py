@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.fits import StageErrors
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Check(Record):
     """One thing that was looked at."""
 
@@ -19,7 +17,6 @@ class Check(Record):
     """Whether it is as it should be."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Health(Record):
     """The state of the server."""
 
@@ -31,7 +28,6 @@ class Health(Record):
     """Release of the server."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ResolvedReference(Record):
     """What a prefix, a name or `latest` stands for."""
 
@@ -47,7 +43,6 @@ class ResolvedReference(Record):
     """Name of the robot it belongs to."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JobError(Record):
     """Why a job failed."""
 
@@ -57,7 +52,6 @@ class JobError(Record):
     """What is wrong, and what helps."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Progress(Record):
     """How far a job is (0 to 1) and what it does."""
 
@@ -67,7 +61,6 @@ class Progress(Record):
     """What it does now, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JobSummary(Record):
     """A job in a list."""
 
@@ -95,7 +88,6 @@ class JobSummary(Record):
     """`queued` and `running` become one of the other three."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MeasuredCampaign(Record):
     """A campaign, and when it was measured."""
 
@@ -113,7 +105,6 @@ class MeasuredCampaign(Record):
     """The same in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ErrorsToday(Record):
     """Errors of the active version on some rows."""
 
@@ -135,7 +126,6 @@ class ErrorsToday(Record):
     """`evaluation` and `check`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the rows it was fitted to, which flatters."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NamedMissing(Record):
     """An effect that a search named, and whether the active version corrects it."""
 
@@ -149,7 +139,6 @@ class NamedMissing(Record):
     """The effect as people say it, with its class where these data cannot tell them apart."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SearchToday(Record):
     """The newest gap search against what the active version corrects."""
 
@@ -173,7 +162,6 @@ class SearchToday(Record):
     """`no_gap`, `closed`, `provisional` or `unexplained`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Today(Record):
     """How good a robot is today, and what is missing in its active version."""
 
@@ -201,7 +189,6 @@ class Today(Record):
     """The active version; None: none."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Bridge(Record):
     """A bridge as the server knows it."""
 
@@ -249,7 +236,6 @@ class Bridge(Record):
     """Why it does not correct; empty where it does."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BridgeList(Record):
     """Bridges of a robot: those that run first, then the newest. Those that are gone for a day are forgotten."""
 

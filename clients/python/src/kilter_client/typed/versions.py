@@ -3,32 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import OfVersion, ShownActivated, ShownVersion
-from kilter_client.typed.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_client.typed.comparisons import Comparison
-from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
-from kilter_client.typed.fleet_priors import PriorUsed
-from kilter_client.typed.identifications import (
-    CorrelatedGroup,
-    Influence,
-    JointMotions,
-    KindOfMeasurement,
-    Learned,
-    MassesTaken,
-    Method,
-    Noise,
-    Observability,
-    OwnBase,
-    Scale,
-    SetAside,
-)
+from kilter_client.typed.fits import Metrics, NullDirection, Objection, Parameter, Remark
+from kilter_client.typed.identifications import AnyFit, JointMotions
 from kilter_client.typed.previews import VersionPreview
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CorrectionLimits(Record):
     """The largest correction a version may make: a larger one is held there, or refused.
 
@@ -42,7 +25,6 @@ class CorrectionLimits(Record):
     """Largest correction of the tool, and of a prismatic joint, mm, above 0 to 200."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Covariance(Record):
     """What a version knows of its parameters, SI; empty where nothing was identified."""
 
@@ -64,7 +46,6 @@ class Covariance(Record):
     """`SI`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Workspace(Record):
     """What a version does at poses all over the joint limits, within its limits; why these are what they are."""
 
@@ -88,65 +69,19 @@ class Workspace(Record):
     """What the version needs, and the limits that follow from it, in words."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Details(Record):
+class Details(AnyFit):
     """What else the job of a version said. Which of it there is depends on the kind of job."""
 
-    base_refitted: Records[OwnBase]
-    """Bases that were fitted to rows of their own."""
-    boards: Records[BoardFound]
-    """Boards as they were found; None: none measured."""
-    cameras: Records[CameraFound]
-    """Cameras as they were found; None: none measured."""
-    correlated_groups: Records[CorrelatedGroup]
-    """Parameters that go together."""
     held_out_fraction: float | None
     """Share of the poses a gap search held out by itself."""
-    influence: Records[Influence]
-    """How far each parameter moves the tool, at up to 500 rows (all with method `influence`)."""
-    intervals: str | None
-    """What the intervals rest on: `bootstrap` or `profile`."""
-    iterations: int | None
-    """Iterations of the fit."""
     joints: Records[JointMotions]
     """What link-side encoders say of each joint."""
-    known_together: tuple[str, ...]
-    """Parameters that the kinds tell together and none of them alone."""
-    learned: Learned | None
-    """Whether a learned effect predicts better."""
-    load_model: Records[LoadNumber]
-    """Masses and centres as stated and as found."""
-    masses: MassesTaken | None
-    """How masses were taken; None: no effect follows the load."""
     measured_by: str | None
     """What joints were measured by: `inclinometer` or `link-side encoder`."""
-    measurements: Records[KindOfMeasurement]
-    """What each kind of measurement says."""
-    method: Method | None
-    """The method, and what it reports."""
-    noise: Noise | None
-    """What the rows scatter by."""
-    noise_source: str | None
-    """What the noise was estimated from."""
-    observability: Observability | None
-    """Observability indices of the poses."""
-    pixels: PixelsFound | None
-    """What views alone say; None: a tracker measured too, or no camera."""
-    prior: PriorUsed | None
-    """What other robots of the type said; None: they were not asked."""
-    reference: Reference | None
-    """Where the frames of a correction come from."""
-    scale: Scale | None
-    """The standard deviations that residuals were weighed by."""
-    set_aside: Records[SetAside]
-    """Rows that a robust loss or a search set aside."""
-    tool_refitted: Records[OwnBase]
-    """Tools that were fitted to rows of their own."""
     workspace: Workspace | None
     """What it does all over the joint limits when it was stored, and why its limits are what they are."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UsedCampaign(Record):
     """A campaign a version was made from, and the hashes of its uploads."""
 
@@ -164,64 +99,6 @@ class UsedCampaign(Record):
     """What it was used for: `train`, `validation` or `confirmation`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Version(ShownVersion, Record):
-    """A version with all it holds; the covariance is SI, everything else in mm and degrees.
-
-    ``objections`` are what its own identification says against activating it.
-    ``details`` is what else its job said: method, observability, correlated groups, influence, intervals."""
-
-    active: bool
-    """Whether the robot is corrected with it."""
-    campaigns: Records[UsedCampaign]
-    """Campaigns it was made from."""
-    code_version: str
-    """Release of Kilter that made it."""
-    covariance: Covariance
-    """How well its parameters are known, SI."""
-    created_at: str
-    """When it was made."""
-    details: Details
-    """What else its job said."""
-    effects: tuple[str, ...]
-    """Ids of its effects."""
-    hash_scheme: int
-    """What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."""
-    id: str
-    """Id of the version, `ver_` and 16 hexadecimal digits."""
-    job_id: str
-    """The job that made it."""
-    limits: CorrectionLimits
-    """The largest correction it may make."""
-    metrics: Metrics
-    """Errors on the rows fitted and on those held out."""
-    name: str
-    """What people call it, at most 200 characters; unique for its robot while it is in use."""
-    noise_mm: float | None
-    """Standard deviation of a coordinate of the noise, mm."""
-    notes: str
-    """What people noted on it."""
-    null_directions: Records[NullDirection]
-    """What the data could not tell."""
-    objections: Records[Objection]
-    """What its own identification says against activating it."""
-    parameters: Records[Parameter]
-    """Parameters that were identified."""
-    parent_id: str | None
-    """The version it was started from; None: the nominal robot."""
-    retired_at: str | None
-    """Since when it is out of use; None: it is in use."""
-    robot: str
-    """Name of its robot."""
-    robot_sha256: str
-    """SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."""
-    sha256: str
-    """SHA-256 of what the version holds, 64 hexadecimal digits."""
-    warnings: Records[Remark]
-    """What to know before trusting it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VersionSummary(OfVersion, Record):
     """A version in a list; metrics are those of the identification."""
 
@@ -251,56 +128,62 @@ class VersionSummary(OfVersion, Record):
     """Name of its robot."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ActivatedVersion(ShownActivated, Record):
+class Version(ShownVersion, VersionSummary):
+    """A version with all it holds; the covariance is SI, everything else in mm and degrees.
+
+    ``objections`` are what its own identification says against activating it.
+    ``details`` is what else its job said: method, observability, correlated groups, influence, intervals."""
+
+    campaigns: Records[UsedCampaign]
+    """Campaigns it was made from."""
+    covariance: Covariance
+    """How well its parameters are known, SI."""
+    details: Details
+    """What else its job said."""
+    hash_scheme: int
+    """What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."""
+    limits: CorrectionLimits
+    """The largest correction it may make."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate of the noise, mm."""
+    null_directions: Records[NullDirection]
+    """What the data could not tell."""
+    objections: Records[Objection]
+    """What its own identification says against activating it."""
+    parameters: Records[Parameter]
+    """Parameters that were identified."""
+    robot_sha256: str
+    """SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."""
+    sha256: str
+    """SHA-256 of what the version holds, 64 hexadecimal digits."""
+    warnings: Records[Remark]
+    """What to know before trusting it."""
+
+
+class ActivatedVersion(ShownActivated, VersionSummary):
     """A version that corrects from now on; ``unsupported_effects`` are those that its stream does not correct.
 
     ``compared`` is None when there were no rows to compare on; ``warnings`` say why, and what else was left out.
     ``objections`` are what would have refused it without ``forced``. A roll-back is never compared."""
 
-    active: bool
-    """Whether the robot is corrected with it."""
-    code_version: str
-    """Release of Kilter that made it."""
     compared: Comparison | None
     """How it was compared; None: there was nothing to compare on."""
     corrected_where_stated: Mapping[str, tuple[str, ...]]
     """Those of them that rows of a file are corrected for, by id with the columns that rows must state."""
-    created_at: str
-    """When it was made."""
-    effects: tuple[str, ...]
-    """Ids of its effects."""
     forced: bool
     """Whether it was activated in spite of what speaks against it."""
-    id: str
-    """Id of the version, `ver_` and 16 hexadecimal digits."""
-    job_id: str
-    """The job that made it."""
-    metrics: Metrics
-    """Errors on the rows fitted and on those held out."""
-    name: str
-    """What people call it, at most 200 characters; unique for its robot while it is in use."""
     not_corrected: str
     """Both in words; empty: nothing is left out."""
-    notes: str
-    """What people noted on it."""
     objections: Records[Objection]
     """What would have refused it without `force`."""
-    parent_id: str | None
-    """The version it was started from; None: the nominal robot."""
     preview: VersionPreview | None
     """What it does over the robot's poses; None: it was active before, or could not be computed."""
-    retired_at: str | None
-    """Since when it is out of use; None: it is in use."""
-    robot: str
-    """Name of its robot."""
     unsupported_effects: tuple[str, ...]
     """Ids of its effects that are not corrected where rows state joints and loads alone, as in a stream."""
     warnings: Records[Remark]
     """What the comparison left out, and where it does not correct."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Activation(Record):
     """An entry of the log of active versions; ``objections`` were overruled where it was ``forced``."""
 
