@@ -38,13 +38,12 @@ def modules() -> dict[Path, str]:
 
 def tables() -> dict[Path, str]:
     """Return whatever repeats the contract as it should be."""
-    from tools.contract.lists import effect_texts, listed_texts
+    from tools.contract.lists import lists_text
     from tools.contract.tables import command_texts, with_help, with_tables  # imports the modules, which must stand
 
     client = "clients/python/src/kilter_client/cli"
     texts = {f"{client}/texts/option_texts.py": formatted(command_texts())}
-    texts[f"{client}/texts/effect_texts.py"] = formatted(effect_texts())
-    texts[f"{client}/texts/listed_texts.py"] = formatted(listed_texts())
+    texts[f"{client}/texts/lists.json"] = lists_text()
     made = client_modules(REPOSITORY / "tests/contract/openapi.json")
     texts |= {f"{TYPED}/{module}.py": formatted(text) for module, text in made.items()}
     texts |= {page: with_tables(read(page)) for page in PAGES}

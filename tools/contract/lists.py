@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,27 +23,17 @@ NEEDED = {
 PLACES = {"base": "base", "measurement": "instrument"}
 
 
-def effect_texts() -> str:
-    """Return the module of the client with the list of effects."""
-    return _module(("EFFECTS", _effects()))
-
-
-def listed_texts() -> str:
-    """Return the module of the client with the other lists."""
-    return _module(
-        ("METHODS", _methods()),
-        ("PRESETS", _presets()),
-        ("COLUMNS", _columns()),
-        ("EXPORTS", _exports()),
-    )
-
-
-def _module(*lists: tuple[str, Iterator[dict[str, str]]]) -> str:
-    lines = ['"""What the command lists without a server, made by `make contract`: change it where it stands."""\n']
-    lines.append("from __future__ import annotations\n")
-    for name, rows in lists:
-        lines += [f"{name}: list[dict[str, str]] = [", *(f"    {row!r}," for row in rows), "]"]
-    return "\n".join(lines) + "\n"
+def lists_text() -> str:
+    """Return the client's file of lists: JSON, an entry a line."""
+    lists = {
+        "effects": _effects(),
+        "methods": _methods(),
+        "presets": _presets(),
+        "columns": _columns(),
+        "exports": _exports(),
+    }
+    entries = {name: ",\n".join(json.dumps(row, ensure_ascii=False) for row in rows) for name, rows in lists.items()}
+    return "{\n" + ",\n".join(f'"{name}": [\n{rows}\n]' for name, rows in entries.items()) + "\n}\n"
 
 
 def _effects() -> Iterator[dict[str, str]]:
