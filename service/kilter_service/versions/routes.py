@@ -23,6 +23,8 @@ from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import activation, keeping, service
 from kilter_service.versions.if_match import ExpectedState, tag_of_robot
 from kilter_service.versions.predictions import differences
+from kilter_service.versions.predictions import preview as previews
+from kilter_service.versions.predictions import residuals as left
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.conditional import ConditionalRoute
 from kilter_service.web.page_query import PageOfList
@@ -118,7 +120,7 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
 
     The poses are those that the robot was driven to in its campaigns, else poses drawn within its limits.
     """
-    return service.preview(database, version, settings.temperature_c)
+    return previews.preview(database, version, settings.temperature_c)
 
 
 @router.get("/versions/{a}/diff/{b}")
@@ -160,7 +162,7 @@ def residuals(
     have the error of the tool that explains them best, without the noise of their corners, and no interval.
     """
     media = {"csv": CSV, "parquet": PARQUET, "json": JSON}[format]
-    content = service.residuals(database, version, campaign or [], media)
+    content = left.residuals(database, version, campaign or [], media)
     headers = {"Content-Disposition": f'attachment; filename="{version}-residuals.{format}"'}
     return Response(content, media_type=media, headers=headers)
 

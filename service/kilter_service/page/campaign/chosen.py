@@ -26,6 +26,7 @@ from kilter_service.page.campaign import service
 from kilter_service.page.campaign.series import KEPT
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
+from kilter_service.versions.predictions import joint_space, places
 from kilter_service.versions.predictions.paired import residuals, size_of
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def values(database: Database, campaign_id: str, version: str, column: str) -> d
         ObservationError: no such column.
 
     """
-    campaign, found = campaigns.get(database, campaign_id), versions.places(database, version, campaign_id)
+    campaign, found = campaigns.get(database, campaign_id), places.places(database, version, campaign_id)
     unit = ""
     if column == SIGMA:
         left = _left(database, campaign, version)
@@ -217,5 +218,5 @@ def _of_joint(database: Database, campaign: Campaign, version: str, name: str) -
             f"{campaign.robot} has no joint {name[:64]!r}: it has {', '.join(names)}.", code="option_invalid"
         )
     place = names.index(name)
-    motion = versions.joint_errors(database, version, campaign.id)[:, place]
+    motion = joint_space.joint_errors(database, version, campaign.id)[:, place]
     return motion * joint_scale(arm)[place], joint_units(arm)[place]

@@ -18,6 +18,7 @@ from kilter_service.page import words
 from kilter_service.page.robot import scene
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
+from kilter_service.versions.predictions import at_pose
 
 if TYPE_CHECKING:
     from kilter_service.versions.predictions.at_pose import AtPose
@@ -102,7 +103,7 @@ def asked(
     said = []
     for version in dict.fromkeys(filter(None, chosen)):
         scene.check(database, robot, version)
-        found = versions.at_pose(database, version, q, campaign, row, settings.temperature_c)
+        found = at_pose.at_pose(database, version, q, campaign, row, settings.temperature_c)
         said.append(_moves_of_version(version, called(versions.get(database, version)), found))
         q = found.q
     shown = [] if q is None else q * scale

@@ -14,6 +14,7 @@ from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_mm
 from kilter_service.robots import service as robots
 from kilter_service.robots.meshes import service as meshes
 from kilter_service.versions import service as versions
+from kilter_service.versions.predictions import places as measured
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -84,7 +85,7 @@ def check(database: Database, robot: str, version: str) -> None:
 
 def places(database: Database, version: str, campaign: str) -> Document:
     """Return the measured places with their errors; `total` counts what there is, the lists hold what is shown."""
-    found = versions.places(database, version, campaign)
+    found = measured.places(database, version, campaign)
     scale = np.asarray(joint_scale(found.robot))
     return {
         "total": found.total,
@@ -106,7 +107,7 @@ def _label(column: Column) -> str:
 
 def reach(database: Database, version: str) -> Document:
     """Return poses all over the joint limits: correction of the tool, and the standard deviation of where it is."""
-    found = versions.reach(database, version)
+    found = measured.reach(database, version)
     after = None if found.after is None else np.round(to_mm(found.after), ERROR).tolist()
     return {
         "at": np.round(to_mm(found.points), PLACE).tolist(),
@@ -117,7 +118,7 @@ def reach(database: Database, version: str) -> Document:
 
 def worst(database: Database, version: str, campaign: str, most: int = 5) -> Document:
     """Return the rows with the largest errors of a version, the worst first."""
-    found = versions.places(database, version, campaign)
+    found = measured.places(database, version, campaign)
     size = to_mm(np.linalg.norm(found.left["identified"], axis=1))
     held = found.held_out if found.held_out.any() else np.ones(len(size), dtype=bool)
     order = [k for k in np.argsort(-size) if held[k]][:most]

@@ -10,7 +10,7 @@ from kilter_service.ground.db import Database
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import lengths, named
 from kilter_service.page.words import in_columns
-from kilter_service.versions import service
+from kilter_service.versions.predictions.contributions import contributions
 
 if TYPE_CHECKING:
     from kilter_service.versions.predictions.contributions import Contribution
@@ -48,7 +48,7 @@ class Moved:
 
 def moved_by_each(database: Database, version_id: str) -> Moved:
     """Say how far each effect of a version moves the tool."""
-    poses, found = service.contributions(database, version_id)
+    poses, found = contributions(database, version_id)
     return Moved(
         poses, [one for one in found if one.rms_mm is not None], [one.effect for one in found if one.rms_mm is None]
     )

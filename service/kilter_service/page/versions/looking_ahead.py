@@ -16,6 +16,7 @@ from kilter_service.robots.compensation import sentence
 from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import activation, service
 from kilter_service.versions.if_match import tag_of_robot
+from kilter_service.versions.predictions.preview import preview
 
 log = logging.getLogger("kilter.page")
 
@@ -95,7 +96,7 @@ def correction_ahead(database: Database, version_id: str, temperature_c: float |
 def _previewed(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
     """The preview, or why there is none."""
     try:
-        return service.preview(database, version_id, temperature_c), ""
+        return preview(database, version_id, temperature_c), ""
     except CoreError as error:
         return None, f"What it would correct could not be computed: {error.message}"
     except Exception:

@@ -13,7 +13,7 @@ from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.words import beside, in_columns, largest
-from kilter_service.versions import service
+from kilter_service.versions.predictions import places as measured
 from kilter_service.versions.predictions.paired import Pairs
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def _maps(
     places, gains, rows = [], [], []
     for one in dict.fromkeys(campaign.tolist()):
         try:
-            found = service.places(database, version, one)
+            found = measured.places(database, version, one)
         except ServiceError:
             return []
         mine = dict(zip(row[campaign == one].tolist(), difference[campaign == one].tolist(), strict=True))

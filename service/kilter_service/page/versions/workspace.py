@@ -15,7 +15,7 @@ from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
 from kilter_service.page.figures.scale import around
 from kilter_service.page.versions.looking_ahead import REFUSED
 from kilter_service.page.words import bare, largest, percent, unit
-from kilter_service.versions import service
+from kilter_service.versions.predictions.workspace import workspace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,7 +50,7 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
         ServiceError: no such version.
 
     """
-    seen = service.workspace(database, version_id, temperature_c)
+    seen = workspace(database, version_id, temperature_c)
     found, words = seen.found, np.array(seen.found.words)
     order = sorted(found.counts, key=_order)
     left = [_most(found.left[words == word]) for word in order]
