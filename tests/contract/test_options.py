@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -145,3 +146,8 @@ def test_an_unknown_kind_is_refused_with_the_kinds_there_are() -> None:
     found = refusal([], {"kind": "paint"})
     assert found is not None
     assert (found.code, "joint_parameters" in found.message) == ("kind_unavailable", True)
+
+
+def test_an_effect_with_its_options_is_copied_to_other_processes() -> None:
+    told = EFFECT.validate_python({"id": "gear_error", "joints": [2], "orders": [1.0]})
+    assert pickle.loads(pickle.dumps(told)) == told  # noqa: S301 (our own)

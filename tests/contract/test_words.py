@@ -30,9 +30,7 @@ GENERATED = (
     "clients/python/src/kilter_client/typed/",
     "clients/python/src/kilter_client/cli/texts/option_texts.py",
     "clients/python/src/kilter_client/cli/texts/lists.json",
-    "service/kilter_service/contract/effect_options.py",
-    "service/kilter_service/contract/whole_effect_options.py",
-    "service/kilter_service/contract/effects.py",
+    "service/kilter_service/contract/effects.json",
     "service/kilter_service/page/static/",  # bundled from what is in page/sources
     *(f"clients/matlab/+kilter/{kind}.m" for kind in ("identify", "gap", "evaluate", "plan")),
 )

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tools.contract.client_types import client_modules
-from tools.contract.effects import effects_module, options_module, whole_options_module
+from tools.contract.effects import effects_data
 from tools.contract.methods import methods_module
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -26,11 +26,9 @@ MATLAB = ("identify", "gap", "evaluate", "plan")
 
 
 def modules() -> dict[Path, str]:
-    """Return the contract's own modules as they should be."""
+    """Return what the contract itself takes from the core as it should be."""
     texts = {
-        "service/kilter_service/contract/effects.py": formatted(effects_module()),
-        "service/kilter_service/contract/effect_options.py": formatted(options_module()),
-        "service/kilter_service/contract/whole_effect_options.py": formatted(whole_options_module()),
+        "service/kilter_service/contract/effects.json": effects_data(),
         "service/kilter_service/contract/methods.py": formatted(methods_module()),
     }
     return {REPOSITORY / name: text for name, text in texts.items()}

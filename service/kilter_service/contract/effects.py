@@ -1,85 +1,50 @@
-"""The effects by name and as documents, made from core/kilter_core/effects by `make contract`: change them there."""
+"""The effects by name and as documents with their options, from `effects.json`: `make contract` writes it from the core's.
+
+So the API process knows what they are without numpy, and an option has here what it says of itself there.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import json
+from collections.abc import Mapping
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, create_model
 
-from kilter_service.contract.effect_options import (
-    AxialComplianceEffect,
-    BacklashEffect,
-    BacklashLoadEffect,
-    ClearanceTiltEffect,
-    DirectionComplianceEffect,
-    EccentricityEffect,
-    EncoderScaleEffect,
-    FrictionWindupEffect,
-    GearErrorEffect,
-    GravitySpringEffect,
-    GuideRotationEffect,
-    HardeningEffect,
-    JointCouplingEffect,
-    LinkBendingEffect,
-    LinkGrowthEffect,
-    LinkTorsionEffect,
-    RadialComplianceEffect,
-    ReadingTiltEffect,
-    SecondHarmonicEffect,
-    StraightnessEffect,
-    TelescopeBendingEffect,
-    TrackingLagEffect,
-    UnknownJointCurveEffect,
-    UnknownSmoothCurveEffect,
-    ZeroDriftEffect,
-    ZeroStepEffect,
-    ZeroThermalEffect,
-)
-from kilter_service.contract.whole_effect_options import (
-    BaseComplianceEffect,
-    BaseStepEffect,
-    ColumnBendingEffect,
-    DriftEffect,
-    LoadErrorEffect,
-    MeasuredTiltEffect,
-    MeasurementScaleEffect,
-    PayloadErrorEffect,
-    RandomWalkEffect,
-    SessionShiftEffect,
-    SettlingEffect,
-    ThermalDriftEffect,
-    ThermalGrowthEffect,
-    TimeOffsetEffect,
-    ToolSagEffect,
-    ToolStepEffect,
-    UnknownFieldEffect,
-    UnknownResidualEffect,
-)
+from kilter_service.contract.units import Asked, JointNumber, unit
 
-# fmt: off
-EffectName = Literal[
-    "clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
-    "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
-    "link_torsion", "base_compliance", "thermal_growth", "payload_error", "friction_windup", "time_offset",
-    "tracking_lag", "drift", "measurement_scale", "session_shift", "zero_drift", "zero_thermal", "link_growth",
-    "settling", "random_walk", "base_step", "tool_step", "zero_step", "column_bending", "thermal_drift",
-    "measured_tilt", "tool_sag", "hardening", "direction_compliance", "reading_tilt", "straightness",
-    "guide_rotation", "telescope_bending", "unknown_smooth_curve", "unknown_joint_curve", "unknown_field",
-    "unknown_residual", "load_error"
-]
-EffectDocument = Annotated[
-    ClearanceTiltEffect | BacklashEffect | BacklashLoadEffect | AxialComplianceEffect | RadialComplianceEffect |
-    EccentricityEffect | SecondHarmonicEffect | GearErrorEffect | EncoderScaleEffect | JointCouplingEffect |
-    GravitySpringEffect | LinkBendingEffect | LinkTorsionEffect | BaseComplianceEffect | ThermalGrowthEffect |
-    PayloadErrorEffect | FrictionWindupEffect | TimeOffsetEffect | TrackingLagEffect | DriftEffect |
-    MeasurementScaleEffect | SessionShiftEffect | ZeroDriftEffect | ZeroThermalEffect | LinkGrowthEffect |
-    SettlingEffect | RandomWalkEffect | BaseStepEffect | ToolStepEffect | ZeroStepEffect | ColumnBendingEffect |
-    ThermalDriftEffect | MeasuredTiltEffect | ToolSagEffect | HardeningEffect | DirectionComplianceEffect |
-    ReadingTiltEffect | StraightnessEffect | GuideRotationEffect | TelescopeBendingEffect | UnknownSmoothCurveEffect
-    | UnknownJointCurveEffect | UnknownFieldEffect | UnknownResidualEffect | LoadErrorEffect,
-    Field(discriminator="id"),
-]
-# fmt: on
+NUMBERS = {"float": float, "int": int, "joint": JointNumber}
+Said = Mapping[str, Any]
+SAID: list[Said] = json.loads(Path(__file__).with_name("effects.json").read_text(encoding="utf-8"))
+
+
+def _type(said: Said) -> Any:
+    """Type of an option: one of its choices, or a number, a list of numbers or of lists, or nothing."""
+    if "choices" in said:
+        return Literal[tuple(said["choices"])]
+    number: Any = NUMBERS[said["number"]]
+    limits = said.get("limits", {})
+    if "unit" in said:
+        number = Annotated[number, unit(said["unit"], **limits)]
+    elif limits:
+        number = Annotated[number, Field(**limits)]
+    forms = {"number": number, "list": list[number], "lists": list[list[number]], "null": None}
+    return reduce(or_, (forms[form] for form in said["forms"]))
+
+
+def _joints(said: Said) -> Any:
+    at_joints = Annotated[list[JointNumber], Field(min_length=1, max_length=32)] | None
+    return at_joints if said["at_joints"] else None, Field(None, description=said["joints"])
+
+
+def _model(said: Said) -> type[Asked]:
+    options = {one["name"]: (_type(one), Field(one["default"], description=one["text"])) for one in said["options"]}
+    name = Field(description="Id of the effect.")
+    fields: Any = {"joints": _joints(said), "id": (Literal[said["id"]], name), **options}
+    return create_model(said["model"], __base__=Asked, __module__=__name__, __doc__=said["summary"], **fields)
 
 
 def _form(given: object) -> str:
@@ -87,5 +52,15 @@ def _form(given: object) -> str:
     return "id" if isinstance(given, str) else "effect"
 
 
+MODELS = [_model(said) for said in SAID]
+globals().update({model.__name__: model for model in MODELS})  # where pickle finds them
+
 # An effect by its id alone, with all it can act on, or as an object with its options.
-AnyEffect = Annotated[Annotated[EffectName, Tag("id")] | Annotated[EffectDocument, Tag("effect")], Discriminator(_form)]
+if TYPE_CHECKING:
+    AnyEffect = str | Asked
+else:
+    EffectName = Literal[tuple(said["id"] for said in SAID)]
+    EffectDocument = Annotated[reduce(or_, MODELS), Field(discriminator="id")]
+    AnyEffect = Annotated[
+        Annotated[EffectName, Tag("id")] | Annotated[EffectDocument, Tag("effect")], Discriminator(_form)
+    ]
