@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.arm.robot import Robot
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 # Two of its quarter points and its centre, in the nominal base frame.
 CENTRE_MM = (0.0, -300.0, 139.2893)

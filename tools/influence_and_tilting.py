@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import scipy.stats
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from tools.thesis import combining, drawing
 from tools.thesis.drawing import table
-
-Floats = NDArray[np.float64]
 
 TEMPLATE = Path(__file__).resolve().parent / "thesis" / "influence-and-tilting.md"
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "explanation" / "thesis-reproduction.md"

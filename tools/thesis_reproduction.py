@@ -10,14 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from tools.influence_and_tilting import HEADING
 from tools.thesis import drawing
 from tools.thesis import experiments as done
 from tools.thesis.drawing import spread, table
 
-Floats = NDArray[np.float64]
 Samples = dict[str, Floats]
 Texts = dict[str, str]
 

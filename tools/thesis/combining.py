@@ -6,18 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.types import Floats
 from tools.thesis.arms import ELBOW, KATANA, SKEWED, Arm, Make, built
 from tools.thesis.experiments import UNSEEN, by_inclinometer, mean_mm, measured
-
-Floats = NDArray[np.float64]
 
 MAKES: Mapping[str, Make] = {"Katana 450": KATANA, "elbow arm, 6 axes": ELBOW, "skewed Katana": SKEWED}
 BASE_MM = (55.0, 55.0, 201.5)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 STEADY: Any = {

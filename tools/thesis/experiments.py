@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
@@ -22,10 +21,9 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.types import Floats
 from tools.demo_path import circle
 from tools.thesis.arms import CHAPTER_4, Arm, built
-
-Floats = NDArray[np.float64]
 
 POSES, UNSEEN = 118, 60
 TEN = 10  # uncalibrated poses of table 4.6

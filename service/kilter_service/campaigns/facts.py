@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.observations.repeats import last_motion
 from kilter_files.ground.later import pc
@@ -21,9 +20,8 @@ from kilter_service.ground.wire import to_deg, to_mm
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint
     from kilter_core.observations import Observations
+    from kilter_core.types import Floats
     from kilter_service.ground.tables.columns import Column
-
-    Floats = NDArray[np.float64]
 
 BINS = 24  # of the histogram of a joint's readings
 MOST_LOADS = 12

@@ -7,15 +7,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
+from kilter_core.types import Floats
 from kilter_service.ground.tables.columns import Column
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint
 
-Floats = NDArray[np.float64]
 
 # Many URDFs round limits to two decimals of a radian (2.09 for 120 deg), and to a mm for a prismatic joint.
 TOLERANCE = {"deg": math.radians(0.3), "mm": 0.5e-3}

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
+    from kilter_core.types import Floats, Ints
 
 FAR = 6.0  # robust standard deviations from the other rows of its pose: such a row is named
 MAD = 1.4826  # median absolute deviation of normal noise to its standard deviation

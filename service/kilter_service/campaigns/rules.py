@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
+from kilter_core.types import Floats
 from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.campaigns.view_rules import ViewRules
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     from kilter_core.arm.robot import Robot
 
-Floats = NDArray[np.float64]
 
 QUATERNION_TOLERANCE = 1e-3
 ABSOLUTE_ZERO_C = -273.15

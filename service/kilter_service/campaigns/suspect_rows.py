@@ -18,8 +18,7 @@ from kilter_service.ground.wire import to_deg, to_mm
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
-
-    Floats = NDArray[np.float64]
+    from kilter_core.types import Floats
 
 MOST = 200  # rows that are named
 MOVED = 1e-4  # rad or m: a joint has moved

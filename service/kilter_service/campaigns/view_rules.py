@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
 from kilter_core.observations.rig import Rig
+from kilter_core.types import Bools, Floats
 from kilter_service.contract.columns import NAMED, PIXELS
 from kilter_service.ground.tables.columns import Column, has
 from kilter_service.ground.tables.views import rig_of
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 EDGE = 0.5  # px: the picture ends half a pixel beyond the centres of its outermost pixels
 
 

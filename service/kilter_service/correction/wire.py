@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_files.ground.later import pa
 from kilter_service.ground.correction_outcome import flag_names
 from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_service.ground.correction_outcome import Outcome
-
-Floats = NDArray[np.float64]
 
 
 def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Bools, Floats, Ints
 from kilter_service.contract.stream_messages import Flag, Status
 from kilter_service.ground.core import walker
 from kilter_service.ground.correction_uncertainty import about, from_parameters
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 OK, DAMPED, LIMITED = "OK", "DAMPED", "LIMITED"  # of rows with numbers; a refused row has the name of its refusal
 # What is stated of a version without a covariance, and of an orientation, whose accuracy no version states.

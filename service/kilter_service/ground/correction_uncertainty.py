@@ -7,8 +7,8 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_files.ground.later import interpolate, special
 from kilter_service.contract.stream_messages import Status
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
-Floats = NDArray[np.float64]
 
 LEVEL, TWO_SIDED, ONE_SIDED = 0.95, 1.959963984540054, 1.6448536269514722  # of the standard normal
 FAR = 4.0  # biases in standard deviations beyond which the other side of the interval holds nothing

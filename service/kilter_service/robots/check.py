@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from kilter_core.arm.conversions import Screws
     from kilter_core.arm.robot import Robot
 
-Floats = NDArray[np.float64]
 
 SAMPLES = 4000
 FREE_SHIFT_M = 0.5  # reach of a prismatic joint without limits

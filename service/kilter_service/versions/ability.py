@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
 from kilter_core.observations.spread import evenly
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_service.versions.records import PreviewedPoses
 
-Floats = NDArray[np.float64]
 
 CODE, UNKNOWN = "cannot_correct", "not_foreseen"
 MOST_REFUSED = 0.25  # share of the poses: a few near a singularity or at the end of the reach are to be expected

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
+from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.ground.core import compare, core_model
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 
-Floats = NDArray[np.float64]
 
 MOST_POSES = 2000  # compared at most, evenly chosen: one to two seconds
 

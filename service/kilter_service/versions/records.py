@@ -9,9 +9,8 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # verdicts on rows that have numbers
 

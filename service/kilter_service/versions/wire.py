@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_files.ground.later import pa
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter
 from kilter_service.contract.previews import JointPreview, VersionPreview
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.identify.comparison.compare import Difference
 
-Floats = NDArray[np.float64]
 
 READ_OUT = ("effects", "metrics")  # of a summary, what no field of the record holds
 OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields

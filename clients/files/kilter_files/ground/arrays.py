@@ -1,4 +1,4 @@
-"""Arrays of numbers and of truth values, whose shapes docstrings state."""
+"""Arrays of numbers, of indices and of truth values, whose shapes docstrings state."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
     Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
 else:
     Bools = "NDArray[np.bool_]"
     Floats = "NDArray[np.float64]"  # nobody asks for it while the program runs
+    Ints = "NDArray[np.int64]"

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_files.ground.later import need, np, transform
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_files.ground.arrays import Floats
 
 NOMINAL, TOOL = "kilter:nominalFrames", "kilter_tool"
 STEP_TABLE = "kilter:stepTable"

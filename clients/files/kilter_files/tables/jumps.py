@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kilter_files.ground.arrays import Floats
+from kilter_files.ground.arrays import Bools, Floats, Ints
 
 JUMP_MM = 5.0
 SHIFT_SHARE = 0.05  # a jump is explained by moved columns when this little of it is left
 SHIFTS = (1, 2, -1, -2)
 MOST_MOVED = 64  # markers that jump at once, among which pairs are looked for
 PAIRS_AT_ONCE = 100_000
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 def jumps(points: Floats, rows: Ints, names: tuple[str, ...]) -> list[tuple[int, str]]:

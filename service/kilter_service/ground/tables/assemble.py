@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations import CONDITIONS, Observations
+from kilter_core.types import Floats
 from kilter_files.ground.later import transform
 from kilter_service.contract.columns import BASE, LOAD_PARTS, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
 from kilter_service.ground.tables.columns import Column
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from kilter_core.arm.robot import Robot
 
-Floats = NDArray[np.float64]
 
 MM = 1e-3
 BY_JOINT = {"q": "q", "link": "link_q", "cmd": "command", "dir": "direction", "qd": "qd", "qdd": "qdd", "tau": "tau"}

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.observations.rig import Board, Camera, Rig
+from kilter_core.types import Floats
 from kilter_service.ground.wire import to_metres
-
-Floats = NDArray[np.float64]
 
 PERCENT = 1e-2
 

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.ground.wire import joint_scale, joint_units, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
 
-Floats = NDArray[np.float64]
 
 DIGITS = 4  # of a degree or a millimetre
 

@@ -33,14 +33,11 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from kilter_core.effects import Effect
     from kilter_core.gap.report.next_poses import Proposal
     from kilter_core.model import Calibration
     from kilter_core.model.region import Region
-
-    Floats = NDArray[np.float64]
+    from kilter_core.types import Floats
 
 
 UNCHECKED = {

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.spread import evenly
+from kilter_core.types import Floats
 from kilter_service.ground.wire import to_mm
-from kilter_service.jobs.plotly_figures.layout import BLUE, GREY, LEGEND, RED, Document, Floats
+from kilter_service.jobs.plotly_figures.layout import BLUE, GREY, LEGEND, RED, Document
 
 if TYPE_CHECKING:
     from kilter_core.identify.fit.row_errors import RowErrors

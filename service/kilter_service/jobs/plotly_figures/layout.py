@@ -7,10 +7,10 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from kilter_core.types import Floats
 
 Document = dict[str, Any]
-Floats = NDArray[np.float64]
 
 GREY, BLUE, RED, GREEN, ORANGE = "#9aa0a6", "#1f6fb2", "#c0392b", "#2e8b57", "#d98324"
 

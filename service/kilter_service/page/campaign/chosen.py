@@ -30,9 +30,7 @@ from kilter_service.versions.predictions import joint_space, places
 from kilter_service.versions.predictions.paired import residuals, size_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_core.types import Floats
 
 
 MOST_LISTED = 200  # rows of a list; the file has all that were chosen

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from kilter_service.ground.recent import Recent
 
 if TYPE_CHECKING:
-    Floats = NDArray[np.float64]
-
+    from kilter_core.types import Floats
 KEPT_BYTES = 96 << 20  # a dozen columns of a million rows
 LEAST, MOST = 50, 4000  # pixels
 

@@ -17,11 +17,7 @@ from kilter_service.versions import service as versions
 from kilter_service.versions.predictions import places as measured
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from kilter_service.ground.tables.columns import Column
-
-    Floats = NDArray[np.float64]
 
 
 Document = dict[str, Any]

@@ -22,9 +22,7 @@ from kilter_service.versions import service
 from kilter_service.versions.predictions.paired import residuals, size_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_core.types import Floats
 
 
 MOST_POINTS, WORST = 1200, 100  # points that are drawn of a figure, and how many of them are the largest errors

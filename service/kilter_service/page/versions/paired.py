@@ -17,10 +17,8 @@ from kilter_service.versions.predictions import places as measured
 from kilter_service.versions.predictions.paired import Pairs
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from kilter_core.types import Floats, Ints
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
 
 MOST_DRAWN, LARGEST = 1200, 200  # rows that are drawn, and how many of them are those that differ most
 

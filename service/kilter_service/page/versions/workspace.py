@@ -18,9 +18,7 @@ from kilter_service.page.words import bare, largest, percent, unit
 from kilter_service.versions.predictions.workspace import workspace
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_core.types import Floats
 
 WHAT = {
     "OK": "corrected to within what is stated",

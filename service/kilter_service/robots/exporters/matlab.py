@@ -7,18 +7,16 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.arm.conversions import joint_frames
 from kilter_core.model.geometry import flange_screws, wanted_tool
+from kilter_core.types import Floats
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.omissions import omissions
 from kilter_service.robots.exporters.registry import program_name
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint
-
-Floats = NDArray[np.float64]
 
 
 def matlab(version: Exportable) -> Written:

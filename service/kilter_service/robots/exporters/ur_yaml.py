@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.arm.conversions import JointFrames, Screws, joint_frames
 from kilter_core.errors import RobotError
 from kilter_core.model.geometry import arm_screws, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
+from kilter_core.types import Floats
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.omissions import omissions
 from kilter_service.robots.importers.urdf_tree import parse
-
-Floats = NDArray[np.float64]
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 SAID_M, SAID_RAD = 1e-9, 1e-9

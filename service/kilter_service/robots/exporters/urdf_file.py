@@ -5,11 +5,11 @@ from __future__ import annotations
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kilter_core.model.geometry import FlangeFrames, flange_frames
 from kilter_core.transforms import inverse
+from kilter_core.types import Floats
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.omissions import omissions
 from kilter_service.robots.exporters.urdf_new import new_urdf
@@ -17,8 +17,6 @@ from kilter_service.robots.exporters.urdf_words import set_origin
 from kilter_service.robots.importers.urdf import chain_document
 from kilter_service.robots.importers.urdf_tree import UrdfJoint, parse
 from kilter_service.robots.importers.xml_text import read_xml
-
-Floats = NDArray[np.float64]
 
 SAME = 1e-12
 

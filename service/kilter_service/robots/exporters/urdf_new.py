@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
+from kilter_core.types import Floats
 from kilter_service.ground.core import core_conversions, core_geometry
 from kilter_service.robots.exporters.urdf_words import numbers, set_origin
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint, Link, Robot
     from kilter_core.model import Calibration
 
-Floats = NDArray[np.float64]
 
 # URDF insists on these two limits; Kilter does not know them.
 EFFORT, VELOCITY = "0", "0"

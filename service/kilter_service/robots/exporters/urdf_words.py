@@ -5,11 +5,9 @@ from __future__ import annotations
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
-
-Floats = NDArray[np.float64]
 
 CUT = -np.radians(179.0)
 

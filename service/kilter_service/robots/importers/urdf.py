@@ -7,15 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
+from kilter_core.types import Floats
 from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
 from kilter_service.robots.importers.urdf_masses import in_frame, merged
 from kilter_service.robots.importers.urdf_spares import spares
 from kilter_service.robots.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
 
-Floats = NDArray[np.float64]
 Item = dict[str, Any]
 
 MM = 1e3

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.robots.importers.urdf_tree import Body, UrdfTree
-
-Floats = NDArray[np.float64]
 
 
 def merged(tree: UrdfTree, link: str, cut: Container[str]) -> Body:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
+from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.robots.importers.urdf import chain_document
 from kilter_service.robots.importers.urdf_masses import hanging
@@ -19,7 +19,6 @@ from kilter_service.robots.importers.xml_text import read_xml
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-Floats = NDArray[np.float64]
 
 BASE = "base"
 MOST = 1000

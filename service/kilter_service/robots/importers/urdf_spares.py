@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.robots.importers.urdf_tree import MOVING, UrdfJoint
-
-Floats = NDArray[np.float64]
 
 SUFFIXES = ("x", "y", "z", "yaw", "pitch", "roll")
 LENGTH_M = 0.3  # of an arm: over it a rotation is compared with a shift

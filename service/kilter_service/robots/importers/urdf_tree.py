@@ -9,9 +9,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
+from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.ground.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
 from kilter_service.ground.texts import LINE
@@ -20,7 +20,6 @@ from kilter_service.robots.importers.xml_text import read_xml
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-Floats = NDArray[np.float64]
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 

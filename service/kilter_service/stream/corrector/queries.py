@@ -17,11 +17,12 @@ import zenoh
 from kilter_core.correct.program import warm_up
 from kilter_core.correct.walker import walk_from_rest
 from kilter_core.errors import ObservationError
+from kilter_core.types import Floats
 from kilter_service.stream.corrector import keys, wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.session import ENCODING, close, open_inside
 from kilter_service.stream.corrector.specs import QuerySpec, Rules
-from kilter_service.stream.corrector.wire import Flag, Floats, FrameError, Header, Kind, Status
+from kilter_service.stream.corrector.wire import Flag, FrameError, Header, Kind, Status
 from kilter_service.stream.signing import questions, sealed
 from kilter_service.stream.signing.sealed import Session
 

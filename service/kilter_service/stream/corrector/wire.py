@@ -11,13 +11,11 @@ import struct
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.contract.stream_messages import Flag as Flag
 from kilter_service.contract.stream_messages import Kind as Kind
 from kilter_service.contract.stream_messages import Status as Status
-
-Floats = NDArray[np.float64]
 
 MAGIC = b"KLT1"
 HEADER = struct.Struct("<4sBBHQQQ")  # magic, kind, joints, flags, seq, t_send_ns, t_apply_ns

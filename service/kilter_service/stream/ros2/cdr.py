@@ -15,7 +15,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
+
 Order = Literal["<", ">"]
 
 LITTLE = b"\x00\x01\x00\x00"

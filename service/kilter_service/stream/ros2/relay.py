@@ -15,10 +15,11 @@ import numpy as np
 
 from kilter_core.correct.walker import side_by_side, walk_from_rest
 from kilter_core.errors import ObservationError
+from kilter_core.types import Floats
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.stream import Stream
-from kilter_service.stream.corrector.wire import Flag, Floats, Status
+from kilter_service.stream.corrector.wire import Flag, Status
 from kilter_service.stream.ros2 import cdr
 from kilter_service.stream.ros2.names import Attachment
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
+from kilter_core.types import Floats, Ints
 from kilter_service.contract.instruments import Instrument
 from kilter_service.ground.core import (
     core_budget,
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 MOST_SHOWN = 500
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from kilter_core.errors import TooFewPosesError
+from kilter_core.types import Ints
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors

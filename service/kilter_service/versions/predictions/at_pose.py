@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
-from kilter_core.types import QUANTILE
+from kilter_core.types import QUANTILE, Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
@@ -25,9 +24,6 @@ from kilter_service.versions import store
 if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
-
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.observations.motions import is_trajectory, segments
+from kilter_core.types import Ints
 from kilter_service.ground.core import contacts
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
     from kilter_core.observations import Observations
-
-Ints = NDArray[np.int64]
 
 
 def fitted_by_order(rows: Observations, fraction: float, training: Training) -> Ints:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.ground.core import core_frames
 from kilter_service.ground.db import Database
@@ -17,7 +17,6 @@ from kilter_service.versions.predictions.places import places
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
-Floats = NDArray[np.float64]
 DAMPING_M = 1e-3  # m/rad: near a singular pose no joint is asked to move without bound
 
 

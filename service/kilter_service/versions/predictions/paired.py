@@ -18,11 +18,8 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.versions.predictions import residuals as left
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from kilter_core.types import Bools, Floats, Ints
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int64]
-    Bools = NDArray[np.bool_]
 
 POSES_OF_INTERVAL = 3  # poses that an interval of a mean needs
 EQUAL_MM = 1e-9  # smaller differences are rounding

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
-from kilter_core.types import QUANTILE
+from kilter_core.types import QUANTILE, Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
@@ -35,9 +34,6 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 MOST_ROWS, WORST = 8000, 500  # rows that are shown, and of these those that are there because they are the worst
 SLICE, FITTED_ROWS = 50_000, 2000  # rows predicted at once, and those that registration is fitted to

@@ -9,9 +9,9 @@ import math
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
+from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
-Floats = NDArray[np.float64]
 Within = Literal["campaigns", "limits"]
 
 MOST_POSES = 2000

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.types import Bools
 from kilter_files.ground.later import pa
 from kilter_service.campaigns import store as campaigns
 from kilter_service.ground.core import core_evaluate, core_measurement, setups, tukey
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 
-Bools = NDArray[np.bool_]
 Columns = dict[str, Any]
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_poses, rounded_poses
+from kilter_core.types import Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
 from kilter_service.ground.core import holding_out, holdout
 from kilter_service.ground.db import Session
@@ -23,10 +23,6 @@ from kilter_service.versions.store import Training
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
 
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 NUMBERS_EACH = 6  # coordinates for each parameter of a re-zeroing, from which on it took little of their errors
 MOST_ROWS = 1_000_000  # read of campaigns nobody trained on, the newest first: some seconds

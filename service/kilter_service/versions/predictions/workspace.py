@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kilter_core.observations import Observations
+from kilter_core.types import Floats
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import predictive
 from kilter_service.ground.db import Database
@@ -19,8 +17,6 @@ from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

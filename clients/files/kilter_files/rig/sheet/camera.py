@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Floats = NDArray[np.float64]
+from kilter_files.ground.arrays import Floats
 
 FLOOR_MM = 0.01  # nobody prints and finds marks better
 TURNS = 9  # of the fixed point that undoes the lens

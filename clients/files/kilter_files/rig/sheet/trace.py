@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from kilter_files.rig.sheet.camera import Floats
+from kilter_files.ground.arrays import Floats
 from kilter_files.rig.sheet.unroll import REACH_MM, STEP_MM, Ring
 
 STIFFNESS = 0.35  # price of a step of 1 mm from gap to gap, in the darkness of a line

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from kilter_files.rig.sheet.camera import Camera, Floats
+from kilter_files.ground.arrays import Floats
+from kilter_files.rig.sheet.camera import Camera
 from kilter_files.rig.sheet.layout import Sheet
 from kilter_files.rig.sheet.picture import Pixels
 from kilter_files.rig.sheet.shapes import aruco

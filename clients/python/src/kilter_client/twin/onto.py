@@ -18,9 +18,7 @@ from kilter_client.twin.step import TABLE
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_files.ground.arrays import Floats
 
 NOMINAL, TOOL, BACKLASH = "kilter_nominal", "kilter_tool", "_backlash"
 

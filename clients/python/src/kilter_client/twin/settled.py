@@ -19,9 +19,7 @@ from kilter_files.ground.later import mujoco, np
 from kilter_files.rig.kit.sight import FEWEST_CORNERS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_files.ground.arrays import Floats
 
 UNITS = {"deg": 0.017453292519943295, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 REACH = 0.02  # rad (m) before a pose from which its joints come

@@ -18,9 +18,7 @@ from kilter_files.ground.later import np
 from kilter_files.robots.usd_poses import NOMINAL, TOOL, local_pose, matrix_of, split, usd_package
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_files.ground.arrays import Floats
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
 SCALED = 1e-6

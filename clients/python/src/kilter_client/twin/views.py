@@ -17,9 +17,7 @@ from kilter_files.match.arm import rotations
 from kilter_files.rig.kit.sight import FEWEST_CORNERS, FEWEST_VIEWS, Seen, seen
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+    from kilter_files.ground.arrays import Floats
 
 STEP_MM, STEP_RAD = 1e-3, 1e-6
 ROUNDS = 80
