@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from kilter_core.errors import TooFewPosesError
-from kilter_core.types import Ints
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors
@@ -30,8 +29,9 @@ from kilter_service.versions.today import service as today
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
+    from kilter_core.types import Ints
     from kilter_service.contract.instruments import Instrument
-    from kilter_service.versions.acceptance.rows import Ints, Judged
+    from kilter_service.versions.acceptance.rows import Judged
     from kilter_service.versions.predictions.unfitted_rows import Unseen
 
 
