@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 from urllib.parse import urlencode
 
@@ -79,11 +80,7 @@ async def columns(
     """Read the file with another column map, as the form has it."""
     found = _draft(request, robot, draft)
     kinds = await run_in_threadpool(service.kinds_of, database, robot)
-    try:
-        service.choose(found, kinds, column, target, unit)
-    except ServiceError as error:
-        return await run_in_threadpool(_shown, request, database, found, UNDERSTOOD, error.message)
-    return await _anew(request, database, found)
+    return await _anew(request, database, found, lambda: service.choose(found, kinds, column, target, unit))
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/map")
@@ -93,11 +90,7 @@ async def written(
 ) -> HTMLResponse:  # fmt: skip
     """Read the file with another column map, as it was written."""
     found = _draft(request, robot, draft)
-    try:
-        service.write(found, text)
-    except ServiceError as error:
-        return await run_in_threadpool(_shown, request, database, found, UNDERSTOOD, error.message)
-    return await _anew(request, database, found)
+    return await _anew(request, database, found, lambda: service.write(found, text))
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/rig", openapi_extra=BODY)
@@ -122,11 +115,7 @@ async def cameras(
 async def otherwise(robot: str, draft: str, request: Request, database: DatabaseOfApp, way: Short) -> HTMLResponse:
     """Read the file in another way."""
     found = _draft(request, robot, draft)
-    try:
-        service.read_as(found, way)
-    except ServiceError as error:
-        return await run_in_threadpool(_shown, request, database, found, UNDERSTOOD, error.message)
-    return await _anew(request, database, found)
+    return await _anew(request, database, found, lambda: service.read_as(found, way))
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/store")
@@ -164,7 +153,12 @@ def discard(robot: str, draft: str, request: Request) -> Response:
     return redirect(request, f"{root_of(request)}/robots/{robot}/campaigns/new{_after(found)}")
 
 
-async def _anew(request: Request, database: DatabaseOfApp, draft: Draft) -> HTMLResponse:
+async def _anew(request: Request, database: DatabaseOfApp, draft: Draft, choose: Callable[[], None]) -> HTMLResponse:
+    """Read the file in the way that was chosen, or say why it cannot be read so."""
+    try:
+        choose()
+    except ServiceError as error:
+        return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD, error.message)
     await compute(request, reading.read, database, draft)
     return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD)
 

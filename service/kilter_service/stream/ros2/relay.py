@@ -6,10 +6,10 @@ numbers on the corrected topic would be the wrong ones.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -24,18 +24,6 @@ from kilter_service.stream.ros2 import cdr
 from kilter_service.stream.ros2.names import Attachment
 
 OTHER_PUBLISHER_NS = 1_000_000_000  # a second publisher is followed when the first was silent for this long
-
-
-class Relay(Protocol):
-    """One topic on its way."""
-
-    counts: Counter[str]
-
-    def answer(
-        self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
-    ) -> bytes | None:
-        """Corrected message, or None when there is none to be given out."""
-        ...
 
 
 class RefusedError(Exception):
@@ -54,21 +42,17 @@ def joint_columns(names: Sequence[str], joints: Sequence[str]) -> list[int]:
     return [names.index(joint) for joint in joints]
 
 
-class StateRelay:
-    """Setpoints as ``JointState``, one by one; other joints in the message, such as a gripper's, pass unchanged."""
+class Relay(ABC):
+    """One topic on its way: corrects its messages, and counts what became of them."""
 
     def __init__(self, joints: Sequence[str] = ()) -> None:
         self.counts: Counter[str] = Counter()
         self._joints = tuple(joints)
-        self._stream = Stream()
-        self._gid: bytes | None = None
-        self._heard_ns = 0
-        self._seq = 0
 
     def answer(
         self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
     ) -> bytes | None:
-        """Corrected state; velocity and effort stay as they are."""
+        """Corrected message; None: it is not corrected."""
         try:
             out = self._corrected(data, attachment, arrival_ns, active)
         except cdr.CdrError:
@@ -79,6 +63,21 @@ class StateRelay:
             self.counts[Status.OK.name] += 1
             return out
         return None
+
+    @abstractmethod
+    def _corrected(self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None) -> bytes:
+        """The message with corrected joints; velocities, accelerations and efforts stay as they are."""
+
+
+class StateRelay(Relay):
+    """Setpoints as ``JointState``, one by one; other joints in the message, such as a gripper's, pass unchanged."""
+
+    def __init__(self, joints: Sequence[str] = ()) -> None:
+        super().__init__(joints)
+        self._stream = Stream()
+        self._gid: bytes | None = None
+        self._heard_ns = 0
+        self._seq = 0
 
     def _corrected(self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None) -> bytes:
         state = cdr.decode_joint_state(data)
@@ -119,30 +118,15 @@ class StateRelay:
         return 0
 
 
-class TrajectoryRelay:
+class TrajectoryRelay(Relay):
     """Whole motions as ``JointTrajectory``: the arm rests at the first point, every point is corrected or none."""
 
-    def __init__(self, joints: Sequence[str] = ()) -> None:
-        self.counts: Counter[str] = Counter()
-        self._joints = tuple(joints)
-
-    def answer(
-        self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
-    ) -> bytes | None:
-        """Corrected trajectory; velocities, accelerations and efforts stay as they are."""
-        try:
-            trajectory = cdr.decode_joint_trajectory(data)
-            if active is None:
-                raise RefusedError(Status.NO_VERSION.name)
-            positions = corrected_positions(trajectory, active, self._joints or active.joint_names)
-        except cdr.CdrError:
-            self.counts[Status.BAD_FRAME.name] += 1
-        except RefusedError as refused:
-            self.counts[str(refused)] += 1
-        else:
-            self.counts[Status.OK.name] += 1
-            return cdr.encode_joint_trajectory(replace(trajectory, positions=positions))
-        return None
+    def _corrected(self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None) -> bytes:
+        trajectory = cdr.decode_joint_trajectory(data)
+        if active is None:
+            raise RefusedError(Status.NO_VERSION.name)
+        positions = corrected_positions(trajectory, active, self._joints or active.joint_names)
+        return cdr.encode_joint_trajectory(replace(trajectory, positions=positions))
 
 
 def corrected_positions(trajectory: cdr.JointTrajectory, active: Active, joints: Sequence[str]) -> Floats:
