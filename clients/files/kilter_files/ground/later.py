@@ -48,7 +48,7 @@ def later(module: str) -> Iterator[None]:
     """
 
     def named(name: str, *how: Any, **further: Any) -> Any:
-        if not how or how[0].get("__name__") != module:
+        if not how or not how[0] or how[0].get("__name__") != module:
             return at_once(name, *how, **further)
         wanted = how[2]
         if wanted:  # from a.b import c: whose attribute c is taken

@@ -11,7 +11,7 @@ from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.files.match import joints_of
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot, three
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, say, say_remarks
 from kilter_client.errors import UsageError
 from kilter_client.files import ballbar, dwells, files_ballbar_join, files_tilt_join
 from kilter_files import read_joints
@@ -106,7 +106,4 @@ def _digits(value: float) -> str:
 
 def _show(document: dict[str, Any]) -> None:
     say(f"{document['file']}: {document['rows']} rows")
-    for text in document["notes"]:
-        say(f"  {text}")
-    for text in document["warnings"]:
-        say(f"  Warning: {text}.")
+    say_remarks(document)

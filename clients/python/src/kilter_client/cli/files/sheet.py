@@ -10,7 +10,7 @@ import typer
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, say, say_remarks
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.files import ballbar, drawn_circle, files_height, files_report
@@ -210,10 +210,7 @@ def bars(text: str | None) -> tuple[float, float] | None:
 
 def _show_join(document: dict[str, Any]) -> None:
     say(f"{document['file']}: {document['rows']} rows for kilter upload")
-    for text in document["notes"]:
-        say(f"  {text}")
-    for text in document["warnings"]:
-        say(f"  Warning: {text}.")
+    say_remarks(document)
     if any(document["frame"]["left_mm"]):
         say(f"  the four points fit the sheet within {max(document['frame']['left_mm']):.3f} mm")
     say(f"  rms distance from the command: {document['off_command_rms_mm']:.3f} mm")
@@ -227,10 +224,7 @@ def _show_sheet(document: dict[str, Any]) -> None:
 def _show_reading(document: dict[str, Any]) -> None:
     line, placing = document["line"], document["placing"]
     say(f"{document['file']}: sheet of radius {document['radius_mm']:g} mm, {placing['dpi']:.0f} dpi")
-    for text in document["notes"]:
-        say(f"  {text}")
-    for text in document["warnings"]:
-        say(f"  Warning: {text}.")
+    say_remarks(document)
     marks = f"{placing['marks']} marks within {placing['marks_rms_mm']:.3f} mm"
     say(f"  {marks}; line {line['width_mm']:.2f} mm wide, seen in {line['seen']} of {line['gaps']} gaps")
     errors = f"mean {line['mean_abs_mm']:.3f}, rms {line['rms_mm']:.3f}, largest {line['max_abs_mm']:.3f} mm"

@@ -43,6 +43,14 @@ def say(text: str = "") -> None:
     print(text)
 
 
+def say_remarks(document: Document) -> None:
+    """Print the notes and warnings of a document, a line each."""
+    for text in document["notes"]:
+        say(f"  {text}")
+    for text in document["warnings"]:
+        say(f"  Warning: {text}.")
+
+
 def note(text: str, as_json: bool = False) -> None:
     """Print a line about what is being done, on stderr; nothing with --json."""
     if not as_json:
