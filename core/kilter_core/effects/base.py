@@ -109,7 +109,8 @@ class Effect(ABC):
     it leaves. ``glances`` are columns that it reads where they are there and can do without. An ``event`` is placed by the
     search itself, at the row where it explains most. ``reads`` names the loads of the batch that an effect reads and
     their components; what it does at a joint follows that joint's loads alone. A ``sided`` one has a side, by the sign of the
-    load or of the motion.
+    load or of the motion. ``rarer`` says how many times less common it is than other causes that move an arm alike: among
+    explanations as good as one another the common one is named, and this one beside it.
     """
 
     id: ClassVar[str]
@@ -133,11 +134,20 @@ class Effect(ABC):
     glances: ClassVar[frozenset[str]] = frozenset()
     event: ClassVar[bool] = False
     sided: ClassVar[bool] = False
+    rarer: ClassVar[float] = 1.0
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
+    in_part: ClassVar[bool] = (
+        False  # whether at a joint it may be named where the data show only some of its parameters
+    )
     alone: ClassVar[bool] = True  # whether each configuration that is tried at a joint is a candidate by itself
 
     joints: tuple[int, ...] | None = option(None, "Joints it acts on, from 1; null: all that it can act on.")
+
+    @property
+    def told_by(self) -> float:
+        """Share of the rows that tell one of its parameters, at most 1: a piece of a curve has those of its own stretch."""
+        return 1.0
 
     def __post_init__(self) -> None:
         if self.joints is None:

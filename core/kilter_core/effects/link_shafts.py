@@ -67,6 +67,8 @@ class LinkShafts(Effect):
     needs = frozenset({"moments"})
     reads = (("wrench", WRENCH), ("end_wrench", WRENCH))
     signs = "positive"
+    # At least: stiff links left 6 % of what loads bend in an arm (Oliveira 2021), and are taken as stiff (Dumas 2011).
+    rarer = 2.0
 
     directions: tuple[tuple[float, ...], ...] | None = option(
         None, "Direction of each link's shaft in the frame of its joint; null: to the next joint, across parallel axes."

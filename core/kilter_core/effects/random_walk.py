@@ -71,6 +71,11 @@ class RandomWalk(Effect):
         knots = np.unique(np.quantile(rows.t, np.linspace(0.0, 1.0, self.pieces + 1)))
         return replace(self, knots_s=tuple(float(t) for t in knots))
 
+    @property
+    def told_by(self) -> float:
+        """Of many pieces a step is told by its own. Few are a bent line, which all rows tell as they do a rate of drift."""
+        return 1.0 / max(len(self.knots_s) - 1, 1) if self.pieces >= PIECES else 1.0
+
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Steps along x, y, z, m, piece by piece.
 

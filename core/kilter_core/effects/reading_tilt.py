@@ -32,6 +32,9 @@ class ReadingTilt(Effect):
     )
     needs = frozenset({"moments"})
     reads = (("wrench", (3, 4)),)
+    in_part = (
+        True  # load about one direction across a last joint is often next to nothing: the other is seen all the same
+    )
     aliases = ("axial_compliance", "radial_compliance", "clearance_tilt", "eccentricity")
     remedy = "put a second encoder head opposite the first: the mean of both does not see the tilt"
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from kilter_core.effects import EFFECTS
 from kilter_core.gap.search.candidates import FAMILY, JOINT, WHOLE, Candidate
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.scan import Scorer
@@ -207,3 +210,42 @@ def test_of_two_explanations_alike_the_one_with_fewer_names_is_said():
 
 def test_another_effect_is_named_where_the_data_prefer_it():
     assert all(alike(seed, 60.0, second=2) == {"bending", "tilt"} for seed in range(20))
+
+
+def of_library(effect_id, columns, j):
+    return Candidate(effect_id, (j,), tuple(columns), JOINT, effects=(EFFECTS[effect_id](joints=(j,)),))
+
+
+def test_loads_are_held_where_what_is_there_is_kept_by_neither_set():
+    """Their errors act through the compliance at the fit: not where torsion has stood for it, nor where both have left."""
+    W, y = np.eye(5), np.ones(5)
+    held = gram_of(W, 2.0 * y)
+    gram = replace(gram_of(W, y), held=lambda: held, there=frozenset({0, 3}))
+    ids = ("axial_compliance", "link_torsion", "direction_compliance", "encoder_scale")
+    chosen = [of_library(effect_id, (k,), 2) for k, effect_id in enumerate(ids)]
+    payload = Candidate("payload_error", None, (4,), WHOLE, effects=(EFFECTS["payload_error"](),))
+    search = selector([*chosen, payload], gram, 5, absolute=True)
+    assert search.without(gram, (1, 2), (0, 3)) is gram
+    assert search.without(gram, (3,), (0,)) is gram  # no load acts through a scale
+    assert search.without(gram, (0,), (3,)) is held
+    assert search.without(gram, (1, 2), (3,)) is held
+    assert search.without(gram, (0, 4), ()) is gram  # such an error is what the comparison is about
+
+
+def test_of_explanations_as_good_the_common_one_is_named():
+    """A link twists about the axis of the next joint; gears do it in every arm, and are named, the link beside them."""
+    rng = np.random.default_rng(6)
+    W = rng.standard_normal((90, 1))
+    W = np.column_stack([W[:, 0] + 0.001 * rng.standard_normal(90), W[:, 0]])
+    y = W[:, 0] + W[:, 1] + rng.standard_normal(90)
+    gram = gram_of(W, y)
+    for ids in (("link_torsion", "axial_compliance"), ("axial_compliance", "link_torsion")):
+        search = selector([of_library(effect_id, (k,), 2) for k, effect_id in enumerate(ids)], gram, 90, absolute=True)
+        first, _ = search.entry(gram, (), CRITICAL)
+        assert ids[first] == "axial_compliance"
+
+
+def test_a_piece_of_a_walk_costs_what_its_rows_tell():
+    six, two = (EFFECTS["random_walk"](knots_s=tuple(map(float, range(n + 1))), pieces=n) for n in (6, 2))
+    walks = [Candidate("random_walk", None, tuple(range(3 * e.pieces)), WHOLE, effects=(e,)) for e in (six, two)]
+    assert Scorer.of(walks, True, np.inf).paid == pytest.approx([-18.0 * np.log(6.0), 0.0])

@@ -17,6 +17,9 @@ from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.search import re_evaluation as renewal
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import linearize_at
+from tests.blind.generator import cases
+from tests.blind.parameters import intervals
+from tests.blind.run import run_case
 from tests.core.gap.sized_twins import LARGE, SMALL, Sized, sized
 from tests.core.gap.time_twins import robot
 
@@ -59,6 +62,13 @@ def test_where_rows_know_an_amount_less_well_than_its_prior_but_far_from_zero_th
         far += (told.value - made.truth[0]) / told.sigma
     assert inside >= 5
     assert abs(far / 6) < 1.6  # four deviations of the mean of six
+
+
+@pytest.mark.parametrize("name", ["0408-three-katana-30", "0545-three-katana-118"])
+def test_the_component_that_rows_tell_says_how_large_the_other_may_be(name: str) -> None:
+    """The prior told the other as a thousandth of what it was, three and five half-widths of its interval off."""
+    case = next(case for case in cases(20261128, 600) if case.name == name)
+    assert all(intervals([run_case(case)]))
 
 
 @pytest.mark.parametrize("effect", ["base_step", "thermal_drift"])

@@ -139,8 +139,10 @@ def _signals(search: SearchResult, candidate: Candidate, batch: Batch, joint: in
     out, start = np.zeros((len(batch), len(candidate.columns))), 0
     for effect in candidate.effects:
         count = len(effect.parameters(source.model.robot))
+        if start + count > out.shape[1]:  # the data show only some of them
+            return None
         local = effect.local(batch, values[start : start + count])
-        if start + count > out.shape[1] or any(d.dq is None or d.xi is not None for d in local.derivatives):
+        if any(d.dq is None or d.xi is not None for d in local.derivatives):
             return None
         for d in local.derivatives:
             if d.joint == joint and d.dq is not None:

@@ -87,15 +87,26 @@ class CandidateSets:
         """Library columns of a set, each once."""
         return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
 
-    def without(self, gram: Gram, out: Collection[int]) -> Gram:
-        """Where a set without some members is to be compared: errors of the loads act through those that are taken out.
+    @cached_property
+    def _bearing(self) -> frozenset[int]:
+        """Library columns of effects through which errors of the loads act."""
+        return frozenset(k for c in self.scorer.candidates if c.bears for k in c.columns)
 
-        If such an error is itself among them, it is what the comparison is about: loads held would presume its answer.
+    def without(self, gram: Gram, out: Collection[int], kept: Collection[int]) -> Gram:
+        """Where sets that share the ``kept`` are to be compared, ``out`` being in one of them only.
+
+        Errors of the loads act through effects that are there at the fit. They are held where one of these is not kept, also
+        where another has stood for it since: they would imitate what neither set has. If such an error is itself among those
+        that leave, it is what the comparison is about: loads held would presume its answer.
         """
-        members = [self.scorer.candidates[k] for k in out]
-        if any(c.changes_loads for c in members):
+        if any(self.scorer.candidates[k].changes_loads for k in out):
             return gram
-        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in members) else gram
+        return gram if (gram.there & self._bearing).issubset(self.columns(tuple(kept))) else gram.firm
+
+    def beside(self, gram: Gram, chosen: Sequence[int], out: Collection[int]) -> tuple[tuple[int, ...], Gram]:
+        """What stays of a set without some members, and where it is compared with others beside it."""
+        rest = tuple(k for k in chosen if k not in out)
+        return rest, self.without(gram, out, rest)
 
     def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
         """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
@@ -113,8 +124,8 @@ class CandidateSets:
         What a member takes beside the others is its coefficients in the inverse of its part of that inverse, so nothing is
         projected off anything.
         """
-        gram, columns = self.without(gram, (place,)), self.columns(chosen)
-        rest = self.columns([m for m in chosen if m != place])
+        kept, gram = self.beside(gram, chosen, (place,))
+        columns, rest = self.columns(chosen), self.columns(kept)
         inverse, others = gram.inverse(columns)[0], set(rest)
         own = [n for n, k in enumerate(columns) if k not in others]
         beta = inverse[own] @ gram.c[columns]

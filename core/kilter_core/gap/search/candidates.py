@@ -191,19 +191,26 @@ class _Shelf:
 
 def with_testable(library: Library, testable: Bools) -> tuple[Candidate, ...]:
     """Candidates that the data can see: families cut down to such joints, and left out below two of them."""
+    seen = {k: _seen(c, testable) for k, c in enumerate(library.candidates) if c.level != FAMILY}
     out = []
-    for c in library.candidates:
+    for k, c in enumerate(library.candidates):
         if c.level != FAMILY:
-            columns = tuple(k for k in c.columns if testable[k])
-            if columns and (c.level == WHOLE or len(columns) == len(c.columns)):
-                out.append(replace(c, columns=columns))
+            if (one := seen[k]) is not None:
+                out.append(one)
             continue
-        singles = [
-            m for m in library.candidates if m.id == c.id and m.level == JOINT and set(m.columns) <= set(c.columns)
-        ]
-        kept = [m for m in singles if all(testable[k] for k in m.columns)]
+        joined = ((m, seen[n]) for n, m in enumerate(library.candidates) if m.id == c.id and m.level == JOINT)
+        kept = [m for m, one in joined if one is m and set(m.columns) <= set(c.columns)]
         if len(kept) > 1:
             joints = tuple(j for m in kept for j in m.joints or ())
             columns = tuple(k for m in kept for k in m.columns)
             out.append(replace(c, columns=columns, joints=joints, effects=tuple(e for m in kept for e in m.effects)))
     return tuple(out)
+
+
+def _seen(candidate: Candidate, testable: Bools) -> Candidate | None:
+    """One that is not a family with what of it the data can see; None where they cannot see enough of it for its name."""
+    columns = tuple(k for k in candidate.columns if testable[k])
+    in_part = candidate.level == WHOLE or all(e.in_part for e in candidate.effects)
+    if columns == candidate.columns:
+        return candidate
+    return replace(candidate, columns=columns) if columns and in_part else None

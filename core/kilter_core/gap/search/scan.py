@@ -96,8 +96,15 @@ class Scorer:
 
     @cached_property
     def paid(self) -> Floats:
-        """Criterion points (K,) that choosing one of so many places costs: all of them are as likely beforehand."""
-        return np.asarray(2.0 * np.log(self.places))
+        """Criterion points (K,) beside log N for each parameter, and less where only some of the rows tell each of them.
+
+        More of what is less likely beforehand: one of so many places, a cause rarer than its rivals.
+        """
+        rarer = np.array([max((e.rarer for e in c.effects), default=1.0) for c in self.candidates])
+        rows = np.array(
+            [len(c.columns) * np.log(max((e.told_by for e in c.effects), default=1.0)) for c in self.candidates]
+        )
+        return np.asarray(2.0 * np.log(self.places * rarer) + rows)
 
     @cached_property
     def empirical(self) -> Bools:

@@ -147,7 +147,7 @@ class Selector(CandidateSets):
         reaches: list[Reach] = []
         for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
             self.tick()
-            rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
+            rest, problem = self.beside(gram, chosen, out)
             reach = next((one for one in reaches if one.gram is problem), None)
             if reach is None:
                 reach = self._reach(problem, chosen)
@@ -169,21 +169,26 @@ class Selector(CandidateSets):
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family, or another of many parameters, by two others that together explain more with no more directions:
-        it imitates both. More for more is what entries look for.
+        it imitates both. More for more is what entries look for; shapes imitate anything, and replace no cause.
         """
         for family in (k for k in chosen if self._broad(k)):
-            rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
+            rest, problem = self.beside(gram, chosen, (family,))
             variance = self.variance(problem, chosen)
-            first, _ = self._best_instead(problem, rest, variance, critical, set(chosen))
-            if first is None:
-                continue
-            second, value = self._best_instead(problem, (*rest, first), variance, critical, {*chosen, first})
-            if second is None or value <= self.criterion(problem, chosen, variance):
-                continue
-            after = (*rest, first, second)
-            directions, before = (problem.rank(self.columns(one)) for one in (after, chosen))
-            if directions <= before and max(self.tails(gram, after)[len(rest) :]) < critical:
-                chosen = after
+            directions, now = problem.rank(self.columns(chosen)), self.criterion(problem, chosen, variance)
+            among, taken = self if self.scorer.empirical[family] else self.causes, set(chosen)
+            for _ in range(TRIED):  # what comes nearest alone may itself stand for both
+                first, _ = among._best_instead(problem, rest, variance, critical, taken)
+                if first is None:
+                    break
+                taken.add(first)
+                second, value = among._best_instead(problem, (*rest, first), variance, critical, taken)
+                if second is None or value <= now:
+                    continue
+                after = (*rest, first, second)
+                wider = problem.rank(self.columns(after)) > directions
+                if not wider and max(self.tails(gram, after)[len(rest) :]) < critical:
+                    chosen = after
+                    break
         return chosen
 
     def _broad(self, k: int) -> bool:
@@ -197,7 +202,7 @@ class Selector(CandidateSets):
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
             if not family or (own != family and len(own) < 2):
                 continue
-            rest, problem = tuple(k for k in chosen if k not in own), self.without(gram, own)
+            rest, problem = self.beside(gram, chosen, own)
             variance = self.variance(problem, (*rest, family[0]))
             members = self.shown(gram, rest, self._members(problem, rest, family[0], variance))
             whole = self.criterion(problem, (*rest, family[0]), variance)
@@ -335,7 +340,7 @@ class Selector(CandidateSets):
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
-        gram = self.without(gram, set(other) ^ set(one))
+        gram = self.without(gram, set(other) ^ set(one), set(other) & set(one))
         variance = min(self.variance(gram, one), self.variance(gram, other))
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 

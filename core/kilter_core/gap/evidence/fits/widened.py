@@ -9,6 +9,7 @@ the geometry ran to the ends of their ranges, and the error of a real arm from 0
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,23 @@ def _caused(found: SearchResult) -> Bools:
     return np.array([column not in shapes for column in found.columns], dtype=bool)
 
 
+def _alike(found: SearchResult) -> Iterator[list[int]]:
+    """Library columns of what was named, those together that are as large as one another: of one effect, in one unit.
+
+    Where rows tell one component of a tilt, the prior of the other would tell it to be a fifteenth of what it was.
+    """
+    model, candidates = found.problem.settings.source.model, found.selector.scorer.candidates
+    library = model.parameters[len(model.parameters) - len(found.problem.settings.source.library_sigma) :]
+    for k in found.chosen:
+        for effect in candidates[k].effects:
+            own = {p.name: p.unit for p in effect.parameters(model.robot)}
+            columns = [column for column in candidates[k].columns if library[column].name in own]
+            for unit in dict.fromkeys(own.values()):
+                alike = [column for column in columns if own[library[column].name] == unit]
+                if alike:
+                    yield alike
+
+
 def _once(found: SearchResult) -> SearchResult:
     problem, columns = found.problem, found.columns
     if not columns:
@@ -48,8 +66,10 @@ def _once(found: SearchResult) -> SearchResult:
     far = (asked > TOLD * unsure) & (asked > LARGER * prior[columns]) & _caused(found)
     if not np.any(far):
         return found
+    times = dict(zip(np.array(columns)[far].tolist(), (asked / prior[columns])[far].tolist(), strict=True))
     sigma = prior.copy()
-    own = np.array(columns)[far]
-    sigma[own] = np.maximum(sigma[own], WIDTH * asked[far])
+    for alike in _alike(found):
+        largest = max((times[k] for k in alike if k in times), default=0.0)
+        sigma[alike] = prior[alike] * max(1.0, WIDTH * largest)
     again = fitted_again(found, replace(source, library_sigma=sigma))  # type: ignore[type-var]
     return found if again.problem.chi2 > problem.chi2 else again
