@@ -10,8 +10,11 @@ import pytest
 from kilter_core.effects import BASE, make_effect
 from kilter_core.effects.step import happened_before
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.events import Course, numbered
-from kilter_core.model import RobotModel
+from kilter_core.gap.search.events import Course, events_of, key_of, moved, numbered, placed
+from kilter_core.gap.search.linear import derivatives
+from kilter_core.gap.search.linear.linearized import linearize_at
+from kilter_core.gap.search.prepare import prepare_data
+from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from tests.core.gap.time_twins import BASE as BASE_AT
 from tests.core.gap.time_twins import NOISE_M, TOOL, robot, tool_points, twin
@@ -122,6 +125,26 @@ def test_sessions_are_a_remedy_that_works():
 def test_a_clean_campaign_has_no_step():
     for seed in range(3):
         assert not find_gap(robot(), twin("none", seed).rows, QUICK).effects
+
+
+@pytest.mark.parametrize("resting", [False, True])
+def test_a_step_put_elsewhere_is_as_if_all_had_been_linearised_again(monkeypatch, resting):
+    monkeypatch.setattr(derivatives, "MOST_BYTES", 0 if resting else 1 << 30)
+    made = twin("tool", 5)
+    prepared = prepare_data(Calibration.nominal(robot()), numbered(made.rows), QUICK)
+    settings, values = prepared.problem.settings, prepared.problem.values
+    early = {key_of(e): replace(e, at_s=float(made.rows.t[8]), at_row=None) for e in events_of(settings.source)}
+    before = linearize_at(replace(settings, source=moved(settings.source, early)), values)
+    W, A = before.W_raw.copy(), before.A.copy()
+    after, candidates = placed(before, prepared.library.candidates)
+    whole = linearize_at(after.settings, before.values)
+    (step,) = [c for c in candidates if c.id == "tool_step"]
+    assert made.rows.t[made.row - 2] < step.effects[0].at_s < made.rows.t[made.row + 1]
+    for one, other in ((after.A, whole.A), (after.c, whole.c), (after.W_raw, whole.W_raw), (after.scale, whole.scale)):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+    assert np.array_equal(before.W_raw, W)
+    assert np.array_equal(before.A, A)
+    assert not np.allclose(after.A, A)
 
 
 def test_rows_are_ordered_by_their_clock_else_as_given():

@@ -16,7 +16,7 @@ import numpy as np
 from kilter_core.effects import Effect
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.gram import VISIBLE
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, linearize_at
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, linearize_at, with_columns_of
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -190,8 +190,12 @@ def placed(
     source = moved(problem.settings.source, at)
     if source.model.effects == problem.settings.source.model.effects:
         return problem, tuple(made)
-    problem.resting()
-    return linearize_at(replace(problem.settings, source=source), problem.values), tuple(made)
+    settings = replace(problem.settings, source=source)
+    others = [column for k, c in enumerate(made) if c != candidates[k] for column in c.columns]
+    if np.any(source.library(problem.values)[others]):
+        problem.resting()
+        return linearize_at(settings, problem.values), tuple(made)
+    return with_columns_of(problem, settings, others), tuple(made)
 
 
 def _best(profile: Profile, now: int, rows: int) -> int:

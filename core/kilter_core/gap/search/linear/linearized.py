@@ -169,6 +169,29 @@ def linearize_at(
     return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, made, soft)
 
 
+def with_columns_of(problem: LinearizedProblem, settings: ProblemSettings, columns: Sequence[int]) -> LinearizedProblem:
+    """The problem under ``settings`` that make some library ``columns`` others, which are zero at its values; all else stays.
+
+    So one that was found elsewhere in time is asked for by itself: the derivatives of thousands of poses take a second. The
+    problem before rests.
+    """
+    index, scale = list(columns), problem.scale.copy()
+    G, W = problem.G, problem.W_raw
+    problem.resting()
+    if problem.derivatives.kept is not None:  # else nobody else has them
+        W = W.copy()
+    W[:, index] = settings.whitening.columns(
+        settings.source.without_geometry().linear(problem.values, problem.derivatives.batch, index).W
+    )
+    norm = lengths(W[:, index])
+    unit = np.where(norm > 0.0, norm, 1.0)
+    W[:, index] /= unit
+    scale[index] = np.where(norm > 0.0, 1.0 / unit, 0.0)
+    made = replace(problem.derivatives, settings=settings, kept=(G, W))
+    A, c = Projection.of(problem.soft, problem.U, W).products(problem.y)
+    return replace(problem, settings=settings, scale=scale, A=A, c=c, derivatives=made)
+
+
 def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
     """Whitened unit columns (R, K) of the library, as :func:`linearize_at` has them, without the geometry."""
     W = settings.whitening.columns(settings.source.without_geometry().linear(values, batch, only).W)
