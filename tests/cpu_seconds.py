@@ -1,8 +1,8 @@
 """Processor time of tests, of their process and of those that it started: `pytest --cpu`, `make test-cpu`.
 
-Seconds by the clock say little while others use the machine. A process counts where it ends: a server of a module at the
-module's last test, one of the session nowhere. What the process that forks them took for its imports,
-5 s, is no module's.
+Seconds by the clock say little while others use the machine. A fork (`tests/service/forked.py`) counts while it runs, so a
+test has what the server of its session computed for it; any other process counts where it ends, by its parent. What the
+process that forks them took for its imports, 5 s, is no module's.
 """
 
 from __future__ import annotations

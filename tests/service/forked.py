@@ -8,7 +8,6 @@ command line that the system shows, `python -m`) needs a process of its own.
 from __future__ import annotations
 
 import atexit
-import json
 import multiprocessing
 import os
 import select
@@ -18,6 +17,7 @@ import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from json import dumps, loads  # as they are now: a test may replace them
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,8 +27,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 DEADLINE_S = 240.0
 # What is asked for beside commands: the fork server of a corrector, a connection that keeps the server, numbers.
 CORRECTOR_FORKS, STAY, CPU, CHILDREN = "the forks of a corrector", "stay", "cpu", "children"
-ASKER = os.getpid()  # to whom the processor time counts
-_RUN_ID = "PYTEST_XDIST_TESTRUNUID"
+ASKER: int | None = None  # to whom the processor time counts, of a process that was forked; of any other it is itself
+_RUN_ID = "RUN_OF_THE_TESTS"
 _RUN = os.environ.get(_RUN_ID) or str(os.getpid())
 _ADDRESS = f"\0kilter-tests-{os.getuid()}-{_RUN}"
 _LIMIT = 10.0
@@ -133,8 +133,8 @@ def forked_command(
 
 
 def used_s() -> float:
-    """Processor time of the processes that this one asked for and that have ended; with it that of theirs."""
-    return float(_told(CPU, ASKER)) if _stay else 0.0
+    """Processor time of the processes that this one asked for, and of theirs."""
+    return float(_told(CPU, ASKER or os.getpid())) if _stay else 0.0
 
 
 def children_of(pid: int) -> dict[str, int]:
@@ -144,8 +144,8 @@ def children_of(pid: int) -> dict[str, int]:
 
 def _told(what: str, asker: int) -> Any:
     with _connected() as connection:
-        connection.send(json.dumps({"run": what, "asker": asker}).encode())
-        return json.loads(connection.recv(1 << 16))
+        connection.send(dumps({"run": what, "asker": asker}).encode())
+        return loads(connection.recv(1 << 16))
 
 
 def _fork(
@@ -156,15 +156,15 @@ def _fork(
     if not _stay:
         _stay.append(_connected())
         atexit.register(_stay[0].close)
-        _stay[0].send(json.dumps({"run": STAY}).encode())
+        _stay[0].send(dumps({"run": STAY}).encode())
     connection = _connected()
     asked = {
-        "run": name, "arguments": arguments, "places": list(places), "asker": ASKER, "parent": os.getpid(),
+        "run": name, "arguments": arguments, "places": list(places), "asker": ASKER or os.getpid(), "parent": os.getpid(),
         "session": session, "umask": umask,
         "environment": dict(os.environ if environment is None else environment), "folder": os.path.abspath(folder),
     }  # fmt: skip
-    socket.send_fds(connection, [json.dumps(asked).encode()], list(places.values()))
-    return connection, int(json.loads(connection.recv(64)))
+    socket.send_fds(connection, [dumps(asked).encode()], list(places.values()))
+    return connection, int(loads(connection.recv(64)))
 
 
 def _ended(connection: socket.socket, timeout: float | None) -> int | None:
@@ -173,7 +173,7 @@ def _ended(connection: socket.socket, timeout: float | None) -> int | None:
         return None
     said = connection.recv(64)
     connection.close()
-    return int(json.loads(said)) if said else -9  # the server was killed, and nobody knows any more
+    return int(loads(said)) if said else -9  # the server was killed, and nobody knows any more
 
 
 def _connected() -> socket.socket:

@@ -17,8 +17,8 @@ import pytest
 
 from kilter_client import Kilter
 from tests.clients.files.formats.test_lerobot import calibration
-from tests.clients.lerobot.so101_arm import Floats, tool_mm
-from tests.clients.lerobot.so101_twin import NOMINAL, ticks
+from tests.clients.lerobot.so101_arm import Floats, tool, tool_mm
+from tests.clients.lerobot.so101_twin import ticks
 from tests.clients.lerobot.test_kit import ARM, PLAY_DEG, STIFFNESS
 from tests.clients.lerobot.webcam import LIMITS_DEG, camera, rotation
 from tests.clients.test_cli import Command
@@ -56,8 +56,7 @@ class Photographer:
 
     def whole(self, reading: Floats) -> bool:
         """Whether the camera would see the whole board, were the arm nominal."""
-        nominal = NOMINAL.settled(reading, np.zeros(5), 0.0)
-        return bool(DRAWS["in_sight"](seen(nominal, self.mount), self.board))
+        return bool(DRAWS["in_sight"](seen(tool(reading), self.mount), self.board))
 
     def take(self, reading: Floats) -> bool:
         """Four pictures; none where the board is not whole in all."""
