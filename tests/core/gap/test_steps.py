@@ -16,6 +16,8 @@ from kilter_core.gap.search.linear.linearized import linearize_at
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from tests.blind.generator import cases
+from tests.blind.run import run_case
 from tests.core.gap.time_twins import BASE as BASE_AT
 from tests.core.gap.time_twins import NOISE_M, TOOL, robot, tool_points, twin
 
@@ -191,3 +193,15 @@ def test_a_step_is_claimed_within_its_class_at_its_row(kind, physical):
         kept = [j.claim.physical.id for j in sure]
         assert set(kept) <= {physical}, (seed, kept)
         assert abs(said(report)["row"] - (made.row + 1)) <= 1, seed
+
+
+def test_a_step_beside_a_walk_is_claimed_as_motion_of_the_station():
+    """Six straight pieces do not follow all of a walk, and what they leave looked like a step: it was *confirmed*."""
+    case = next(case for case in cases(20261129, 600) if case.name == "0144-drifting-elbow-118")
+    report = run_case(case)["report"]
+    said = {e["id"]: e for e in report["effects"]}
+    assert said.keys() == {"random_walk", "base_step"}
+    assert said["base_step"]["verdict"] == "class_confirmed"
+    assert said["base_step"]["claim"]["words"].startswith("motion of base or instrument with time")
+    (warning,) = [w for w in report["warnings"] if w["code"] == "moved_once"]
+    assert "may have moved" in warning["message"]

@@ -102,10 +102,19 @@ def judge(
     if lacking:
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, settled, evidence.borne)
+    alone = settled and not _beside_any_shape(search, evidence)
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
+
+
+def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
+    """Whether another name of its class takes any shape: beside a walk, a step may be a part that its pieces do not follow."""
+    robot, candidates = search.problem.settings.source.model.robot, search.selector.scorer.candidates
+    own = evidence.candidate.effects[0].class_on(robot).id
+    others = (candidates[k].effects[0] for k in search.chosen if k != evidence.place)
+    return any(e.supple and e.class_on(robot).id == own for e in others)
 
 
 def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:
