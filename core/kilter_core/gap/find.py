@@ -12,7 +12,6 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
 from kilter_core.gap.budget import MEASURING, PLANNING, RESAMPLING, SEARCHING, SHUFFLING, Budget
-from kilter_core.gap.evidence.claim import CLASS
 from kilter_core.gap.evidence.control import control_document, controls
 from kilter_core.gap.evidence.fits.intervals import Amplitude, amplitudes, seen_joints
 from kilter_core.gap.evidence.fits.sign_uncertainty import narrowed
@@ -232,7 +231,7 @@ class _Run:
                 *self._unplanned(effects), *kept.alike(), *(() if told is None else told.warnings()),
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
-                    {j.evidence.place for j in effects if j.verdict == "provisional" or j.claim.followed or j.claim.said == CLASS},
+                    {j.evidence.place for j in effects if not j.certain},
                     self.by_views is not None,
                 ),
             ),

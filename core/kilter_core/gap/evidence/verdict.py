@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.effects.physical import Separator
-from kilter_core.gap.evidence.claim import MEMBER, Claim
+from kilter_core.gap.evidence.claim import CLASS, MEMBER, Claim
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
 from kilter_core.gap.evidence.halves import BESIDE, Halves
@@ -71,6 +71,11 @@ class Judged:
     def called(self) -> str:
         """Name for people: the narrowest set that the data single out."""
         return self.claim.words
+
+    @property
+    def certain(self) -> bool:
+        """Whether it happened, and not only something of its class."""
+        return self.verdict != "provisional" and not self.claim.followed and self.claim.said != CLASS
 
 
 def judge(
