@@ -158,3 +158,27 @@ def test_wrong_readings_among_half_of_the_few_repeats_do_not_pass_for_noise(seed
     made = prepared(replace(rows, position=rows.position + np.outer(bad, [5e-4, 0.0, 0.0])))
     assert np.array_equal(aside(made, len(rows)), bad)
     assert made.problem.settings.noise.coordinate == pytest.approx(2e-5, rel=0.5)
+
+
+def test_noise_of_repeats_that_were_set_aside_but_for_two_is_that_of_the_fit():
+    """It stayed that of all four: seven times as large, and nothing was ever significant."""
+    rows = campaign(ROBOT, seed=1, revisits=4, poses=100).select(np.arange(104))
+    bad = np.isin(np.arange(len(rows)), [100, 102])
+    made = prepared(replace(rows, position=rows.position + np.outer(bad, [5e-4, 0.0, 0.0])))
+    assert np.array_equal(aside(made, len(rows)), bad)
+    assert made.problem.settings.noise.coordinate == pytest.approx(2e-5, rel=0.3)
+    assert not made.problem.settings.trusted
+    (warning,) = [w for w in made.warnings if w["code"] == "no_repeats"]
+    assert "fewer than three" in warning["message"]
+
+
+def test_rows_of_a_visit_that_was_set_aside_say_nothing_of_the_noise_of_a_row():
+    rng = np.random.default_rng(3)
+    twice = np.sort([*range(72), 7, 23, 51])  # three visits of two shots
+    rows = campaign(ROBOT, seed=2, revisits=12, poses=60).select(twice)
+    position = rows.position + 2e-5 * rng.normal(size=(len(rows), 3)) * (np.diff(twice, prepend=-1) == 0)[:, None]
+    position[[8, 25]] += [6e-4, 0.0, 0.0]  # the second shots of two
+    made = prepared(replace(rows, position=position))
+    assert set(np.flatnonzero(aside(made, len(rows)))) == {7, 8, 24, 25}
+    assert made.problem.settings.noise.coordinate == pytest.approx(2e-5, rel=0.3)
+    assert made.problem.settings.noise.within is None

@@ -158,31 +158,32 @@ def spikes(residual: Floats, visits: Visits) -> Bools:
     return out
 
 
-def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise:
+def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise | None:
     """The noise of the same repeats at another fit, by the residuals ``mean (V, m)`` of the visits ``used (V,)`` there.
 
     A drift that the model explains by now is no longer between the repeats, but stays written down; what wrong readings
-    seemed to be does not. The fit took ``taken`` scalars of their scatter. The noise itself where nothing changed.
+    seemed to be does not. The fit took ``taken`` scalars of their scatter. The noise itself where nothing changed, None
+    where too few repeats are left of those that count.
     """
     if noise.kinds:
         tool = noise.of_tool()
         found = noise_again(tool, mean[:, : len(tool.row)], taken, used)
-        return noise if found is tool else found.beside(noise)
+        return noise if found is tool else None if found is None else found.beside(noise)
     told = noise.repeats
     if told is None or (np.array_equal(used, told.used) and told.moved(mean) < UNMOVED * noise.coordinate):
         return noise
-    visits = replace(told.visits, condition=apart(told.visits.condition, used))
-    again = repeat_noise(told.away + mean[told.visits.visit], mean, visits, told.points, taken)
+    again = repeat_noise(told.away + mean[told.visits.visit], mean, told.visits, told.points, taken, used)
     if again is None or again.repeats is None:
-        return noise
+        return None
     drift = noise.drift if taken > 0.0 else again.drift
     return replace(again, drift=drift, repeats=replace(told, mean=mean, used=used))
 
 
 def repeat_noise(
-    residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None, taken: float = 0.0
-) -> Noise | None:
-    """Noise from repeats, None when there are too few.
+    residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None, taken: float = 0.0,
+    used: Bools | None = None,
+) -> Noise | None:  # fmt: skip
+    """Noise from repeats, None when there are too few: of the visits ``used (V,)``, None of all.
 
     ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only
     their differences count, so the model cancels; what drifted between them is distinguished from noise by how far they are
@@ -194,7 +195,11 @@ def repeat_noise(
     told = RepeatRows(visit_residual, residual - visit_residual[visits.visit], visits, points, every)
     if np.isnan(residual).any():
         residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
-    within, k_within = _pooled(residual, visits.visit)
+    of_visit = visits.visit
+    if used is not None:
+        visits = replace(visits, condition=apart(visits.condition, used))
+        of_visit = apart(of_visit, used[of_visit])
+    within, k_within = _pooled(residual, of_visit)
     share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
     repeats = repeats_of(visit_residual, visits, points, lengths, taken)
     k_between = repeats.vectors if repeats else 0.0

@@ -29,6 +29,7 @@ from kilter_core.gap.search.masses import blurred, tool_source
 from kilter_core.gap.search.re_evaluation import under, without_wrong
 from kilter_core.gap.search.rows.row_warnings import (
     JUDGED_AGAIN,
+    REPEATS_SET_ASIDE,
     identical_repeats,
     instrument_warnings,
     no_repeats_warning,
@@ -156,8 +157,9 @@ class _Preparation:
         if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:
             problem = self._in_order(problem, visits)
         outlying = np.union1d(spiked, _outlying(kept, visits, problem)).astype(np.int64)
-        told = noise if problem.settings.noise.repeats is None else problem.settings.noise
-        drift = noise_warnings(told, source.unit == "rad")
+        told = problem.settings.noise.repeats is not None
+        self.warnings += [REPEATS_SET_ASIDE] if noise.repeats is not None and not told else []
+        drift = noise_warnings(problem.settings.noise if told else noise, source.unit == "rad")
         said = (*self.warnings, *drift, *outlier_warnings(problem))
         return Prepared(problem, library, visits, self.rows, rows, kept, outlying, moving, windows.width, said)
 

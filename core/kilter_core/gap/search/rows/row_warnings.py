@@ -61,6 +61,13 @@ def clock_warnings(rows: Observations) -> Iterator[Warning_]:
     }  # fmt: skip
 
 
+REPEATS_SET_ASIDE: Warning_ = {
+    "code": "no_repeats",
+    "message": "Without the visits that were set aside fewer than three repeated approaches are left, so the noise is that of "
+    "the fit: every verdict is relative to it. Repeat ten poses thrice, coming from the same pose before.",
+}
+
+
 def no_repeats_warning(visits: Visits) -> Warning_:
     """Say that no visits should agree, and why: no pose was visited again, or every time in another way."""
     rows = visits.observations
