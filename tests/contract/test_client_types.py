@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
+from inspect import get_annotations
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 
 from kilter_client.results.record import scalar_names
+from kilter_client.typed.fits import Metrics
 from kilter_client.typed.jobs import PlanJob
+from kilter_client.typed.names import MODULE_OF
 from kilter_client.typed.versions import Version, VersionSummary
 from tools.contract import client_types
 from tools.contract.client_types import client_modules
@@ -114,6 +118,17 @@ def test_a_type_inherits_the_fields_that_it_has_of_another_one() -> None:
     assert isinstance(long, VersionSummary)
     assert (long.id, long.version_id, long.name) == (short.id, short.version_id, short.name)
     assert list(long.document) == ["id", "name"]
+
+
+def test_no_field_is_of_another_type_because_what_is_written_by_hand_needs_it() -> None:
+    """`metrics` of a version was a plain document: its table states that it needs some, before what it inherits."""
+    assert isinstance(Version.read({"id": "ver_1", "metrics": {"train": {}}}).metrics, Metrics)
+    for name, module in MODULE_OF.items():
+        kind = getattr(import_module(f"kilter_client.typed.{module}"), name)
+        for field in get_type_hints(kind):
+            holders = [one for one in kind.__mro__ if field in get_annotations(one)]
+            made = [one for one in holders if one.__module__.startswith("kilter_client.typed")]
+            assert not made or made[0] is holders[0], (name, field)
 
 
 def test_what_is_inherited_is_described_too() -> None:

@@ -6,6 +6,8 @@ import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from inspect import get_annotations
 from pathlib import Path
 from typing import Any
 
@@ -175,9 +177,21 @@ def _needs(schemas: Schema, name: str, bases: Mapping[str, str]) -> set[str]:
 
 
 def _own(schemas: Schema, name: str, bases: Mapping[str, str]) -> dict[str, str]:
-    """Types of the fields that are not inherited."""
-    inherited = schemas[bases[name]]["properties"] if name in bases else {}
+    """Types of the fields that are not inherited.
+
+    What is written by hand for a type stands before what it inherits, and says less of the fields that it needs.
+    """
+    inherited = set(schemas[bases[name]]["properties"] if name in bases else ()) - _needed_by_hand(name)
     return {field: _type(one) for field, one in schemas[name].get("properties", {}).items() if field not in inherited}
+
+
+def _needed_by_hand(name: str) -> set[str]:
+    """Fields that what is written by hand for a type states."""
+    if name not in SHOWN:
+        return set()
+    shown, where = SHOWN[name]
+    kinds = getattr(import_module(f"kilter_client.results.{where}"), shown).__mro__
+    return {field for kind in kinds for field in get_annotations(kind)}
 
 
 def _named(types: Mapping[str, str]) -> set[str]:

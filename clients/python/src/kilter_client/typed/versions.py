@@ -134,6 +134,8 @@ class Version(ShownVersion, VersionSummary):
     ``objections`` are what its own identification says against activating it.
     ``details`` is what else its job said: method, observability, correlated groups, influence, intervals."""
 
+    active: bool
+    """Whether the robot is corrected with it."""
     campaigns: Records[UsedCampaign]
     """Campaigns it was made from."""
     covariance: Covariance
@@ -142,8 +144,14 @@ class Version(ShownVersion, VersionSummary):
     """What else its job said."""
     hash_scheme: int
     """What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."""
+    id: str
+    """Id of the version, `ver_` and 16 hexadecimal digits."""
     limits: CorrectionLimits
     """The largest correction it may make."""
+    metrics: Metrics
+    """Errors on the rows fitted and on those held out."""
+    name: str
+    """What people call it, at most 200 characters; unique for its robot while it is in use."""
     noise_mm: float | None
     """Standard deviation of a coordinate of the noise, mm."""
     null_directions: Records[NullDirection]
@@ -152,6 +160,8 @@ class Version(ShownVersion, VersionSummary):
     """What its own identification says against activating it."""
     parameters: Records[Parameter]
     """Parameters that were identified."""
+    robot: str
+    """Name of its robot."""
     robot_sha256: str
     """SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."""
     sha256: str
@@ -172,12 +182,16 @@ class ActivatedVersion(ShownActivated, VersionSummary):
     """Those of them that rows of a file are corrected for, by id with the columns that rows must state."""
     forced: bool
     """Whether it was activated in spite of what speaks against it."""
+    id: str
+    """Id of the version, `ver_` and 16 hexadecimal digits."""
     not_corrected: str
     """Both in words; empty: nothing is left out."""
     objections: Records[Objection]
     """What would have refused it without `force`."""
     preview: VersionPreview | None
     """What it does over the robot's poses; None: it was active before, or could not be computed."""
+    robot: str
+    """Name of its robot."""
     unsupported_effects: tuple[str, ...]
     """Ids of its effects that are not corrected where rows state joints and loads alone, as in a stream."""
     warnings: Records[Remark]
