@@ -11,6 +11,7 @@ from typing import Any, get_type_hints
 import pytest
 
 from kilter_client.results.record import scalar_names
+from kilter_client.typed.checks import AnyCheck, EvaluateCheck, GapCheck, RezeroCheck
 from kilter_client.typed.fits import Metrics
 from kilter_client.typed.jobs import PlanJob
 from kilter_client.typed.names import MODULE_OF
@@ -118,6 +119,14 @@ def test_a_type_inherits_the_fields_that_it_has_of_another_one() -> None:
     assert isinstance(long, VersionSummary)
     assert (long.id, long.version_id, long.name) == (short.id, short.version_id, short.name)
     assert list(long.document) == ["id", "name"]
+
+
+def test_checks_of_all_kinds_of_job_inherit_what_all_have() -> None:
+    """A check of a search was one of a re-zeroing to the library: any that has no more than all have can stand for them all."""
+    check = EvaluateCheck.read({"kind": "evaluate", "would_run": True})
+    assert isinstance(check, AnyCheck)
+    assert (check.kind, check.would_run) == ("evaluate", True)
+    assert not issubclass(GapCheck, RezeroCheck)
 
 
 def test_no_field_is_of_another_type_because_what_is_written_by_hand_needs_it() -> None:

@@ -127,9 +127,16 @@ def _families(schemas: Schema, every: Sequence[str]) -> dict[str, Schema]:
 def _bases(schemas: Schema, every: Sequence[str]) -> dict[str, str]:
     """For each type the one whose fields it has all, if that is of some length: the longest."""
     said = {name: _said(schemas[name]).items() for name in every}
-    long = [name for name in every if name in FAMILIES or len(said[name]) >= INHERITED]
+    # What all of a family have comes last among the equally long: a type may have no more than that.
+    long = sorted(
+        (name for name in every if name in FAMILIES or len(said[name]) >= INHERITED),
+        key=lambda one: (len(said[one]), one in FAMILIES),
+    )
     return {
-        name: base for name in every for base in sorted(long, key=lambda one: len(said[one])) if said[base] < said[name]
+        name: base
+        for name in every
+        for base in long
+        if said[base] < said[name] or (base in FAMILIES and name not in FAMILIES and said[base] == said[name])
     }
 
 

@@ -156,7 +156,7 @@ class _Bench:
         problem = self.search.problem
         batch = problem.settings.source.batch
         shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
-        return self._named(columns_at(problem.settings, problem.values, shuffled, self.columns), self.left)
+        return self._named(columns_at(problem.settings, problem.values, shuffled, self.columns)[0], self.left)
 
     def poses_named(self, order: Ints) -> bool:
         """Whether the effect would be entered for the residuals of other poses."""

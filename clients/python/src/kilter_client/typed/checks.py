@@ -7,36 +7,6 @@ from kilter_client.typed.fits import NullDirection
 from kilter_client.typed.searches import Detectable, Untestable
 
 
-class UnknownParameter(Record):
-    """A parameter that the poses do not tell."""
-
-    name: str
-    """Name of the parameter."""
-    reason: str
-    """Why, in words."""
-    remedy: str
-    """What would tell it; tried on the model, under these conditions."""
-
-
-class Identifiability(Record):
-    """What the poses tell of the parameters, by the Jacobian at the start of the fit."""
-
-    identifiable: tuple[str, ...]
-    """Names of the parameters that the poses tell."""
-    noise_from: str
-    """Where it comes from: `noise_mm`, repeats of poses, or `assumed` without either."""
-    noise_mm: float
-    """Standard deviation of a coordinate this was judged with, mm."""
-    not_identifiable: Records[UnknownParameter]
-    """The others, with what would tell them."""
-    null_directions: Records[NullDirection]
-    """Combinations that the poses cannot tell."""
-    parameters: int
-    """How many parameters would be identified."""
-    rank: int
-    """How many independent combinations of them the poses see at all."""
-
-
 class CheckedCampaign(Record):
     """A campaign that a job would use."""
 
@@ -100,8 +70,8 @@ class Missing(Record):
     """What is missing, or not seen."""
 
 
-class RezeroCheck(Record):
-    """What a re-zeroing would do."""
+class AnyCheck(Record):
+    """What the check of every kind of job says."""
 
     campaigns: Records[CheckedCampaign]
     """Campaigns it would use, in the order given."""
@@ -129,7 +99,37 @@ class RezeroCheck(Record):
     """Whether the job would run through, as far as can be predicted."""
 
 
-class IdentifyCheck(RezeroCheck):
+class UnknownParameter(Record):
+    """A parameter that the poses do not tell."""
+
+    name: str
+    """Name of the parameter."""
+    reason: str
+    """Why, in words."""
+    remedy: str
+    """What would tell it; tried on the model, under these conditions."""
+
+
+class Identifiability(Record):
+    """What the poses tell of the parameters, by the Jacobian at the start of the fit."""
+
+    identifiable: tuple[str, ...]
+    """Names of the parameters that the poses tell."""
+    noise_from: str
+    """Where it comes from: `noise_mm`, repeats of poses, or `assumed` without either."""
+    noise_mm: float
+    """Standard deviation of a coordinate this was judged with, mm."""
+    not_identifiable: Records[UnknownParameter]
+    """The others, with what would tell them."""
+    null_directions: Records[NullDirection]
+    """Combinations that the poses cannot tell."""
+    parameters: int
+    """How many parameters would be identified."""
+    rank: int
+    """How many independent combinations of them the poses see at all."""
+
+
+class IdentifyCheck(AnyCheck):
     """What an identification would do."""
 
     identifiability: Identifiability | None
@@ -145,124 +145,28 @@ class Testability(Record):
     """Parameters that can be tested, with the smallest amplitude seen."""
 
 
-class GapCheck(RezeroCheck):
+class GapCheck(AnyCheck):
     """What a gap search would do."""
 
     testability: Testability | None
     """What could be tested; None: see `problems`."""
 
 
-class EvaluateCheck(Record):
+class EvaluateCheck(AnyCheck):
     """What an evaluation would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
-    kind: str
-    """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
-
-class PlanCheck(Record):
+class PlanCheck(AnyCheck):
     """What a plan would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
-    kind: str
-    """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
-
-class JointParametersCheck(Record):
+class JointParametersCheck(AnyCheck):
     """What a measurement of joints would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
-    kind: str
-    """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
 
-
-class DriftCheck(Record):
+class DriftCheck(AnyCheck):
     """What a check of an arm would do."""
 
-    campaigns: Records[CheckedCampaign]
-    """Campaigns it would use, in the order given."""
-    duration_s: Duration
-    """How long it would compute, s."""
-    held_out: HeldOut
-    """What would be held out."""
-    kind: str
-    """Kind of the job."""
-    limited: tuple[str, ...]
-    """Where this check looked at less than the job would, in words."""
-    missing: Records[Missing]
-    """What it would run without."""
-    poses: int
-    """Distinct poses among those rows."""
-    problems: Records[JobProblem]
-    """Why it would fail; empty if it would run."""
-    robot: str
-    """Name of the robot."""
-    rows: int
-    """Rows of the campaigns it would learn from, held-out rows among them."""
-    version: str | None
-    """Id of the version it would start from; None: the nominal robot."""
-    would_run: bool
-    """Whether the job would run through, as far as can be predicted."""
+
+class RezeroCheck(AnyCheck):
+    """What a re-zeroing would do."""

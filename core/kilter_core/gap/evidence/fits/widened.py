@@ -17,6 +17,7 @@ import numpy as np
 from kilter_core.gap.evidence.fits.final_fit import by_rows
 from kilter_core.gap.evidence.fits.fitted_again import fitted_again, repeated
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.ranges import library_of
 from kilter_core.types import Bools
 
 LARGER = 1.5  # times the prior deviation, from which an amplitude has a prior of its own size
@@ -45,11 +46,11 @@ def _alike(found: SearchResult) -> Iterator[list[int]]:
 
     Where rows tell one component of a tilt, the prior of the other would tell it to be a fifteenth of what it was.
     """
-    model, candidates = found.problem.settings.source.model, found.selector.scorer.candidates
-    library = model.parameters[len(model.parameters) - len(found.problem.settings.source.library_sigma) :]
+    source, candidates = found.problem.settings.source, found.selector.scorer.candidates
+    library = library_of(source)
     for k in found.chosen:
         for effect in candidates[k].effects:
-            own = {p.name: p.unit for p in effect.parameters(model.robot)}
+            own = {p.name: p.unit for p in effect.parameters(source.model.robot)}
             columns = [column for column in candidates[k].columns if library[column].name in own]
             for unit in dict.fromkeys(own.values()):
                 alike = [column for column in columns if own[library[column].name] == unit]

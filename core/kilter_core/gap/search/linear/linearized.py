@@ -159,13 +159,12 @@ def linearize_at(
     ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
     """
     made, r, norm = Derivatives.at(settings, values, batch, only)
-    G, W, unit = made.G, made.W, np.where(norm > 0.0, norm, 1.0)
+    G, W, (unit, scale) = made.G, made.W, _units(norm)
     library = settings.source.library(values)
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
     soft, U, y = less_geometry(settings, values, G, y, settings.source.soft)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(settings.numbers / settings.inflation - U.shape[1])
-    scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
     return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, made, soft)
 
 
@@ -180,24 +179,26 @@ def with_columns_of(problem: LinearizedProblem, settings: ProblemSettings, colum
     problem.resting()
     if problem.derivatives.kept is not None:  # else nobody else has them
         W = W.copy()
-    W[:, index] = settings.whitening.columns(
-        settings.source.without_geometry().linear(problem.values, problem.derivatives.batch, index).W
-    )
-    norm = lengths(W[:, index])
-    unit = np.where(norm > 0.0, norm, 1.0)
-    W[:, index] /= unit
-    scale[index] = np.where(norm > 0.0, 1.0 / unit, 0.0)
+    W[:, index], scale[index] = columns_at(settings, problem.values, problem.derivatives.batch, index)
     made = replace(problem.derivatives, settings=settings, kept=(G, W))
     A, c = Projection.of(problem.soft, problem.U, W).products(problem.y)
     return replace(problem, settings=settings, scale=scale, A=A, c=c, derivatives=made)
 
 
-def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
-    """Whitened unit columns (R, K) of the library, as :func:`linearize_at` has them, without the geometry."""
+def columns_at(
+    settings: ProblemSettings, values: Floats, batch: Batch | None, only: Sequence[int]
+) -> tuple[Floats, Floats]:
+    """Whitened unit columns (R, K) of the library and their scales (K,), as :func:`linearize_at` has them, no geometry."""
     W = settings.whitening.columns(settings.source.without_geometry().linear(values, batch, only).W)
-    norm = lengths(W)
-    W /= np.where(norm > 0.0, norm, 1.0)
-    return W
+    unit, scale = _units(lengths(W))
+    W /= unit
+    return W, scale
+
+
+def _units(norm: Floats) -> tuple[Floats, Floats]:
+    """What columns of these norms (K,) are divided by, and the scales (K,) of unit columns: zero where there is nothing."""
+    unit = np.where(norm > 0.0, norm, 1.0)
+    return unit, np.where(norm > 0.0, 1.0 / unit, 0.0)
 
 
 def go_on() -> None:
