@@ -188,7 +188,9 @@ def test_from_a_file_to_corrected_setpoints(
         keep(page, "15-versions", size)
 
         page.get_by_role("navigation", name=f"Robot {robot}").get_by_role("link", name="Stream").click()
-        expect(page.locator('[data-live="active"]')).to_contain_text(version, timeout=15_000)
+        active = page.locator('[data-live="active"]')
+        expect(active).to_have_text(f"tilting-{size}", timeout=15_000)
+        expect(active.get_by_role("link")).to_have_attribute("href", f"/versions/{version}")
         with Controller(whole.server.data, robot, size) as controller:
             section = page.locator(f'.stream[data-name="{size}"]')
             expect(section.locator('[data-field="condition"]')).to_have_text("corrected", timeout=15_000)
@@ -285,7 +287,9 @@ def test_from_the_login_to_the_live_stream(chromium: Browser, whole: Lab, client
         keep(page, "fleet", size)
         page.goto(f"/robots/{whole.robot}/stream")
         expect(page.locator('[data-live="corrector"]')).to_contain_text("answers; it started")
-        expect(page.locator('[data-live="active"]')).to_contain_text(whole.version)
+        expect(page.locator('[data-live="active"]').get_by_role("link")).to_have_attribute(
+            "href", f"/versions/{whole.version}"
+        )
         with Controller(whole.server.data, whole.robot, size) as controller:
             section = page.locator(f'.stream[data-name="{size}"]')
             expect(section.locator('[data-field="condition"]')).to_have_text("corrected")

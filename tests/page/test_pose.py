@@ -150,3 +150,5 @@ def test_the_pose_follows_the_sliders_and_stays_in_the_address(there: Made, chro
         page.locator("[data-asked][data-drawn='2']").wait_for()
         assert tool(page) == pytest.approx(there_was, abs=0.05)
         assert np.abs(picture(page) - seen).mean() < 1.0
+        page.wait_for_timeout(600)  # longer than the address waits before it says what was looked at
+        assert page.url == place

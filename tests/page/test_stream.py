@@ -245,7 +245,8 @@ def test_people_see_the_stream_live(chromium: Browser, cell: Cell, controller: C
         after = int(page.locator("[data-stream]").get_attribute("data-updates") or 0)
         assert after - before >= 15
         assert page.locator('[data-live="bypass"]').is_hidden()
-        assert cell.version in shown(page, "version")
+        used = page.locator('.stream[data-name="main"] [data-field="version"] a')
+        assert used.get_attribute("href") == f"/versions/{cell.version}"
         assert "the active one" in shown(page, "version")
         assert shown(page, "tool").split()[1] in ("mm", "µm")
         assert shown(page, "joint").endswith("°")

@@ -107,7 +107,7 @@ class Picture {
 
   looked() {
     this.draw();
-    if (!this.framing) this.address.set({ camera: this.looking?.told() ?? null });
+    if (this.looking && !this.framing) this.address.set({ camera: this.looking.told() });
   }
 
   /** Show what the address says: a pose by its joints, or a measured row; else the worst row. */

@@ -12,23 +12,27 @@ export class Looking {
     this.camera = camera;
     this.distance = distance;
     this.controls = new OrbitControls(camera, canvas);
-    this.controls.target.copy(centre);
-    this.given = told;
+    this.given = (told || "").split(",").map(Number);
     this.controls.addEventListener("change", changed);
     canvas.addEventListener("keydown", (event) => {
       if (!(event.key in KEYS)) return;
       event.preventDefault();
       this.go(KEYS[event.key]);
     });
-    const from = (told || "").split(",").map(Number);
-    if (from.length === 3 && from.every(Number.isFinite)) camera.position.copy(centre).add(new Vector3(...from));
-    else this.go("start");
+    this.begin(centre);
+  }
+
+  /** Look as the address says: from where, mm from what is in the middle, and what that is; else from the start at `centre`. */
+  begin(centre) {
+    const known = [3, 6].includes(this.given.length) && this.given.every(Number.isFinite);
+    this.controls.target.copy(known && this.given.length === 6 ? new Vector3(...this.given.slice(3)) : centre);
+    if (!known) return this.go("start");
+    this.camera.position.copy(this.controls.target).add(new Vector3(...this.given.slice(0, 3)));
     this.controls.update();
   }
 
   /** Look from the start at all these points, as near as they are still seen; where the address says from where, from there. */
   frame(points, centre) {
-    if (this.given) return;
     const toward = new Vector3(...SIDES.start).normalize();
     const right = new Vector3(0, 0, 1).cross(toward).normalize();
     const up = toward.clone().cross(right);
@@ -38,13 +42,13 @@ export class Looking {
       return from.dot(toward) + Math.max(Math.abs(from.dot(right)) / (high * this.camera.aspect), Math.abs(from.dot(up)) / high);
     });
     this.distance = away.reduce((most, one) => Math.max(most, one), this.distance / 3);
-    this.controls.target.copy(centre);
-    this.go("start");
+    this.begin(centre);
   }
 
-  /** From where the arm is looked at, mm from what is in the middle. */
+  /** From where the arm is looked at, mm from what is in the middle, and where that is: what is measured or posed moves it. */
   told() {
-    return this.camera.position.clone().sub(this.controls.target).toArray().map(Math.round);
+    const { position } = this.camera, { target } = this.controls;
+    return [...position.clone().sub(target).toArray(), ...target.toArray()].map(Math.round);
   }
 
   /** Whether dragging is for something else now. */
