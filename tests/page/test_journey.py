@@ -29,7 +29,6 @@ from tests.service.test_serve import children
 from tools.demo import NOISE_MM, PRESET, STAGES
 from tools.page_lab import Lab, lab
 
-pytestmark = pytest.mark.slow
 PICTURES = Path(__file__).parents[2] / "build" / "page-screenshots"
 LONG_MS = 120_000  # what computes, on a machine that does other things too
 
@@ -103,6 +102,7 @@ def identified(page: Page, robot: str, effects: str) -> None:
     page.wait_for_url("**/versions/ver_*")
 
 
+@pytest.mark.short_path
 @pytest.mark.parametrize("size", ["desktop", "tablet"])
 def test_from_a_file_to_corrected_setpoints(
     chromium: Browser, whole: Lab, client: httpx.Client, tmp_path: Path, size: str
