@@ -210,6 +210,18 @@ def test_small_values_leave_the_unit_open(tmp_path: Path) -> None:
         prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text))
 
 
+def test_a_unit_that_the_file_states_is_never_guessed_from_the_values(tmp_path: Path) -> None:
+    joints = {f"A{k} [gon]": [100.0 * k, 3.0 - 50.0 * k] for k in (1, 2, 3, 4)}
+    path = write(tmp_path / "lab.csv", table("X [ft],Y [ft],Z [ft]", [[1.0, 2.0, 3.5], [2.0, 1.5, 9.5]], **joints))
+    found = draft(path)
+    assert '"q*" = { from = "A* [gon]", unit = "gon" }\n' in found.text
+    assert found.open == ["columns.x_mm", "columns.y_mm", "columns.z_mm"]
+    assert "the file states [ft], which is none of m, cm, mm" in found.text
+    column_map = write(tmp_path / "map.toml", found.text.replace('unit = "?"', 'unit = "m", scale = 0.3048'))
+    columns = columns_of(prepare(path, column_map=column_map))
+    np.testing.assert_allclose([columns["x_mm"][0], columns["q2_deg"][1]], [304.8, (3.0 - 100.0) * 0.9])
+
+
 def test_a_draft_writes_over_nothing(tmp_path: Path, capsys: Capture) -> None:
     path, target = write(tmp_path / "lab.csv", table(HEAD)), write(tmp_path / "map.toml", "mine")
     said = document(capsys, "inspect", path, "--draft", target, code=2)["detail"]

@@ -15,7 +15,7 @@ from kilter_files.ground.cell_lists import parse_list
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, head_of
-from kilter_files.ground.text_layout import COMMENTS, UNITS, encoding_of, name_and_unit
+from kilter_files.ground.text_layout import COMMENTS, UNITS, encoding_of, name_and_unit, unknown_unit
 from kilter_files.ground.time_stamps import stamp_of
 from kilter_files.tables.source import Layout, Source
 from kilter_files.tables.text_source import header_names
@@ -28,13 +28,17 @@ Row = tuple[int, list[str]]
 
 @dataclass(frozen=True)
 class TableShape:
-    """An unknown file: its format, layout, columns as a map may name them, and the units that stand beside their names."""
+    """An unknown file: its format, layout, columns as a map may name them, and the units that stand beside their names.
+
+    ``strange`` are those beside names that are none of the units known.
+    """
 
     path: Path
     form: str
     layout: Layout
     source: Source
     units: dict[str, str | None] = field(default_factory=dict)
+    strange: dict[str, str] = field(default_factory=dict)
 
 
 def shape_of(path: Path) -> TableShape:
@@ -53,7 +57,10 @@ def shape_of(path: Path) -> TableShape:
         layout, units = Layout(), {}
     source = open_source(path, form, layout)
     told = {name: name_and_unit(name.partition("[" if form == "mat" else "\0")[0])[1] for name in source.choices}
-    return TableShape(path, form, layout, source, {name: units.get(name) or told[name] for name in source.choices})
+    strange = {} if form == "mat" else {name: unknown_unit(name) for name in source.choices}
+    return TableShape(
+        path, form, layout, source, {name: units.get(name) or told[name] for name in source.choices}, strange
+    )
 
 
 def _text(path: Path) -> tuple[Layout, dict[str, str | None]]:
