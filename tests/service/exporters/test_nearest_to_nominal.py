@@ -155,6 +155,39 @@ def test_freedoms_that_no_position_tells_stay_where_the_version_has_them() -> No
     assert changed == pytest.approx(wanted, abs=2e-6)
 
 
+SCARA = {
+    "name": "scara", "convention": "dh", "joints": [{"name": f"j{k}"} for k in (1, 2, 3, 4)],
+    "rows": [
+        {"theta_offset_deg": 0, "d_mm": 350, "a_mm": 325, "alpha_deg": 0},
+        {"theta_offset_deg": 0, "d_mm": 0, "a_mm": 275, "alpha_deg": 180},
+        {"theta_offset_deg": 0, "d_mm": 0, "a_mm": 0, "alpha_deg": 0, "type": "prismatic"},
+        {"theta_offset_deg": 0, "d_mm": 20, "a_mm": 0, "alpha_deg": 0},
+    ],
+    "tool": {"x_mm": 30, "y_mm": 0, "z_mm": 60},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_zero_that_other_numbers_take_back_is_not_offered_to_a_controller(seed: int) -> None:
+    """Axes 0.05 degrees from parallel: the rows' common normals turn by tens of degrees, and zeros and tool turn back.
+
+    Zeros of -35 degrees were listed for a controller, of an arm whose zeros were right but for the one of joint 1.
+    """
+    nominal, rng = Calibration.nominal(robot_from_document(SCARA)), np.random.default_rng(seed)
+    size = {"alpha": 8e-4, "beta": 8e-4, "a": 4e-4}
+    moved = [size.get(name.rpartition("_")[0], 0.0) * rng.standard_normal() for name in nominal.names]
+    moved[nominal.names.index("theta_offset_1")] = 0.01
+    text = export("dh-csv", exportable(SCARA, Calibration(nominal.model, nominal.values + np.array(moved)))).text
+    zeros = {
+        m[1]: (float(m[2]), m[3]) for m in re.finditer(r"# zero_offset (\S+) (?:deg|mm)=(\S+).* state=(\S+)", text)
+    }
+    assert len(zeros) == 4
+    assert any(abs(value) > 3.0 for value, _ in zeros.values())
+    assert all(state == "shared" for value, state in zeros.values() if abs(value) > 3.0)
+    assert zeros["j1"] == (pytest.approx(math.degrees(0.01), abs=0.1), "unstated")
+    assert "take the table as it is" in text
+
+
 def placed(text: str) -> Floats:
     """Numbers of a MATLAB function, or poses of a URDF's origins: at pitch 90 degrees other angles say the same pose."""
     if text.startswith("function"):
