@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -186,6 +187,24 @@ def test_a_zero_that_other_numbers_take_back_is_not_offered_to_a_controller(seed
     assert all(state == "shared" for value, state in zeros.values() if abs(value) > 3.0)
     assert zeros["j1"] == (pytest.approx(math.degrees(0.01), abs=0.1), "unstated")
     assert "take the table as it is" in text
+
+
+@pytest.mark.parametrize("form", TABLES)
+def test_the_nominal_numbers_are_those_of_the_frames_that_corrections_work_in(form: str) -> None:
+    """A tracker two metres away: the nominal base was told as 1838 mm from the exported one, joint 1 as 62.8 degrees off."""
+    document = SCARA | {"name": "measured-from-afar"}
+    nominal, far = Calibration.nominal(robot_from_document(document)), np.eye(4)
+    far[:3, :3], far[:3, 3] = pin.rpy.rpyToMatrix(0.2, -0.1, 1.1), (2.0, -1.5, 0.7)
+    values = nominal.values + np.where([name == "theta_offset_2" for name in nominal.names], 2e-3, 0.0)
+    seen = Calibration(replace(nominal.model, T_base=far), values, wanted_base=far)
+    text = export(form, exportable(document, seen)).text
+    apart = {(m[1], m[2]): float(m[3]) for m in re.finditer(r"# number (\S+) (\S+) .*difference=(\S+)", text)}
+    changed = {key: size for key, size in apart.items() if abs(size) > 1e-5}
+    assert changed == {("j2", "theta_offset_deg"): pytest.approx(math.degrees(2e-3), abs=1e-5)}
+    here = Calibration(nominal.model, nominal.values)
+    twins = [export("mjcf", exportable(document, one)).text for one in (seen, here)]
+    at = [np.array(re.findall(r'"kilter_nominal" data="([^"]*)"', twin)[0].split(), dtype=float) for twin in twins]
+    np.testing.assert_allclose(*at, atol=1e-9)
 
 
 def placed(text: str) -> Floats:
