@@ -81,7 +81,8 @@ def judged(robot: Robot, rows: Observations) -> Judged:
     begin = core_model.Calibration.nominal(robot)
     warnings: list[dict[str, Any]] = []
     for part in compare.setups(rows):
-        index = np.arange(len(rows)) if rows.session is None else np.flatnonzero(rows.session == part.session[0])
+        code = None if part.session is None else part.session[0]
+        index = np.arange(len(rows)) if code is None else np.flatnonzero(rows.session == code)
         try:
             found = astray_rows.renumbered(belonging.refuse_mixed_up(begin, part), index)
             warnings += [one for one in found if one not in warnings]
