@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError, Kilter, prepare
@@ -220,6 +221,21 @@ def test_a_unit_that_the_file_states_is_never_guessed_from_the_values(tmp_path: 
     column_map = write(tmp_path / "map.toml", found.text.replace('unit = "?"', 'unit = "m", scale = 0.3048'))
     columns = columns_of(prepare(path, column_map=column_map))
     np.testing.assert_allclose([columns["x_mm"][0], columns["q2_deg"][1]], [304.8, (3.0 - 100.0) * 0.9])
+
+
+@pytest.mark.parametrize("poses", [40, 1000])
+def test_arrays_of_matlab_that_lie_across_are_read_by_rows(tmp_path: Path, poses: int) -> None:
+    """A pose in each column: the forty poses were drafted as forty joints, and a thousand were not seen at all."""
+    rng, path = np.random.default_rng(4), tmp_path / "lab.mat"
+    q, p = rng.uniform(-2.0, 2.0, (6, poses)), rng.uniform(-900.0, 900.0, (3, poses))
+    savemat(path, {"log": {"joint_pos": q, "tcp_meas": p}})
+    found = draft(path)
+    assert found.open == []
+    column_map = write(tmp_path / "map.toml", found.text)
+    columns = columns_of(prepare(path, column_map=column_map))
+    joints = [np.radians(columns[f"q{k}_deg"]) for k in range(1, 7)]
+    np.testing.assert_allclose(joints, q, atol=1e-9)
+    np.testing.assert_allclose([columns[f"{axis}_mm"] for axis in "xyz"], p, atol=1e-9)
 
 
 def test_a_draft_writes_over_nothing(tmp_path: Path, capsys: Capture) -> None:
