@@ -238,6 +238,26 @@ def test_arrays_of_matlab_that_lie_across_are_read_by_rows(tmp_path: Path, poses
     np.testing.assert_allclose([columns[f"{axis}_mm"] for axis in "xyz"], p, atol=1e-9)
 
 
+def test_words_for_what_was_not_measured_are_listed_as_missing(tmp_path: Path) -> None:
+    """One cell ``---`` in each coordinate: the draft asked which columns the position is, and said nothing of the cells."""
+    rows = [
+        [10 * k, -20 * k, 5 * k, *(["---"] * 3 if k == 4 else [100 + k, 200 - k, 300 + 2 * k])] for k in range(1, 9)
+    ]
+    path = write(tmp_path / "lab.csv", table("J1_deg,J2_deg,J3_deg,X_mm,Y_mm,Z_mm", rows))
+    found = draft(path)
+    assert found.open == []
+    assert 'missing = ["---"]' in found.text
+    columns = columns_of(prepare(path, column_map=write(tmp_path / "map.toml", found.text)))
+    assert columns["x_mm"] == [101, 102, 103, 105, 106, 107, 108]
+
+
+def test_thousands_separators_are_named_where_a_position_is_looked_for(tmp_path: Path) -> None:
+    head = ";".join([*(f"J{k}_deg" for k in range(1, 7)), "X", "Y", "Z"])
+    lines = [";".join([*(f"{10 * k + j},5" for j in range(6)), *[f"1.{k:03d},25"] * 3]) for k in range(1, 9)]
+    found = drafted(tmp_path, "\n".join([head, *lines]) + "\n")
+    assert "X holds '1.001,25'. Write numbers without separators of thousands" in found
+
+
 def test_a_draft_writes_over_nothing(tmp_path: Path, capsys: Capture) -> None:
     path, target = write(tmp_path / "lab.csv", table(HEAD)), write(tmp_path / "map.toml", "mine")
     said = document(capsys, "inspect", path, "--draft", target, code=2)["detail"]
