@@ -115,3 +115,14 @@ def test_a_reading_that_was_not_taken_is_named_with_its_row(client: httpx.Client
     assert said["rows"] == [31]
     assert said["message"].startswith("The tool is not where the joints put it in row 31 by ")
     assert "upload it again" in said["message"]
+
+
+def test_a_number_that_stands_for_nothing_is_refused_with_its_row(client: httpx.Client, arm: Genuine) -> None:
+    """-9999 in one pose was *not in mm, or not of this robot*."""
+    rows = columns_of(arm)
+    for axis in "xyz":
+        rows[f"{axis}_mm"][9] = -9999.0
+    answer = client.post(f"/v1/campaigns/{campaign(client, arm)}/observations", json=rows)
+    assert answer.status_code == 400
+    assert "The tool is not where the joints put it in row 10 by " in answer.json()["detail"]
+    assert "not of this robot" not in answer.json()["detail"]
