@@ -204,8 +204,8 @@ def _shared(
 ) -> Bools:
     """Zeros of the rows that a controller must not be given, for with them the nominal arm is farther from the real one.
 
-    The direction of a common normal turns by degrees where axes all but meet or are all but parallel; the zeros before and
-    behind it, and the tool, turn back. Rows of another form than nominal have zeros of their own.
+    A common normal rotates by degrees where axes all but meet or are all but parallel; the zeros before and behind it,
+    and the tool, rotate back. Rows of another form than nominal have zeros of their own.
     """
     own = [nominal.names.index(name) for name in zero_names(nominal.robot)]
     offset = np.array([row.d or 0.0 if row.prismatic else row.theta_offset for row in rows]) - nominal.values0()[own]

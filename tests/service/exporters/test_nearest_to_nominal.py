@@ -170,7 +170,7 @@ SCARA = {
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_zero_that_other_numbers_take_back_is_not_offered_to_a_controller(seed: int) -> None:
-    """Axes 0.05 degrees from parallel: the rows' common normals turn by tens of degrees, and zeros and tool turn back.
+    """Axes 0.05 degrees from parallel: the rows' common normals rotate by tens of degrees, and zeros and tool rotate back.
 
     Zeros of -35 degrees were listed for a controller, of an arm whose zeros were right but for the one of joint 1.
     """
