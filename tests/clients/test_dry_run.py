@@ -171,3 +171,13 @@ def test_the_second_file_of_a_map_is_named_on_the_command_line(
     assert any("of robot log.csv by row" in text for text in found["notes"])
     said = document(capsys, *arguments, code=2)["detail"]
     assert "a second file (--joints) goes with a preset (--preset: a text export of points)" in said
+
+
+def test_a_dry_run_says_that_columns_are_separated_otherwise(robot: str, tmp_path: Path, capsys: Capture) -> None:
+    """It said *the file has joints none*, of a German spreadsheet's export of contract columns."""
+    path = tmp_path / "rows.csv"
+    path.write_text("q1_deg;q2_deg;x_mm;y_mm;z_mm\n1,5;2,0;100,25;200,5;300,0\n")
+    assert run(["upload", robot, str(path), "--dry-run"]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert "would be refused: its columns are separated by ';' or tabs: kilter inspect FILE --draft columns.toml" in out
+    assert "joints none" not in out

@@ -101,3 +101,28 @@ def test_a_stored_campaign_says_what_is_mixed_up_in_it(client: httpx.Client, dat
         part = {name: values[first : first + 11] for name, values in rows.items()}
         client.post(f"/v1/campaigns/{target}/observations", json=part).raise_for_status()
     assert "Joint 2 looks to count the other way round" in facts(looking.stored(database, target)).mixed_up
+
+
+def test_a_reading_that_was_not_taken_is_named_with_its_row(client: httpx.Client, arm: Genuine) -> None:
+    """Zeros for one pose came in without a word, and the version's objection said that it was another robot."""
+    rows = columns_of(arm)
+    for axis in "xyz":
+        rows[f"{axis}_mm"][30] = 0.0
+    session = np.where(np.arange(len(arm.rows)) % 2 == 0, 2, 1)  # row 31 is the sixteenth of its session
+    made = campaign(client, arm)
+    answer = client.post(f"/v1/campaigns/{made}/observations", json=rows | {"session": session.tolist()})
+    (said,) = [one for one in answer.raise_for_status().json()["warnings"] if one["code"] == "rows_astray"]
+    assert said["rows"] == [31]
+    assert said["message"].startswith("The tool is not where the joints put it in row 31 by ")
+    assert "upload it again" in said["message"]
+
+
+def test_a_number_that_stands_for_nothing_is_refused_with_its_row(client: httpx.Client, arm: Genuine) -> None:
+    """-9999 in one pose was *not in mm, or not of this robot*."""
+    rows = columns_of(arm)
+    for axis in "xyz":
+        rows[f"{axis}_mm"][9] = -9999.0
+    answer = client.post(f"/v1/campaigns/{campaign(client, arm)}/observations", json=rows)
+    assert answer.status_code == 400
+    assert "The tool is not where the joints put it in row 10 by " in answer.json()["detail"]
+    assert "not of this robot" not in answer.json()["detail"]

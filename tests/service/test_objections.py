@@ -103,3 +103,16 @@ def test_a_version_stored_before_anyone_looked_is_looked_at_when_it_is_activated
 
     longer = lab.stored(good, "longer", lengthen)
     assert "another_arm" in codes(lab.activate(longer).json()["context"]["objections"])
+
+
+def test_rows_astray_are_not_taken_for_another_robot() -> None:
+    stages = {"identified": {"mean_mm": 291.0}, "registration_only": {"mean_mm": 293.0}}
+    astray = {
+        "code": "rows_astray",
+        "message": "The tool is not where the joints put it in row 6 by 2910 mm.",
+        "rows": [6],
+    }
+    report = {"metrics": {"validation": {"n": 10, **stages}}, "warnings": [astray]}
+    (one,) = objections_of(report, CorrectionLimits(max_position_mm=5.0))
+    assert "in row 6 by 2910 mm" in one.message
+    assert "another robot" not in one.message

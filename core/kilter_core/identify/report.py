@@ -133,6 +133,13 @@ def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dic
             "message": f"{only}, so the noise is that of the fit itself, model errors included. "
             "Come back to a few poses to know what cannot be predicted.",
         }
+    if len(repeats.copies):
+        yield {
+            "code": "repeats_identical", "rows": (repeats.copies + 1).tolist(),
+            "message": f"{len(repeats.copies)} rows measured exactly what an earlier row of their pose did; the first is row "
+            f"{repeats.copies[0] + 1} of the rows fitted. Without scatter they are copies, held readings or simulated, and "
+            "say nothing of noise. Upload every row once, or measure the poses again.",
+        }  # fmt: skip
     if len(repeats.wrong):
         yield {
             "code": "repeats_differ",

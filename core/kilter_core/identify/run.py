@@ -30,6 +30,7 @@ from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
+from kilter_core.identify.plausibility.astray_rows import of_held_out, unless_astray
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.plausibility.flat_boards import bent_boards
 from kilter_core.identify.plausibility.timing import bad_timing
@@ -267,7 +268,7 @@ def _views(
     views = with_held(views, result.calibration, validation, measurement)
     shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}
     said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(views, shown.get("identified"))
-    return {"views": views, "warnings": (*warnings, *said)}
+    return {"views": views, "warnings": (*unless_astray(warnings), *said)}
 
 
 def _in_one_frame(
@@ -286,9 +287,8 @@ def _belonging(begin: Calibration, train: Observations, validation: Validation) 
     """Refuse rows that cannot be of this robot, before any of them are held out; what is odd about those to fit."""
     refuse_missing_columns(begin, train)
     remarks = refuse_mixed_up(begin, train)
-    if isinstance(validation, Observations):
-        refuse_mixed_up(begin, validation)
-    return remarks
+    held = refuse_mixed_up(begin, validation) if isinstance(validation, Observations) else ()
+    return (*remarks, *of_held_out(held))
 
 
 def _last(progress: Progress) -> Progress:

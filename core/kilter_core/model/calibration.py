@@ -74,7 +74,8 @@ class Calibration:
         """The nominal chain in the wanted frames: where the tool should be."""
         base = self.robot.T_base if self.wanted_base is None else self.wanted_base
         tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool
-        return Calibration(model := RobotModel(self.robot, (), base, tool), model.values0())
+        model = RobotModel(self.robot, (), base, tool)
+        return Calibration(model, model.values0(), wanted_base=self.wanted_base, wanted_tool=self.wanted_tool)
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able state, SI: frames, effects, and every parameter's value by name."""

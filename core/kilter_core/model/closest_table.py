@@ -31,7 +31,7 @@ FIT_STEPS = 12
 SETTLED = 1e-12  # of AWAY_M
 UNSEEN = 1e-3  # of LEVER_M: a unit of a parameter counts as moving the tool at least so far
 TOLD = 0.9  # part of its variance about the start that poses take off a zero which they tell
-WORSE = 1.5  # times as far off as rows of another form, which are taken then
+WORSE = 1.5  # times as far off as rows of another form, which are taken then; or as without the zeros entered
 AT_REST = frozenset({"moments", "direction"})  # what an effect may need and still act on an arm at rest without load
 
 
@@ -51,6 +51,7 @@ class ClosestTable:
     ``nominal``, ``nominal_base`` and ``nominal_tool`` are the same of the nominal arm: what poses do not tell stays there.
     ``links`` are the robot's bodies in the frames of the rows (``element`` counts joints), ``gravity (3,)`` is in ``base``.
     ``zeros`` says how the joints' zeros in it follow the parameters; None where the rows have another form than nominal.
+    ``shared (n,)`` are zeros that go with other numbers of the table: entered into a nominal arm they take it away.
     """
 
     rows: tuple[Row, ...]
@@ -63,6 +64,7 @@ class ClosestTable:
     nominal_base: Floats
     nominal_tool: Floats
     zeros: ZerosOfTable | None = None
+    shared: Bools | None = None
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,37 @@ def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
     gravity = table.base[:3, :3].T @ frames[0][:3, :3] @ calibration.robot.gravity
     links = _links(calibration.robot, frames, table.rows, convention, table.base)
     here = (table.rows, table.base, table.tool, loss, links, gravity)
-    return ClosestTable(*here, nominal.rows, nominal.base, nominal.tool, zeros)
+    shared = _shared(_model(calibration.robot, nominal, convention), table.rows, plain, wanted, zeros)
+    return ClosestTable(*here, nominal.rows, nominal.base, nominal.tool, zeros, shared)
+
+
+def _shared(
+    nominal: RobotModel, rows: Sequence[Row], at: Observations, wanted: Prediction, zeros: ZerosOfTable | None
+) -> Bools:
+    """Zeros of the rows that a controller must not be given, for with them the nominal arm is farther from the real one.
+
+    A common normal rotates by degrees where axes all but meet or are all but parallel; the zeros before and behind it,
+    and the tool, rotate back. Rows of another form than nominal have zeros of their own.
+    """
+    own = [nominal.names.index(name) for name in zero_names(nominal.robot)]
+    offset = np.array([row.d or 0.0 if row.prismatic else row.theta_offset for row in rows]) - nominal.values0()[own]
+    offset = np.where([row.prismatic for row in rows], offset, np.remainder(offset + np.pi, 2 * np.pi) - np.pi)
+    told = np.ones(len(offset), dtype=bool) if zeros is None else zeros.told()
+
+    def left(entered: Bools) -> float:
+        values = nominal.values0()
+        values[own] += np.where(entered, offset, 0.0)
+        found = nominal.predict(at, values)
+        turn = LEVER_M * rotation_log(wanted.rotation.transpose(0, 2, 1) @ found.rotation)
+        return float(np.sum((found.position - wanted.position) ** 2) + np.sum(turn**2))
+
+    most, joints = WORSE**2 * left(np.zeros_like(told)), np.arange(len(offset))
+    if zeros is None and left(told) > most:
+        return told
+    entered = told.copy()
+    while left(entered) > most:
+        entered[min(np.flatnonzero(entered), key=lambda k: left(entered & (joints != k)))] = False
+    return np.asarray(told & ~entered)
 
 
 def _nominal_table(calibration: Calibration, convention: str) -> _Table:

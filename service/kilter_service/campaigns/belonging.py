@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
-from kilter_files.ground.later import pa
-from kilter_service.ground.core import belonging, compare, core_model
+from kilter_files.ground.later import np, pa
+from kilter_service.ground.core import astray_rows, belonging, compare, core_model
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import Column, has
 
@@ -41,7 +41,8 @@ class Belonging:
     def __init__(self, columns: Sequence[Column], robot: Robot) -> None:
         self._columns = columns
         self._robot = robot
-        self._blocks: list[pa.Table] = []
+        self._blocks: list[tuple[int, pa.Table]] = []  # with the number of rows before each
+        self._before = 0
         self._every = 1
         self._seen = 0
         self._asked = any(has(columns, quantity) for quantity in SEEN)
@@ -51,20 +52,25 @@ class Belonging:
         for first in range(0, table.num_rows, BLOCK) if self._asked else ():
             if self._seen % self._every == 0:
                 rows = range(first, min(first + BLOCK, table.num_rows))
-                self._blocks.append(table.take(list(rows)))  # a copy: a slice would keep the whole piece in memory
+                block = table.take(list(rows))  # a copy: a slice would keep the whole piece in memory
+                self._blocks.append((self._before + first, block))
             self._seen += 1
-            while sum(block.num_rows for block in self._blocks) > MOST_ROWS:
+            while sum(block.num_rows for _, block in self._blocks) > MOST_ROWS:
                 self._blocks = self._blocks[::2]
                 self._every *= 2
+        self._before += table.num_rows
 
     def found(self) -> Judged:
         """What looks mixed up.
 
         Rows of which a job could make nothing (markers that are not rigid, too few of them) are left to the job.
         """
-        if not any(block.num_rows for block in self._blocks):
+        blocks = [(first, block) for first, block in self._blocks if block.num_rows]
+        if not blocks:
             return Judged()
-        return judged(self._robot, observations(pa.concat_tables(self._blocks), self._columns, {}))
+        index = np.concatenate([np.arange(first, first + block.num_rows) for first, block in blocks])
+        found = judged(self._robot, observations(pa.concat_tables([block for _, block in blocks]), self._columns, {}))
+        return replace(found, warnings=tuple(astray_rows.renumbered(found.warnings, index)))
 
 
 def judged(robot: Robot, rows: Observations) -> Judged:
@@ -75,8 +81,11 @@ def judged(robot: Robot, rows: Observations) -> Judged:
     begin = core_model.Calibration.nominal(robot)
     warnings: list[dict[str, Any]] = []
     for part in compare.setups(rows):
+        code = None if part.session is None else part.session[0]
+        index = np.arange(len(rows)) if code is None else np.flatnonzero(rows.session == code)
         try:
-            warnings += [one for one in belonging.refuse_mixed_up(begin, part) if one not in warnings]
+            found = astray_rows.renumbered(belonging.refuse_mixed_up(begin, part), index)
+            warnings += [one for one in found if one not in warnings]
         except ObservationError as error:
             if error.code in MIXED_UP:
                 return Judged(error)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.observations.copies import identical_repeats
 from kilter_core.observations.repeats import last_motion
 from kilter_files.ground.later import pc
 from kilter_service.campaigns.belonging import Judged, judged_whole
@@ -97,7 +98,9 @@ def facts(rows: Rows, known: Judged | None = None) -> Facts:
     belong = known or judged_whole(rows.table, rows.columns, rows.robot)
     seen = observations(rows.table, rows.columns, rows.conditions)
     points = _points(seen)
-    found = repeats(seen.pose_groups(), seen.conditions(), seen.visits(), points)
+    # Copies of a row repeat its pose without a reading: their noise would be nothing.
+    read = None if points is None else np.where(identical_repeats(seen)[:, None], np.nan, points)
+    found = repeats(seen.pose_groups(), seen.conditions(), seen.visits(), read)
     odd = doubtful(rows.robot, seen, points, found)
     return Facts(
         rows=len(seen),

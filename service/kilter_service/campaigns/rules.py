@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,15 +80,15 @@ class RowRules:
                 unit.
 
         """
-        self._check_units()
         found = self._belonging.found()
+        self._check_units(next((one for one in found.warnings if one["code"] == "rows_astray"), None))
         if not found.explains_limits:  # another unit, sign or zero explains limits better than wrong rows
             self._limits.finish()
         if found.refusal is not None:
             raise found.refusal
         return found.warnings
 
-    def _check_units(self) -> None:
+    def _check_units(self, astray: Mapping[str, Any] | None) -> None:
         reach = self._reach()
         spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
         if not spreads or not reach > 0 or not self._sample:
@@ -97,12 +97,12 @@ class RowRules:
         if not SMALL * reach < spreads[column] < LARGE * reach:
             self._check_unit(next(iter(spreads)))
         if spreads[column] > IMPOSSIBLE_REACHES * reach:
+            why = f"the values are not in {column.name.rpartition('_')[2]}, or not of this robot."
             raise ObservationError(
-                f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: the "
-                f"values are not in {column.name.rpartition('_')[2]}, or not of this robot.",
-                column=column.name,
-                spread_m=spreads[column],
-            )
+                f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: "
+                f"{astray['message'] if astray else why}",
+                column=column.name, spread_m=spreads[column], **({"rows": astray["rows"]} if astray else {}),
+            )  # fmt: skip
 
     def _check_column(self, column: Column, cells: Floats) -> None:
         if not column.may_be_empty and column.quantity not in self._beside:

@@ -96,10 +96,16 @@ def _too_large(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Obje
         was = "" if before is None else f" of {before:.4g} mm"
         message = (
             f"It leaves {left:.4g} mm{was} on {rows}, too large to correct with: it may move the tool by "
-            f"{limits.max_position_mm:g} mm at most. {_remedy(left, before)}"
+            f"{limits.max_position_mm:g} mm at most. {_astray(report) or _remedy(left, before)}"
         )
         return [Objection(code="error_beyond_limit", message=message)]
     return []
+
+
+def _astray(report: Mapping[str, Any]) -> str:
+    """What is said of rows that no arm explains: with them in the errors nothing can be said of the arm."""
+    said = [str(one["message"]) for one in report.get("warnings") or () if one.get("code") == "rows_astray"]
+    return f"It is not the arm. {' '.join(said)}" if said else ""
 
 
 def _remedy(left: float, before: float | None) -> str:

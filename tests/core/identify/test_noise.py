@@ -102,3 +102,13 @@ def test_rows_with_a_hidden_marker_are_left_out() -> None:
     markers[::7, 1] = np.nan
     o = Observations(np.zeros((300, 2)), markers=markers)
     assert Repeats.of(o).shots == pytest.approx(1e-4, rel=0.06)
+
+
+def test_copies_of_rows_are_no_repeats() -> None:
+    """A file pasted twice under itself: 60 poses that were measured once had a noise of nothing, *from repeats*."""
+    once = campaign(np.arange(60), 8)
+    twice = Repeats.of(Observations.concatenate([once, once]))
+    assert (twice.between, twice.shots) == (None, None)
+    np.testing.assert_array_equal(twice.copies, np.arange(60, 120))
+    real = campaign(np.tile(np.arange(60), 2), 8)
+    assert Repeats.of(real).between == Repeats.of(Observations.concatenate([real, real.select(np.arange(9))])).between

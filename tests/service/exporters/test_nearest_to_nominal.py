@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -153,6 +154,57 @@ def test_freedoms_that_no_position_tells_stay_where_the_version_has_them() -> No
     expected = {("a_mm", 5): 2e-3, ("d_mm", 5): 3e-3, ("a_mm", 6): -1e-3, ("theta_offset_deg", 3): math.degrees(1e-4)}
     wanted = {(names[joint - 1], number): size for (number, joint), size in expected.items()}
     assert changed == pytest.approx(wanted, abs=2e-6)
+
+
+SCARA = {
+    "name": "scara", "convention": "dh", "joints": [{"name": f"j{k}"} for k in (1, 2, 3, 4)],
+    "rows": [
+        {"theta_offset_deg": 0, "d_mm": 350, "a_mm": 325, "alpha_deg": 0},
+        {"theta_offset_deg": 0, "d_mm": 0, "a_mm": 275, "alpha_deg": 180},
+        {"theta_offset_deg": 0, "d_mm": 0, "a_mm": 0, "alpha_deg": 0, "type": "prismatic"},
+        {"theta_offset_deg": 0, "d_mm": 20, "a_mm": 0, "alpha_deg": 0},
+    ],
+    "tool": {"x_mm": 30, "y_mm": 0, "z_mm": 60},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_zero_that_other_numbers_take_back_is_not_offered_to_a_controller(seed: int) -> None:
+    """Axes 0.05 degrees from parallel: the rows' common normals rotate by tens of degrees, and zeros and tool rotate back.
+
+    Zeros of -35 degrees were listed for a controller, of an arm whose zeros were right but for the one of joint 1.
+    """
+    nominal, rng = Calibration.nominal(robot_from_document(SCARA)), np.random.default_rng(seed)
+    size = {"alpha": 8e-4, "beta": 8e-4, "a": 4e-4}
+    moved = [size.get(name.rpartition("_")[0], 0.0) * rng.standard_normal() for name in nominal.names]
+    moved[nominal.names.index("theta_offset_1")] = 0.01
+    text = export("dh-csv", exportable(SCARA, Calibration(nominal.model, nominal.values + np.array(moved)))).text
+    zeros = {
+        m[1]: (float(m[2]), m[3]) for m in re.finditer(r"# zero_offset (\S+) (?:deg|mm)=(\S+).* state=(\S+)", text)
+    }
+    assert len(zeros) == 4
+    assert any(abs(value) > 3.0 for value, _ in zeros.values())
+    assert all(state == "shared" for value, state in zeros.values() if abs(value) > 3.0)
+    assert zeros["j1"] == (pytest.approx(math.degrees(0.01), abs=0.1), "unstated")
+    assert "take the table as it is" in text
+
+
+@pytest.mark.parametrize("form", TABLES)
+def test_the_nominal_numbers_are_those_of_the_frames_that_corrections_work_in(form: str) -> None:
+    """A tracker two metres away: the nominal base was told as 1838 mm from the exported one, joint 1 as 62.8 degrees off."""
+    document = SCARA | {"name": "measured-from-afar"}
+    nominal, far = Calibration.nominal(robot_from_document(document)), np.eye(4)
+    far[:3, :3], far[:3, 3] = pin.rpy.rpyToMatrix(0.2, -0.1, 1.1), (2.0, -1.5, 0.7)
+    values = nominal.values + np.where([name == "theta_offset_2" for name in nominal.names], 2e-3, 0.0)
+    seen = Calibration(replace(nominal.model, T_base=far), values, wanted_base=far)
+    text = export(form, exportable(document, seen)).text
+    apart = {(m[1], m[2]): float(m[3]) for m in re.finditer(r"# number (\S+) (\S+) .*difference=(\S+)", text)}
+    changed = {key: size for key, size in apart.items() if abs(size) > 1e-5}
+    assert changed == {("j2", "theta_offset_deg"): pytest.approx(math.degrees(2e-3), abs=1e-5)}
+    here = Calibration(nominal.model, nominal.values)
+    twins = [export("mjcf", exportable(document, one)).text for one in (seen, here)]
+    at = [np.array(re.findall(r'"kilter_nominal" data="([^"]*)"', twin)[0].split(), dtype=float) for twin in twins]
+    np.testing.assert_allclose(*at, atol=1e-9)
 
 
 def placed(text: str) -> Floats:

@@ -25,6 +25,7 @@ UNITS = {unit.lower(): unit for sizes in SIZES.values() for unit in sizes} | {
     "msec": "ms", "µm": "um", "micron": "um", "c": "C", "°c": "C", "k": "K", "-": "", "": "", "1": "",
     "mm/m": "mrad",
 }  # fmt: skip
+LONGEST_UNIT = 4  # letters of a unit that nobody knows here: longer words in brackets say something else
 IN_NAME = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
 
@@ -195,3 +196,10 @@ def name_and_unit(name: str) -> tuple[str, str | None]:
         if found and stem and unit.lower() in UNITS and len(unit) > (0 if unit in ("m", "s") else 1):
             return stem.strip(), UNITS[unit.lower()] or None
     return name.strip(), None
+
+
+def unknown_unit(name: str) -> str:
+    """What stands in brackets behind a name as units do and is none of those known: ``ft`` of ``X [ft]``; else nothing."""
+    match = IN_NAME.search(name)
+    said = match[1] if match else ""
+    return said if said.isalpha() and len(said) <= LONGEST_UNIT and said.lower() not in UNITS else ""

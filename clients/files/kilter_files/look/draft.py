@@ -107,6 +107,9 @@ def _file(shape: TableShape) -> str:
     out += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
     out += ["units_row = true"] if layout.units_row else []
     out += [f"comment = {_quoted(layout.comment)}"] if layout.comment else []
+    if layout.missing:
+        listed = ", ".join(_quoted(str(word)) for word in layout.missing)
+        out.append(f"missing = [{listed}]   # words in columns of numbers")
     out += ["header = false            # columns are given by their index, from 0"] if not layout.header else []
     return "\n".join(out) + "\n"
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_files.look.summary import Columns, in_shown_unit
+from kilter_files.tables.table import CSV_TYPE, Prepared
 
 LIMIT_TOLERANCE = {"deg": 0.3, "mm": 0.5}  # the server's, see docs/reference/columns.md
 JOINT = re.compile(r"q(\d+)_(?:deg|rad|mm|m)")
@@ -21,6 +22,14 @@ KINDS = (
     *map(re.compile, (r"m\d+x_(?:mm|m)", r"u\d+_px", r"tilt\d+[xyz]_(?:deg|rad)")),
 )  # beside each other
 SHOWN = 5
+
+
+def otherwise_separated(prepared: Prepared) -> list[str]:
+    """What is wrong with a CSV of contract columns whose cells are not separated by commas: nothing else is known of it."""
+    head = prepared.content.split(b"\n", 1)[0]
+    if prepared.content_type != CSV_TYPE or not (b";" in head or b"\t" in head):
+        return []
+    return ["its columns are separated by ';' or tabs: kilter inspect FILE --draft columns.toml writes a map for --map"]
 
 
 def refusals(columns: Columns, joints: Sequence[Mapping[str, Any]] | None, lines: Sequence[int] = ()) -> list[str]:

@@ -30,7 +30,6 @@ from kilter_core.gap.search.re_evaluation import under, without_wrong
 from kilter_core.gap.search.rows.row_warnings import (
     JUDGED_AGAIN,
     REPEATS_SET_ASIDE,
-    identical_repeats,
     instrument_warnings,
     no_repeats_warning,
     noise_warnings,
@@ -48,6 +47,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.copies import identical_repeats
 from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
 from kilter_core.parameters import metres
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard

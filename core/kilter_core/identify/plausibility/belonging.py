@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.plausibility.astray_rows import astray_warnings
 from kilter_core.identify.plausibility.lagging import lag_warnings
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
@@ -33,6 +34,7 @@ def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, A
             of_tool = Measurement.of(part, begin.marker_points, held=True).of_tool()
             refuse_feigned_turns(begin, of_tool)
             warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
+        warnings += astray_warnings(begin, rows)
     if rows.pixels is not None:
         warnings += refuse_unrelated_views(begin, rows)
     refuse_foreign_links(begin.robot, rows)

@@ -18,6 +18,7 @@ from kilter_core.types import Bools, Floats, Ints
 ROWS = 100
 STEPS = 3
 KEPT = 0.95  # share of the rows, the nearest, that counts: an interrupted laser beam must not hide a mix-up
+HALF, ROUNDS = 0.6, 6  # share of the rows that counts where many may be wrong, and how often they are chosen anew
 FRAMES = 9  # numbers of a base pose and a tool point
 
 
@@ -49,6 +50,17 @@ def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
             break
         after = _placed(flange, points, near, placed.rotation)
         if after.size >= placed.size:
+            break
+        placed = after
+    return placed
+
+
+def place_nearer(flange: Floats, points: Floats, placed: Placed) -> Placed:
+    """Base and tool for the nearer half of the rows: where more than a few are nowhere near, they do not count at all."""
+    for _ in range(ROUNDS):
+        near = placed.miss <= np.quantile(placed.miss, HALF)
+        after = _placed(flange, points, near, None)
+        if np.quantile(after.miss, HALF) >= np.quantile(placed.miss, HALF):
             break
         placed = after
     return placed
@@ -95,7 +107,7 @@ class Sample:
         o = measurement.observations
         row = _of_each_pose(o.pose_groups())
         row = row[np.unique(np.linspace(0, len(row) - 1, min(ROWS, len(row))).astype(np.int64))]
-        points, rotations, use = _seen(measurement, o.select(row))
+        points, rotations, use = seen_tool(measurement, o.select(row))
         row, q = row[use], o.q
         session = np.zeros(len(row), dtype=np.int64) if o.session is None else o.session[row]
         # The rows of a session stay together, those of one in time.
@@ -131,8 +143,12 @@ class Sample:
     @cached_property
     def flange(self) -> Floats:
         """Flange poses (K, 4, 4) in the robot's base frame, without effects."""
-        seen = self.begin.predict(Observations(q=self.q))
-        out = np.tile(np.eye(4), (len(self.q), 1, 1))
+        return self.flange_of(self.q)
+
+    def flange_of(self, q: Floats) -> Floats:
+        """The same of other joints (K, n)."""
+        seen = self.begin.predict(Observations(q=q))
+        out = np.tile(np.eye(4), (len(q), 1, 1))
         out[:, :3, :3], out[:, :3, 3] = seen.rotation, seen.position
         return out
 
@@ -170,7 +186,8 @@ def _of_each_pose(pose: Ints) -> Ints:
     return np.sort(np.where(np.arange(len(first)) % 2 == 0, first, last))
 
 
-def _seen(measurement: Measurement, rows: Observations) -> tuple[Floats, Floats | None, Bools]:
+def seen_tool(measurement: Measurement, rows: Observations) -> tuple[Floats, Floats | None, Bools]:
+    """Points (N, 3) and, where measured, rotations of the tool, and in which rows they can be told."""
     if rows.markers_of_poses is not None and measurement.marker_points is not None:
         return fit_poses(measurement.marker_points, rows.markers_of_poses)
     assert rows.position is not None

@@ -7,7 +7,7 @@ a pose is approached from, another payload or session, and wrong readings.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.stats import chi2, f
 from kilter_core.identify.fit.robust import scale_of
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
+from kilter_core.observations.copies import identical_repeats
 from kilter_core.observations.groups import unbiased
 from kilter_core.observations.repeats import last_motion
 from kilter_core.parameters import mm
@@ -31,13 +32,15 @@ FEWEST_NUMBERS = 3  # numbers a standard deviation needs to be one
 class Repeats:
     """Standard deviations (m) of a coordinate: of a reading between visits of its pose, and between shots of one visit.
 
-    None where nothing tells. ``wrong (K,)`` are rows whose readings stand too far from their repeats to be noise.
+    None where nothing tells. ``wrong (K,)`` are rows whose readings stand too far from their repeats to be noise, and
+    ``copies (K,)`` those that repeat an earlier row to the last digit, of which nothing was read.
     """
 
     between: float | None
     shots: float | None
     wrong: Ints
     freedom: int = 0  # of ``between``
+    copies: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @staticmethod
     def of(observations: Observations, left: Residual | None = None) -> Repeats:
@@ -49,11 +52,13 @@ class Repeats:
         flat = _points(observations, left)
         if flat is None:
             return Repeats(None, None, np.zeros(0, dtype=np.int64))
-        found = _read(observations, flat)
+        again = identical_repeats(observations)
+        flat = np.where(again[:, None], np.nan, flat)
+        found = replace(_read(observations, flat), copies=np.flatnonzero(again))
         if observations.direction is not None or found.between is None:
             return found
         sided = _read(replace(observations, direction=last_motion(observations.q)), flat)
-        return sided if _clearly_less(sided, found) else found
+        return replace(sided, copies=found.copies) if _clearly_less(sided, found) else found
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm."""

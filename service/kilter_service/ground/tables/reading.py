@@ -150,8 +150,8 @@ def _header(path: Path) -> list[str]:
         )
     if ";" in text or "\t" in text:
         raise ObservationError(
-            "The CSV separates its columns by ';' or tabs: export it with commas and decimal points, or let "
-            "`kilter upload --device` or `--map` convert it."
+            "The CSV separates its columns by ';' or tabs: export it with commas and decimal points, or let a column map "
+            "(`--map`) convert it."
         )
     try:
         found = next(csv.reader([text]), [])

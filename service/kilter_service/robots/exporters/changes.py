@@ -28,7 +28,8 @@ ZERO_SIGN = (
 
 ZERO_STATES = (
     "States of zeros: known, the 95 % interval leaves 0 out; uncertain, it does not; held, the zero was not identified "
-    "or is shared with base or tool; unstated, the version does not say how well it is known."
+    "or is shared with base or tool; unstated, the version does not say how well it is known; shared, it goes with other "
+    "numbers of the table, and a nominal arm with it entered is farther from the real one: take the table as it is."
 )
 
 
@@ -66,10 +67,13 @@ class ZeroOffset(NamedTuple):
     offset: float
     half_width: float
     held: bool
+    shared: bool = False
 
     @property
     def state(self) -> str:
-        """``known``: the interval leaves 0 out; ``uncertain``; ``held``: it was not identified; ``unstated``."""
+        """``known``: the interval leaves 0 out; ``uncertain``; ``held``: not identified; ``unstated``; ``shared``: keep out."""
+        if self.shared:
+            return "shared"
         if self.held:
             return "held"
         if math.isnan(self.half_width):
@@ -86,12 +90,19 @@ def zero_offsets(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros
             k, unit = numbers[change.where], change.name.rpartition("_")[2]
             half = math.nan if known is None else float(known.half_width[k])
             half = 1e3 * half if unit == "mm" else math.degrees(half)
-            yield ZeroOffset(change.where, unit, change.difference, half, known is not None and bool(known.held[k]))
+            held, shared = known is not None and bool(known.held[k]), table.shared is not None and bool(table.shared[k])
+            yield ZeroOffset(change.where, unit, change.difference, half, held, shared)
 
 
 def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[str]:
     """Both as comments of a table."""
-    yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
+    if table.zeros is None:
+        yield (
+            "Numbers, nominal and exported. The rows have another form than the nominal ones: what lies between two of their "
+            "numbers says nothing of the arm, only the poses of all of them do."
+        )
+    else:
+        yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
     for change in changes(table, joints):
         numbers = f"nominal={_plain(change.nominal)} exported={_plain(change.exported)}"
         yield f"number {_word(change.where)} {change.name} {numbers} difference={_plain(change.difference)}"

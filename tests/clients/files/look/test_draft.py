@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError, Kilter, prepare
@@ -208,6 +209,53 @@ def test_small_values_leave_the_unit_open(tmp_path: Path) -> None:
     )
     with pytest.raises(FileError, match=r"columns.q\*.unit: the draft could not determine the unit"):
         prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text))
+
+
+def test_a_unit_that_the_file_states_is_never_guessed_from_the_values(tmp_path: Path) -> None:
+    joints = {f"A{k} [gon]": [100.0 * k, 3.0 - 50.0 * k] for k in (1, 2, 3, 4)}
+    path = write(tmp_path / "lab.csv", table("X [ft],Y [ft],Z [ft]", [[1.0, 2.0, 3.5], [2.0, 1.5, 9.5]], **joints))
+    found = draft(path)
+    assert '"q*" = { from = "A* [gon]", unit = "gon" }\n' in found.text
+    assert found.open == ["columns.x_mm", "columns.y_mm", "columns.z_mm"]
+    assert "the file states [ft], which is none of m, cm, mm" in found.text
+    column_map = write(tmp_path / "map.toml", found.text.replace('unit = "?"', 'unit = "m", scale = 0.3048'))
+    columns = columns_of(prepare(path, column_map=column_map))
+    np.testing.assert_allclose([columns["x_mm"][0], columns["q2_deg"][1]], [304.8, (3.0 - 100.0) * 0.9])
+
+
+@pytest.mark.parametrize("poses", [40, 1000])
+def test_arrays_of_matlab_that_lie_across_are_read_by_rows(tmp_path: Path, poses: int) -> None:
+    """A pose in each column: the forty poses were drafted as forty joints, and a thousand were not seen at all."""
+    rng, path = np.random.default_rng(4), tmp_path / "lab.mat"
+    q, p = rng.uniform(-2.0, 2.0, (6, poses)), rng.uniform(-900.0, 900.0, (3, poses))
+    savemat(path, {"log": {"joint_pos": q, "tcp_meas": p}})
+    found = draft(path)
+    assert found.open == []
+    column_map = write(tmp_path / "map.toml", found.text)
+    columns = columns_of(prepare(path, column_map=column_map))
+    joints = [np.radians(columns[f"q{k}_deg"]) for k in range(1, 7)]
+    np.testing.assert_allclose(joints, q, atol=1e-9)
+    np.testing.assert_allclose([columns[f"{axis}_mm"] for axis in "xyz"], p, atol=1e-9)
+
+
+def test_words_for_what_was_not_measured_are_listed_as_missing(tmp_path: Path) -> None:
+    """One cell ``---`` in each coordinate: the draft asked which columns the position is, and said nothing of the cells."""
+    rows = [
+        [10 * k, -20 * k, 5 * k, *(["---"] * 3 if k == 4 else [100 + k, 200 - k, 300 + 2 * k])] for k in range(1, 9)
+    ]
+    path = write(tmp_path / "lab.csv", table("J1_deg,J2_deg,J3_deg,X_mm,Y_mm,Z_mm", rows))
+    found = draft(path)
+    assert found.open == []
+    assert 'missing = ["---"]' in found.text
+    columns = columns_of(prepare(path, column_map=write(tmp_path / "map.toml", found.text)))
+    assert columns["x_mm"] == [101, 102, 103, 105, 106, 107, 108]
+
+
+def test_thousands_separators_are_named_where_a_position_is_looked_for(tmp_path: Path) -> None:
+    head = ";".join([*(f"J{k}_deg" for k in range(1, 7)), "X", "Y", "Z"])
+    lines = [";".join([*(f"{10 * k + j},5" for j in range(6)), *[f"1.{k:03d},25"] * 3]) for k in range(1, 9)]
+    found = drafted(tmp_path, "\n".join([head, *lines]) + "\n")
+    assert "X holds '1.001,25'. Write numbers without separators of thousands" in found
 
 
 def test_a_draft_writes_over_nothing(tmp_path: Path, capsys: Capture) -> None:

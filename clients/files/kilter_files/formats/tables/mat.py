@@ -17,6 +17,7 @@ EXPRESSION = re.compile(
     r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
 )
 MOST_COLUMNS = 200
+MOST_ACROSS, WIDER = 9, 3  # an array of so few rows that is so many times wider holds a pose in each column
 
 
 @dataclass
@@ -37,11 +38,14 @@ class MatSource:
 
     @property
     def choices(self) -> list[str]:
-        """Every column of every variable, written both ways: ``q[:,0]`` and ``q(:,1)``."""
+        """Every column of every variable, written both ways: ``q[:,0]`` and ``q(:,1)``; rows of one that lies across."""
         out: list[str] = []
         for name, value in _named(self.variables):
             array = np.asarray(value)
-            if array.dtype.kind in "iufb" and array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
+            if array.dtype.kind in "iufb" and array.ndim == 2 and _lies_across(*array.shape):
+                out += [f"{name}[{k},:]" for k in range(array.shape[0])]
+                out += [f"{name}({k + 1},:)" for k in range(array.shape[0])]
+            elif array.dtype.kind in "iufb" and array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
                 out += [f"{name}[:,{k}]" for k in range(array.shape[1])]
                 out += [f"{name}(:,{k + 1})" for k in range(array.shape[1])]
             elif array.dtype.kind in "iufb" and array.ndim == 1:
@@ -102,6 +106,11 @@ class MatSource:
 
     def _error(self, expression: str | int, why: str) -> FileError:
         return FileError(f"{self.path}: {expression!r} {why}.", file=str(self.path), column=expression)
+
+
+def _lies_across(rows: int, columns: int) -> bool:
+    """Whether an array has the numbers of a pose below one another, as MATLAB's functions want vectors."""
+    return rows <= MOST_ACROSS and columns > WIDER * rows
 
 
 def _named(variables: Mapping[str, Any], stem: str = "") -> Iterator[tuple[str, Any]]:

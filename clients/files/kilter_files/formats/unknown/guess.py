@@ -98,6 +98,10 @@ class Columns:
         """Return the unit that stands beside the name."""
         return self.shape.units.get(name)
 
+    def strange(self, names: Sequence[str]) -> str:
+        """What stands beside the first of the names as a unit does, and is none of those known."""
+        return next((said for name in names if (said := self.shape.strange.get(name, ""))), "")
+
     def largest(self, names: Sequence[str]) -> float | None:
         """Return the largest size among columns, None when one of them holds no numbers."""
         found = [self.numbers(name) for name in names]
@@ -212,6 +216,8 @@ def _angle(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
     stated = columns.unit(names[0])
     if stated is not None:
         return stated, ""
+    if said := columns.strange(names):
+        return UNKNOWN, _strange(said, "angle")
     size = columns.largest(names) or 0.0
     if 13.2 < size <= 400.0:
         return "deg", f"the file states no unit; values up to {size:.4g} are degrees"
@@ -221,6 +227,12 @@ def _angle(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
         UNKNOWN,
         f"the file states no unit, and values up to {size:.4g} do not decide between deg, rad and 'turn' with a scale",
     )
+
+
+def _strange(said: str, quantity: str) -> str:
+    """What to do with a unit that the file states and nobody knows here: a guess from the values would contradict it."""
+    known = ", ".join(SIZES[quantity])
+    return f"the file states [{said}], which is none of {known}: give one of these, with scale = how many of it one {said} is"
 
 
 def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
@@ -289,6 +301,8 @@ def _length(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
     stated = columns.unit(names[0])
     if stated in SIZES["length"]:
         return str(stated), ""
+    if said := columns.strange(names):
+        return UNKNOWN, _strange(said, "length")
     size = columns.largest(names) or 0.0
     if 50.0 < size <= 30_000.0:
         return "mm", f"the file states no unit; values up to {size:.4g} are mm"

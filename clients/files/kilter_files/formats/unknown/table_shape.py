@@ -15,26 +15,31 @@ from kilter_files.ground.cell_lists import parse_list
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault, head_of
-from kilter_files.ground.text_layout import COMMENTS, UNITS, encoding_of, name_and_unit
+from kilter_files.ground.text_layout import COMMENTS, UNITS, encoding_of, name_and_unit, unknown_unit
 from kilter_files.ground.time_stamps import stamp_of
 from kilter_files.tables.source import Layout, Source
 from kilter_files.tables.text_source import header_names
 
 SAMPLE_BYTES = 1 << 20
 SAMPLE_ROWS = 400
+SELDOM, MOST_WORDS = 0.2, 2  # share of the cells of a column, and different ones, that may be words for "not measured"
 TRIES = ((";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), ("|", "."), (" ", "."), (" ", ","))
 Row = tuple[int, list[str]]
 
 
 @dataclass(frozen=True)
 class TableShape:
-    """An unknown file: its format, layout, columns as a map may name them, and the units that stand beside their names."""
+    """An unknown file: its format, layout, columns as a map may name them, and the units that stand beside their names.
+
+    ``strange`` are those beside names that are none of the units known.
+    """
 
     path: Path
     form: str
     layout: Layout
     source: Source
     units: dict[str, str | None] = field(default_factory=dict)
+    strange: dict[str, str] = field(default_factory=dict)
 
 
 def shape_of(path: Path) -> TableShape:
@@ -52,8 +57,33 @@ def shape_of(path: Path) -> TableShape:
     else:
         layout, units = Layout(), {}
     source = open_source(path, form, layout)
+    if form in ("csv", "xlsx") and (words := _missing(source, layout.decimal)):
+        layout = replace(layout, missing=words)
+        source = open_source(path, form, layout)
     told = {name: name_and_unit(name.partition("[" if form == "mat" else "\0")[0])[1] for name in source.choices}
-    return TableShape(path, form, layout, source, {name: units.get(name) or told[name] for name in source.choices})
+    strange = {} if form == "mat" else {name: unknown_unit(name) for name in source.choices}
+    return TableShape(
+        path, form, layout, source, {name: units.get(name) or told[name] for name in source.choices}, strange
+    )
+
+
+def _missing(source: Source, decimal: str) -> tuple[str, ...]:
+    """Words that stand for "not measured" in columns of numbers: one or two, in few of their cells."""
+    found: set[str] = set()
+    for name in source.choices:
+        cells = [cell for cell in source.texts(name) if cell] if name else []
+        words = [cell for cell in cells if parse_number(cell, decimal) is None]
+        if (
+            0 < len(words) <= SELDOM * len(cells)
+            and len(set(words)) <= MOST_WORDS
+            and not any(map(_holds_digit, words))
+        ):
+            found |= set(words)
+    return tuple(sorted(found))
+
+
+def _holds_digit(word: str) -> bool:
+    return any(letter.isdigit() for letter in word)
 
 
 def _text(path: Path) -> tuple[Layout, dict[str, str | None]]:

@@ -9,8 +9,10 @@ from pathlib import Path
 
 from kilter_files.formats.reader import Head
 from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, placed, points, time
+from kilter_files.formats.unknown.names import triples
 from kilter_files.formats.unknown.table_shape import TableShape, shape_of
 from kilter_files.formats.unknown.turns import Turned, turned
+from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import SIZES, UNKNOWN
 
@@ -77,7 +79,7 @@ def understand(path: Path) -> Understood:
     taken = {name for entry in axes for name in entry.used} | pose
     place, elsewhere = (placed(columns, turn.place), []) if turn and turn.place else points(columns, taken)
     entries = [*axes] or [_unknown_joints(columns.without(list(pose)))]
-    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not determine which column this is") for a in "xyz"]
+    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", _unknown_place(columns, taken)) for a in "xyz"]
     taken |= {name for entry in place for name in entry.used}
     for entry in _rest(columns, taken):
         entries.append(entry)
@@ -92,6 +94,17 @@ def _unknown_joints(columns: Columns) -> Entry:
         f"{joined_names(numeric)}"
     )
     return Entry("q*", UNKNOWN, UNKNOWN, told)
+
+
+def _unknown_place(columns: Columns, taken: set[str]) -> str:
+    """Why no position was found: its columns may hold cells that are not numbers."""
+    told, decimal = "could not determine which column this is", columns.shape.layout.decimal
+    for triple in triples([name for name in columns.names if name not in taken]):
+        for name in triple.names:
+            if columns.numbers(name) is None:
+                cell = next(cell for cell in columns.texts(name) if cell and parse_number(cell, decimal) is None)
+                return f"{told}: {name} holds {cell!r}. Write numbers without separators of thousands"
+    return told
 
 
 def _rest(columns: Columns, taken: set[str]) -> list[Entry]:

@@ -218,6 +218,8 @@ def _not_told(zeros: Sequence[Mapping[str, Any]], numbers: Mapping[str, int]) ->
             yield f"the zero of joint {number} ({name}) cannot be told apart from 0: {within}"
         elif one["state"] == "unstated":
             yield f"how well the zero of joint {number} ({name}) is known cannot be said"
+        elif one["state"] == "shared":
+            yield f"the zero of joint {number} ({name}) goes with other numbers of the table: do not enter it alone"
     held = [numbers[str(one["joint"])] for one in zeros if one["state"] == "held"]
     if held:
         which = "the zero of joint" if len(held) == 1 else "the zeros of joints"

@@ -138,7 +138,8 @@ def checked_here(
     )
     return files_summary.summary(prepared, conditions) | {
         "left_out": [text for text in prepared.warnings if "left out" in text],
-        "refused": files_refusals.refusals(files_summary.columns_of(prepared), joints, prepared.lines),
+        "refused": files_refusals.otherwise_separated(prepared)
+        or files_refusals.refusals(files_summary.columns_of(prepared), joints, prepared.lines),
         "odd": [],
         "not_checked": unknown,
     }

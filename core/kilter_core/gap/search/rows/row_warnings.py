@@ -16,36 +16,12 @@ from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_of
 from kilter_core.parameters import DEG, degrees, mm
-from kilter_core.types import Bools
 
 Warning_ = dict[str, Any]
 
 JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
-COPY = 1e-9  # m or rad: no instrument repeats itself so exactly
 BEYOND = 3.0  # times the instrument, from which repeats show that something moves
 FEWEST_AGAIN = 3  # poses visited again from which a person meant to repeat
-COARSE = 0.05  # share of equal coordinates between repeats from which the instrument rounds: equal rows prove nothing
-
-
-def identical_repeats(rows: Observations) -> Bools:
-    """Rows (N,) that repeat all that was measured in an earlier row of the same pose and conditions, to the last digit."""
-    parts = [
-        v.reshape(len(rows), -1) for v in (rows.position, rows.rotation, rows.markers, rows.link_q) if v is not None
-    ]
-    if not parts:
-        return np.zeros(len(rows), dtype=bool)
-    lattice = np.round(np.nan_to_num(np.hstack(parts), nan=-1.0) / COPY)
-    condition = rows.conditions()
-    order = np.lexsort((np.arange(len(rows)), condition))
-    pairs = condition[order][1:] == condition[order][:-1]
-    equal = lattice[order][1:][pairs] == lattice[order][:-1][pairs]
-    others = equal[~equal.all(axis=1)]
-    if len(others) and float(np.mean(others)) > COARSE:
-        return np.zeros(len(rows), dtype=bool)
-    first = np.unique(np.hstack([condition[:, None], lattice]), axis=0, return_index=True)[1]
-    again = np.ones(len(rows), dtype=bool)
-    again[first] = False
-    return again
 
 
 def clock_warnings(rows: Observations) -> Iterator[Warning_]:

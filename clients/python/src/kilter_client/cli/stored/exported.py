@@ -9,7 +9,7 @@ from kilter_client.cli.terminal.tables import show_rows
 
 STATES = {
     "known": "known", "uncertain": "not told apart from 0", "held": "not told: shared with base or tool, or not identified",
-    "unstated": "nobody says how well it is known",
+    "unstated": "nobody says how well it is known", "shared": "goes with the table's other numbers: not to be entered alone",
 }  # fmt: skip
 
 
@@ -26,7 +26,7 @@ def show(document: dict[str, Any]) -> None:
     for one in document["zero_offsets"]:
         unit = "deg" if "offset_deg" in one else "mm"
         half = one[f"half_width_{unit}"]
-        within = "–" if half is None or one["state"] == "held" else f"± {half:.2g} {unit}"
+        within = "–" if half is None or one["state"] in ("held", "shared") else f"± {half:.2g} {unit}"
         offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}", within, STATES[one["state"]]))
     show_rows(("joint", "zero offset", "95 %", "how well it is known"), offsets)
     say(document["zero_offsets_sign"])
