@@ -28,6 +28,9 @@ class Remark(Stored):
     markers: list[int] | None = Field(None, description="Numbers of the markers it is about, from 1.")
     rows: list[int] | None = Field(None, description="Rows it is about, from 1.")
     off_mm: list[Mm] | None = Field(None, description="How far each of these rows is off, mm.")
+    others_mm: Mm | None = Field(
+        None, description="How far the other rows are off at most, but for a quarter of them, mm."
+    )
     sigmas: list[float] | None = Field(
         None, description="The same of its worst coordinate, in standard deviations of what was expected there."
     )

@@ -26,7 +26,6 @@ LEAST_M = 5e-3  # what is nearer a robust loss sets aside
 MOST = 0.2  # share of the rows: more of them are not exceptions
 NEAR_M = 1e-3  # rms distance of rows among which none hides: they need no second look
 SHOWN = 5
-OTHERS = ", where the others are within "
 
 
 def astray_warnings(begin: Calibration, rows: Observations) -> Iterator[dict[str, Any]]:
@@ -39,7 +38,8 @@ def astray_warnings(begin: Calibration, rows: Observations) -> Iterator[dict[str
         if len(far) <= MOST * len(off):
             found += [(int(index[k]) + 1, float(off[k]), usual) for k in far]
     if found:
-        yield _warning(sorted(found))
+        others_mm = mm(max(usual for _, _, usual in found))
+        yield _said([(row, mm(off)) for row, off, _ in sorted(found)], others_mm)
 
 
 def renumbered(warnings: Iterable[dict[str, Any]], index: Ints) -> Iterator[dict[str, Any]]:
@@ -47,7 +47,7 @@ def renumbered(warnings: Iterable[dict[str, Any]], index: Ints) -> Iterator[dict
     for one in warnings:
         if one["code"] == ASTRAY:
             found = [(int(index[row - 1]) + 1, off) for row, off in zip(one["rows"], one["off_mm"], strict=True)]
-            yield _said(found, one["message"].rpartition(OTHERS)[2])
+            yield _said(found, one["others_mm"])
         else:
             yield one
 
@@ -66,20 +66,14 @@ def unless_astray(warnings: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]
     yield from (one for one in said if not (astray and one["code"] == "large_residual"))
 
 
-def _warning(found: list[tuple[int, float, float]]) -> dict[str, Any]:
-    others = (
-        f"{mm(max(usual for _, _, usual in found)):.2g} mm. No arm does that: a reading that was not taken (zeros), the "
-        "position of another pose, or joints of another. Leave these rows out of the file and upload it again."
-    )
-    return _said([(row, mm(off)) for row, off, _ in found], others)
-
-
-def _said(found: list[tuple[int, float]], others: str) -> dict[str, Any]:
+def _said(found: list[tuple[int, float]], others_mm: float) -> dict[str, Any]:
     shown = ", ".join(f"row {row} by {off:.3g} mm" for row, off in found[:SHOWN])
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
     return {
-        "code": ASTRAY, "rows": [row for row, _ in found], "off_mm": [off for _, off in found],
-        "message": f"The tool is not where the joints put it in {shown}{more}{OTHERS}{others}",
+        "code": ASTRAY, "rows": [row for row, _ in found], "off_mm": [off for _, off in found], "others_mm": others_mm,
+        "message": f"The tool is not where the joints put it in {shown}{more}, where the others are within {others_mm:.2g} mm. "
+        "No arm does that: a reading that was not taken (zeros), the position of another pose, or joints of another. Leave these "
+        "rows out of the file and upload it again.",
     }  # fmt: skip
 
 

@@ -211,6 +211,8 @@ class Remark(Record):
     """What is the matter, and what helps."""
     off_mm: tuple[float, ...]
     """How far each of these rows is off, mm."""
+    others_mm: float | None
+    """How far the other rows are off at most, but for a quarter of them, mm."""
     quantity: str | None
     """Which errors were compared: `mean by pose` or `rms by pose`."""
     ratio: float | None
