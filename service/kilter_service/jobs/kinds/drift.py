@@ -119,7 +119,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     return {
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
         "agreed_at": None if job.fit.agreed_at is None else job.fit.agreed_at.isoformat(),
-        "remedy": wire.remedy(found), "causes": [documents[one.cause.name] for one in found.causes],
+        "remedy": wire.remedy(found, calibration_of(job).names), "causes": [documents[one.cause.name] for one in found.causes],
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),

@@ -36,15 +36,13 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     progress(0.5, "predicting")
     options: RezeroOptions = job.options
     ((campaign, rows),) = job.campaigns.items()
-    judged = {one.cause: one for one in found.before.judged}
-    changed = [judged[cause] for cause in found.causes]
     report = _report(job, found)
     said = wire.rezero_sentence(found, job.version_id or "", len(rows), job.names.get(campaign, campaign))
     remark = {"code": REZEROED, "message": said, "campaigns": [campaign]}
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]
     result = {
-        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in changed],
+        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in found.changed],
         "parameters": own, "p_before": found.before.p_value, "p_after": found.after.p_value,
         "metrics": report["metrics"], "warnings": [],
     }  # fmt: skip

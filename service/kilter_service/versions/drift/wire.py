@@ -35,6 +35,15 @@ MOVED = (
     "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
     "corrects an arm that is no longer there."
 )
+INSTRUMENT = (
+    "No parameter of the arm is such a change, and nothing can be re-zeroed. Check the instrument with a known length (its "
+    "unit, its refractive index), and whether the arm is as warm as when the version was measured; state temperature_c of both."
+)
+NO_NUMBER = (
+    "Repair it and check again. The version has no number for it that a re-zeroing could change: identify one anew with "
+    "axial_compliance at that joint. Look first whether the rows carried the payload that was stated."
+)
+LOADED = "Where the rows carried another payload than was stated, state it (payload_kg) and check again. Else: "
 ANEW = {
     "base": "Where the instrument was set up anew, check again and say so (--new-setup base). Else: ",
     "tool": "Where another tool was mounted, check again and say so (--new-setup base,tool). Else: ",
@@ -123,8 +132,7 @@ def chance_words(p_value: float, digits: int = 1) -> str:
 
 def rezero_sentence(found: Rezeroed, start: str, rows: int, campaign: str) -> str:
     """Return what was changed in a version, by how many rows of which campaign."""
-    judged = {one.cause: one for one in found.before.judged}
-    changes = " and ".join(by_how_much(judged[cause]) for cause in found.causes)
+    changes = " and ".join(by_how_much(one) for one in found.changed)
     return (
         f"Version {start} re-zeroed: {changes}; everything else is as it was identified. The {rows} rows of {campaign} were "
         "used for that, so errors on them flatter: rows measured from now on say how good it is."
@@ -154,12 +162,12 @@ def joined_by_or(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
-def remedy(found: Check) -> str | None:
-    """Return what to do about a verdict, or what would settle it."""
+def remedy(found: Check, names: Sequence[str] = ()) -> str | None:
+    """Return what to do about a verdict, or what would settle it; ``names`` are the parameters of the version."""
     if found.verdict == "ok":
         return None
     if found.verdict == "moved":
-        return ANEW.get(found.causes[0].cause.kind, "") + MOVED
+        return _repair(found.causes[0].cause, names)
     if not found.causes:
         return SEARCH
     kinds = {one.cause.kind: one.cause for one in found.causes}
@@ -169,6 +177,14 @@ def remedy(found: Check) -> str | None:
     if "tool" in kinds and zeros:
         return MASTERING.format(joint=zeros[0], place="the bolts of the tool", thing="the flange")
     return MORE_POSES
+
+
+def _repair(cause: Cause, names: Sequence[str]) -> str:
+    if cause.kind == "scale":
+        return INSTRUMENT
+    if cause.kind == "sag":
+        return LOADED + MOVED if f"compliance_{cause.joint}" in names else NO_NUMBER
+    return ANEW.get(cause.kind, "") + MOVED
 
 
 def faint_sentence(one: Faint) -> str:
