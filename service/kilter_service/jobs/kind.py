@@ -14,6 +14,7 @@ from kilter_service.ground.settings import Queue
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from kilter_service.versions.drift.records import StoredCheck
 
     from kilter_core.arm.robot import Robot
     from kilter_core.identify.fleet.versions import FleetVersion
@@ -37,13 +38,13 @@ class Dates:
 @dataclass(frozen=True)
 class FitOfVersion:
     """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
-    and which campaigns of the job have rows of it. ``agreed_at`` is when a check last agreed with it, None: never.
+    and which campaigns of the job have rows of it. ``agreeing`` are checks that agreed with it, measured before the job's rows.
     ``fitted`` counts by campaign the rows that were fitted, whatever file they came in.
     """
 
     temperatures_c: tuple[float, float] | None = None
     shared: tuple[str, ...] = ()
-    agreed_at: datetime | None = None
+    agreeing: tuple[StoredCheck, ...] = ()
     fitted: Mapping[str, int] = field(default_factory=dict)
     dates: Dates = field(default_factory=Dates)
 

@@ -13,6 +13,7 @@ from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
 from kilter_service.versions.drift import wire
+from kilter_service.versions.drift.since import last_otherwise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -116,10 +117,12 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     # How far balls in a socket are from each other is not an error of the tool: it lacks what moves all of them alike.
     measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
+    causes = [documents[one.cause.name] for one in found.causes]
+    since = last_otherwise(causes, to_mm(found.noise), found.poses, job.fit.agreeing)
     return {
-        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
-        "agreed_at": None if job.fit.agreed_at is None else job.fit.agreed_at.isoformat(),
-        "remedy": wire.remedy(found, calibration_of(job).names), "causes": [documents[one.cause.name] for one in found.causes],
+        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since),
+        "agreed_at": None if since is None else since.isoformat(),
+        "remedy": wire.remedy(found, calibration_of(job).names), "causes": causes,
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
