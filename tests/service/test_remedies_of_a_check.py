@@ -53,7 +53,7 @@ def test_a_frame_that_moved_may_have_been_set_up_anew(moved: Literal["base", "to
 def test_no_remedy_asks_for_a_version_that_a_re_zeroing_refuses(
     cause: Cause, names: tuple[str, ...], said: str, unsaid: str
 ) -> None:
-    one = Judged(cause, 90.0, 1, 20.0, np.ones(1), np.ones(1), np.zeros(0), False, np.ones(1))
+    one = Judged(cause, 90.0, 1, 20.0, np.ones(1), np.ones(1), np.zeros(0), False, np.ones(1), np.ones(1))
     told = wire.remedy(Check("moved", (one,), (one,), 1e-9, 99.0, 18, 6, 1e-4, 5e-5, {}, (), ()), names)
     assert told is not None
     assert said in told

@@ -14,7 +14,6 @@ from kilter_service.ground.settings import Queue
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from kilter_service.versions.drift.records import StoredCheck
 
     from kilter_core.arm.robot import Robot
     from kilter_core.identify.fleet.versions import FleetVersion
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from kilter_service.contract.instruments import Instrument
     from kilter_service.contract.remarks import Remark
     from kilter_service.jobs.job_preview import JobPreview
+    from kilter_service.versions.drift.records import StoredCheck
 
 
 @dataclass(frozen=True)

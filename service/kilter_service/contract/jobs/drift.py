@@ -40,6 +40,10 @@ class ChangedNumber(Stored):
         None,
         description="The change by weights that no temperature changes: what control charts sum. Null: stored without.",
     )
+    summed_u95: float | None = Field(
+        None,
+        description="Half width of the 95 % interval of that: how much it counts. Null: stored without, or not shown.",
+    )
 
 
 class DriftCause(Stored):

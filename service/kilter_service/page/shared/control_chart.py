@@ -13,7 +13,7 @@ from kilter_service.ground.texts import plural
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
 from kilter_service.page.words import moment, number
-from kilter_service.versions.drift.charts import height
+from kilter_service.versions.drift.charts import height, last_value
 from kilter_service.versions.drift.wire import chance_words
 from kilter_service.versions.today.sentences import ago
 
@@ -138,7 +138,7 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     days = [
         _day(one.at)
         for one in found.history
-        if one.version_id == found.version_id and (found.repaired_at is None or one.at >= found.repaired_at)
+        if one.whole and one.version_id == found.version_id and (found.repaired_at is None or one.at >= found.repaired_at)
     ]
     highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
     drawn = Plot(
@@ -207,7 +207,7 @@ def _chance(one: CheckOfRobot) -> str:
 def _sums_table(charts: Sequence[ControlChart]) -> tuple[list[str], list[list[str]]]:
     rows = [
         [
-            one.words, f"{number(one.values[-1])} {one.unit}", f"{number(one.scatter)} {one.unit}",
+            one.words, f"{number(last_value(one))} {one.unit}", f"{number(one.scatter)} {one.unit}",
             number(height(one)), "" if one.since is None else f"{one.since:%Y-%m-%d}",
         ]
         for one in charts

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from kilter_core.watch.poses import Faint
 
 PPM = 1e6
+QUANTILE = 1.959963984540054  # of a 95 % interval (kilter_core.types, which loads numpy)
 LEAST_CHANCE = 1e-300
 ZERO, SLIDE = math.radians(0.03), 5e-5  # steps that a check should show (kilter_core.watch.poses, which loads scipy)
 FRAME = ("x", "y", "z", "rx", "ry", "rz")
@@ -87,11 +88,12 @@ def cause_document(one: Judged) -> dict[str, Any]:
     """Return a cause as the contract has it."""
     names = FRAME if one.cause.frame else ("value",)
     numbers = []
-    for place, (name, change, sigma, summed) in enumerate(zip(names, one.change, one.u95, one.summed, strict=True)):
+    told = zip(names, one.change, one.u95, one.summed, QUANTILE * one.summed_sigma, strict=True)
+    for place, (name, change, half, summed, half_summed) in enumerate(told):
         unit, factor = unit_of(one.cause, place)
-        u95 = float(sigma * factor) if np.isfinite(sigma) else None
+        u95, summed_u95 = (float(value * factor) if np.isfinite(value) else None for value in (half, half_summed))
         number = {"name": name, "unit": unit, "change": float(change * factor), "u95": u95}
-        numbers.append({**number, "summed": float(summed * factor)})
+        numbers.append({**number, "summed": float(summed * factor), "summed_u95": summed_u95})
     return {
         "name": one.cause.name, "kind": one.cause.kind, "joint": one.cause.joint, "words": cause_words(one.cause),
         "numbers": numbers, "gain": one.gain, "bic": one.bic, "refuted": one.refuted,
@@ -109,7 +111,23 @@ def smallest_documents(found: Check) -> list[dict[str, Any]]:
 
 
 def sentence(found: Check, agreed_at: datetime | None = None) -> str:
-    """Return the verdict in one sentence."""
+    """Return the verdict in one sentence, and another one on what could not be seen."""
+    return _verdict(found, agreed_at) + _limited(found)
+
+
+def _limited(found: Check) -> str:
+    """What a check did not see because frames were fitted first, or nobody measured a place; empty of any other."""
+    unseen = ", ".join(cause_words(one) for one in found.unseen)
+    if found.joint_log:
+        return f" A joint log alone does not show: {unseen}."
+    if not found.new_setup:
+        return ""
+    frames = " and ".join(found.new_setup)
+    alike = f" ({unseen})" if unseen else ""
+    return f" This is with {frames} set up anew: what looks like that is not seen{alike}."
+
+
+def _verdict(found: Check, agreed_at: datetime | None) -> str:
     if found.verdict == "ok":
         return (
             f"ok: {found.poses} poses agree with the version; measured and predicted are {to_mm(found.misfit):.3g} "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -51,7 +51,7 @@ def show_history(found: Mapping[str, Any]) -> None:
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
         (
-            one["words"], f"{number(one['values'][-1], 3)} {one['unit']}", number(one["scatter"], 2),
+            one["words"], f"{number(_last(one['values']), 3)} {one['unit']}", number(one["scatter"], 2),
             f"{number(_height(one), 2)} of {number(one['limit'], 2)}", str(one["since"] or "")[:10],
         )
         for one in charts
@@ -64,6 +64,11 @@ def show_history(found: Mapping[str, Any]) -> None:
 
 def _said_of_mark(one: Mapping[str, Any]) -> str:
     return f"{one['note']} ({one['repair_id']})" if one.get("repair_id") else str(one["version_id"])
+
+
+def _last(values: Sequence[float | None]) -> float:
+    """The number of the last check that shows it."""
+    return next((value for value in reversed(values) if value is not None), 0.0)
 
 
 def _height(chart: Mapping[str, Any]) -> float:
