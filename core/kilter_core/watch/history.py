@@ -162,7 +162,7 @@ def _scales(count: int, deviations: Floats | None) -> Floats:
     if deviations is None or not (np.isfinite(deviations) & (deviations > 0.0)).all():
         return np.ones(count)
     before = [float(np.quantile(deviations[: n + 1], 0.5, method="lower")) for n in range(count)]
-    return np.maximum(deviations, np.array(before)) / deviations.min(initial=np.inf)
+    return np.asarray(np.maximum(deviations, np.array(before)) / deviations.min(initial=np.inf))
 
 
 def _design(count: int, temperature_c: Floats | None) -> Floats:

@@ -60,8 +60,8 @@ class Rezeroed:
             first, change = own.stop, self.change[own]
             sigma = np.where(self.sigma[own] > 0.0, self.sigma[own], np.inf)
             size_sigma = _of_sizes(change, self.together[own, own]) if cause.frame else np.zeros(0)
-            own_sums = {"summed": change, "summed_sigma": sigma}
-            out.append(replace(judged[cause], change=change, sigma=sigma, size_sigma=size_sigma, **own_sums))
+            told = replace(judged[cause], change=change, sigma=sigma, size_sigma=size_sigma)
+            out.append(replace(told, summed=change, summed_sigma=sigma))
         return tuple(out)
 
 

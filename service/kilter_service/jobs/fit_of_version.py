@@ -34,13 +34,23 @@ def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion
         max((at for at in (_stated(session, one) for one, _ in trained) if at is not None), default=None),
     )
     agreeing = tuple(one for one in good if dates.rows is None or one.at <= dates.rows)
-    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreeing, fitted, dates)
+    temperatures = (min(seen), max(seen)) if seen else None
+    used = frozenset(name for name in (_instrument(session, one) for one, _ in trained) if name is not None)
+    return FitOfVersion(temperatures, tuple(shared), agreeing, fitted, dates, used)
 
 
 def _stated(session: Session, campaign: str) -> datetime | None:
     """When a campaign was measured, as somebody stated; None: nobody did, or it was purged."""
     try:
         return campaigns.get(session, campaign).measured_at
+    except ServiceError:
+        return None
+
+
+def _instrument(session: Session, campaign: str) -> str | None:
+    """What a campaign was measured with; None: it does not say, or was purged."""
+    try:
+        return campaigns.get(session, campaign).instrument
     except ServiceError:
         return None
 

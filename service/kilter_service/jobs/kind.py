@@ -39,7 +39,8 @@ class Dates:
 class FitOfVersion:
     """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
     and which campaigns of the job have rows of it. ``agreeing`` are checks that agreed with it, measured before the job's rows.
-    ``fitted`` counts by campaign the rows that were fitted, whatever file they came in.
+    ``fitted`` counts by campaign the rows that were fitted, whatever file they came in. ``instruments`` are the names of those
+    that measured its rows, as far as campaigns name one.
     """
 
     temperatures_c: tuple[float, float] | None = None
@@ -47,6 +48,7 @@ class FitOfVersion:
     agreeing: tuple[StoredCheck, ...] = ()
     fitted: Mapping[str, int] = field(default_factory=dict)
     dates: Dates = field(default_factory=Dates)
+    instruments: frozenset[str] = frozenset()
 
 
 Progress = Callable[[float, str], None]

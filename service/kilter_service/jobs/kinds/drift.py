@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
-from kilter_service.ground.wire import to_metres_if_known, to_mm
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.other_instrument import counted_noise, remark
 from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
@@ -60,7 +61,7 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     """Return what the core says of the rows."""
     options: DriftOptions = job.options
     calibration = calibration_of(job)
-    noise = to_metres_if_known(options.noise_mm)
+    noise = counted_noise(job, known)
     return core_watch_check.check(
         calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
     )
@@ -131,9 +132,16 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,
         "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
-        "fitted_c": job.fit.temperatures_c, "warnings": list(_of_dates(job)), "refit": list(found.new_setup),
+        "fitted_c": job.fit.temperatures_c, "warnings": list(_warnings(job, known)), "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},
     }  # fmt: skip
+
+
+def _warnings(job: JobInput, known: Predictive) -> Iterator[dict[str, Any]]:
+    yield from _of_dates(job)
+    other = remark(job, known)
+    if other is not None:
+        yield other
 
 
 def _of_dates(job: JobInput) -> Iterator[dict[str, Any]]:

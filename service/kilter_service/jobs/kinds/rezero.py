@@ -9,8 +9,8 @@ import numpy as np
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
-from kilter_service.ground.wire import to_metres_if_known
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.other_instrument import counted_noise
 from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -63,7 +63,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 def _found(job: JobInput) -> Rezeroed:
     options: RezeroOptions = job.options
     rows, known = rows_of(job), known_of(job)
-    noise = to_metres_if_known(options.noise_mm)
+    noise = counted_noise(job, known)
     return core_watch.rezero(
         calibration_of(job), rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c
     )
