@@ -73,8 +73,8 @@ def alarm_limit(charts: int, checks: float = RUN_LENGTH) -> float:
 def chart(values: Floats, limit: float, temperature_c: Floats | None = None, deviations: Floats | None = None) -> Chart:
     """Chart of a number (N,) over checks, oldest first, with the standard deviation that each has by itself, if known.
 
-    What is beyond the limit is compared with the ``KNOWN`` checks or more before it, and not learned from: an arm that has moved and stays there
-    would be as it always was after some hundred checks.
+    What is beyond the limit is compared with the ``KNOWN`` checks or more before it, and not learned from: an arm that has
+    moved and stays there would be as it always was after some hundred checks.
     """
     X, own = _weighted(values, temperature_c, deviations)
     before, z = _Before(X.shape[1]), np.full(len(own), np.nan)
