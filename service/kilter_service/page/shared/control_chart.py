@@ -138,7 +138,9 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     days = [
         _day(one.at)
         for one in found.history
-        if one.whole and one.version_id == found.version_id and (found.repaired_at is None or one.at >= found.repaired_at)
+        if one.whole
+        and one.version_id == found.version_id
+        and (found.repaired_at is None or one.at >= found.repaired_at)
     ]
     highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
     drawn = Plot(
