@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
@@ -67,6 +70,19 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     )
 
 
+def _warmer(job: JobInput, rows: Observations, known: Predictive, found: Check) -> bool:
+    """Whether an arm that is ``WARMER_K`` warmer than at its fit shows as much, where nobody can tell that it is not."""
+    calibration, fitted = calibration_of(job), job.fit.temperatures_c
+    stated = fitted is not None and rows.temperature_c is not None
+    if found.verdict == "ok" or found.joint_log or stated or "temperature_c" in calibration.model.needs:
+        return False
+    warm = replace(rows, temperature_c=np.full(len(rows), wire.WARMER_K))
+    again = core_watch_check.check(
+        calibration, warm, known, noise=counted_noise(job, known), new_setup=found.new_setup, fitted_c=(0.0, 0.0)
+    )
+    return bool(again.verdict == "ok")
+
+
 def rows_of(job: JobInput) -> Observations:
     """The rows of the one campaign.
 
@@ -119,11 +135,12 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     causes = [documents[one.cause.name] for one in found.causes]
+    warmer = _warmer(job, rows, known, found)
     since = last_otherwise(causes, to_mm(found.noise), found.poses, job.fit.agreeing)
     return {
-        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since),
+        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since, warmer=warmer),
         "agreed_at": None if since is None else since.isoformat(),
-        "remedy": wire.remedy(found, calibration_of(job).names), "causes": causes,
+        "remedy": wire.remedy(found, calibration_of(job).names, warmer=warmer), "causes": causes,
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),

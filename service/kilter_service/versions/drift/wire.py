@@ -36,6 +36,11 @@ MOVED = (
     "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
     "corrects an arm that is no longer there."
 )
+WARMER_K = 10.0  # between an arm in the morning and one that has worked in summer
+WARM = (
+    f" An arm {WARMER_K:g} K warmer or colder than at its fit may show as much, too: nobody stated both temperatures."
+)
+STATE_WARMTH = "State temperature_c of these rows and of those of the fit, and check again. Else: "
 INSTRUMENT = (
     "No parameter of the arm is such a change, and nothing can be re-zeroed. Check the instrument with a known length (its "
     "unit, its refractive index), and whether the arm is as warm as when the version was measured; state temperature_c of both."
@@ -110,9 +115,9 @@ def smallest_documents(found: Check) -> list[dict[str, Any]]:
     return out
 
 
-def sentence(found: Check, agreed_at: datetime | None = None) -> str:
-    """Return the verdict in one sentence, and another one on what could not be seen."""
-    return _verdict(found, agreed_at) + _limited(found)
+def sentence(found: Check, agreed_at: datetime | None = None, *, warmer: bool = False) -> str:
+    """Return the verdict in one sentence, and others on what could not be seen; ``warmer``: warmth would explain it, too."""
+    return _verdict(found, agreed_at) + (WARM if warmer else "") + _limited(found)
 
 
 def _limited(found: Check) -> str:
@@ -180,8 +185,13 @@ def joined_by_or(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
-def remedy(found: Check, names: Sequence[str] = ()) -> str | None:
+def remedy(found: Check, names: Sequence[str] = (), *, warmer: bool = False) -> str | None:
     """Return what to do about a verdict, or what would settle it; ``names`` are the parameters of the version."""
+    said = _remedy(found, names)
+    return STATE_WARMTH + said if warmer and said else said
+
+
+def _remedy(found: Check, names: Sequence[str]) -> str | None:
     if found.verdict == "ok":
         return None
     if found.verdict == "moved":
