@@ -40,6 +40,11 @@ def test_an_arm_whose_instrument_is_set_up_each_day_is_checked(client: httpx.Cli
     assert client.get("/v1/drift").json()["robots"][0]["state"] == "moved"
     assert 'verdict="moved"} 1.0' in client.get("/metrics").text
     assert client.get("/robots/anew").raise_for_status().text.count("This is with base set up anew") >= 1
+    text = client.get("/robots/anew").text
+    assert "ok, by rows that do not show every cause" in text
+    for day in range(2):  # nothing but such checks: no sum begins with the fourth
+        client.post(f"/v1/campaigns/{found['history'][day]['campaign_id']}/retire").raise_for_status()
+    assert "No sums: with frames set up anew" in client.get("/robots/anew").text
 
 
 def test_the_list_of_all_robots_sums_as_many_checks_as_the_page_of_one(

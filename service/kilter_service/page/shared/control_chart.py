@@ -30,6 +30,10 @@ LOOKS: dict[State, tuple[str, str]] = {
     "never": ("not checked", "faint"),
 }
 VERDICTS = (("ok", "ok", 0), ("moved", "moved", 4), ("cannot_tell", "cannot tell", 5))
+NEVER_SUMMED = (
+    "No sums: with frames set up anew, or by a joint log alone, a check does not show every cause, and what creeps is not "
+    "seen. Leave the instrument where it stands for some checks."
+)
 MARKS = ("activated", "re-zeroed", "rolled back", "repaired", "repair")
 
 
@@ -49,6 +53,14 @@ class Watched:
     def badge(self) -> tuple[str, str]:
         """How the robot stands as words of a badge, and its look."""
         return LOOKS[self.found.state]
+
+    @property
+    def no_sums(self) -> str:
+        """Why there are none yet, or never will be."""
+        own = [one for one in self.found.history if one.version_id == self.found.version_id]
+        if own and not any(one.whole for one in own):
+            return NEVER_SUMMED
+        return "The sums over many checks begin with the fourth that agrees."
 
     @property
     def standing(self) -> str:
@@ -199,7 +211,9 @@ def _table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
 
 
 def _words(one: CheckOfRobot) -> str:
-    return one.sentence if one.verdict != "ok" else "ok"
+    if one.verdict != "ok":
+        return one.sentence
+    return "ok" if one.whole else "ok, by rows that do not show every cause"
 
 
 def _chance(one: CheckOfRobot) -> str:

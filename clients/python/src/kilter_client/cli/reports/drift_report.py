@@ -10,6 +10,10 @@ from kilter_client.cli.terminal.output import say
 from kilter_client.cli.terminal.tables import number, show_rows
 
 EXIT_CODES = {"ok": 0, "moved": 3, "cannot_tell": 4}
+NEVER_SUMMED = (
+    "No sums: with frames set up anew, or by a joint log alone, a check does not show every cause, and what creeps is not "
+    "seen. Leave the instrument where it stands for some checks."
+)
 LISTED = 6  # causes of a table, the best first
 
 
@@ -59,7 +63,8 @@ def show_history(found: Mapping[str, Any]) -> None:
     if rows:
         show_rows(("chart", "last", "scatter", "sum", "since"), rows)
     elif found["checks"]:
-        say("The sums over many checks begin with the fourth that agrees.")
+        whole = any(one["whole"] for one in found["history"] if one["version_id"] == found["version_id"])
+        say("The sums over many checks begin with the fourth that agrees." if whole else NEVER_SUMMED)
 
 
 def _said_of_mark(one: Mapping[str, Any]) -> str:
