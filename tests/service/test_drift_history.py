@@ -134,17 +134,18 @@ def test_a_date_that_was_set_back_changes_the_order_and_nothing_else(
     watched.done("drift", [anew], new_setup=["base"])
     found = watched.history()
     assert watched.history()["charts"] == found["charts"]
-    assert [one["at"][:10] for one in found["history"]] == ["2026-09-04", "2026-09-06"]
-    assert found["last"]["campaign_id"] == campaign
+    told = [(one["at"][:10], one["whole"]) for one in found["history"]]
+    assert told == [("2026-09-04", True), ("2026-09-06", True), ("2026-09-07", False)]
+    assert found["last"]["campaign_id"] == anew
 
     # The same rows under another date are one check, the one that was made last; retired, it is as if it had not been made.
     copy = watched.sent(arm, 6, 1001, DAY - timedelta(days=9))
     assert copy != campaign
     warned = [one["code"] for one in watched.done("drift", [copy])["warnings"] if one["code"].startswith("dated")]
     assert warned == ["dated_before_last_check", "dated_before_fit"]
-    assert [one["at"][:10] for one in watched.history()["history"]] == ["2026-08-23", "2026-09-04"]
+    assert [one["at"][:10] for one in watched.history()["history"]] == ["2026-08-23", "2026-09-04", "2026-09-07"]
     client.post(f"/v1/campaigns/{copy}/retire").raise_for_status()
-    assert [one["at"][:10] for one in watched.history()["history"]] == ["2026-09-04", "2026-09-06"]
+    assert [one["at"][:10] for one in watched.history()["history"]] == ["2026-09-04", "2026-09-06", "2026-09-07"]
 
 
 def test_the_number_of_today_is_that_of_the_newest_check(
@@ -254,6 +255,33 @@ def test_charts_sum_what_was_stored_to_be_summed_and_mix_it_with_nothing_else() 
     assert charts_of(made([None, 4.0, 5.0]))[0].values == pytest.approx(
         [0.0, 0.1, 0.2]
     )  # the first of an earlier release
+
+
+def test_one_check_that_shows_less_or_states_no_temperature_ends_no_chart() -> None:
+    """A season without its temperature is a drift; a chart of all checks but one is a chart."""
+
+    def made(temperatures: list[float | None], without: int | None = None) -> list[StoredCheck]:
+        rng, out = np.random.default_rng(4), []
+        for day, felt in enumerate(temperatures):
+            season = 23.0 + 8.0 * np.sin(2.0 * np.pi * day / 250.0)
+            change = 0.5 * season + float(rng.normal(0.0, 0.3))
+            number = {"name": "value", "unit": "deg", "u95": None if day == without else 0.6, "change": change}
+            looked = [{"name": "zero_1", "words": "zero of joint 1", "numbers": [{**number, "summed": change}]}]
+            at = DAY + timedelta(days=day)
+            result = {"verdict": "ok", "looked_at": looked, "temperature_c": None if felt is None else season}
+            out.append(StoredCheck(f"job_{day}", "cmp", at, result))
+        return out
+
+    (season,) = charts_of(made([0.0] * 120))
+    assert not season.alarms
+    (one_missing,) = charts_of(made([*[0.0] * 60, None, *[0.0] * 59]))
+    assert not one_missing.alarms
+    assert one_missing.up[60] is None
+    assert charts_of(made([None] * 120))[0].alarms
+    (one_shows_less,) = charts_of(made([0.0] * 120, without=70))
+    assert (one_shows_less.values[70], one_shows_less.up[70]) == (None, None)
+    assert one_shows_less.up[71] is not None
+    assert max(one for one in one_shows_less.up if one is not None) < one_shows_less.limit
 
 
 def test_a_chance_that_no_number_holds_is_not_nothing() -> None:

@@ -13,6 +13,7 @@ import httpx
 import pytest
 from sqlalchemy import update
 
+from kilter_service.contract.drift import CheckOfRobot, DriftSummary
 from kilter_service.contract.today import Today
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import HeartbeatRow
@@ -82,6 +83,18 @@ def test_a_good_number_does_not_hide_a_stream_that_is_not_corrected_with_it(
     told = {"robot": robot, "version_id": version, "stream": "a", "at_ns": time.time_ns() - int(ago_s * 1e9)}
     seen = Corrector(True, "alive", [told]).of("arm", "ver_1")
     assert state_of(today, GOOD, None, seen).word == word
+
+
+def test_the_state_says_when_the_checks_were_that_agree() -> None:
+    at = datetime(2026, 5, 1, 7, 0, tzinfo=UTC)
+    last = CheckOfRobot(job_id="job_1", campaign_id="cmp_1", version_id="ver_1", at=at, verdict="ok", sentence="ok: as it was.",
+                        p_value=0.5, temperature_c=None)  # fmt: skip
+    drift = DriftSummary(
+        robot="arm", state="ok", version_id="ver_1", sentence=last.sentence, checks=9, last=last, age_days=200
+    )
+    today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
+    found = state_of(today, GOOD, drift, Corrector(True, "alive", []).of("arm", "ver_1"))
+    assert found.sentence == "Its checks agree with the active version, last on 2026-05-01, 200 days ago."
 
 
 @pytest.mark.parametrize("compensation", ["factory", "kilter"])

@@ -49,6 +49,7 @@ class Judged:
 
     ``summed (K,)`` is the change by weights that do not depend on the temperature of the rows. What is compared over many days
     has to hold the errors of the version in the same proportion each day, and the allowance for expansion changes that.
+    ``summed_sigma (K,)`` are its standard deviations.
     """
 
     cause: Cause
@@ -60,6 +61,7 @@ class Judged:
     size_sigma: Floats
     refuted: bool
     summed: Floats
+    summed_sigma: Floats
 
     @property
     def u95(self) -> Floats:
@@ -259,16 +261,19 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
         change, refuted = one.change(r), _refuted(linear, one, best, REFUTED / len(linear.columns))
         sizes = one.size_deviations(change)
         gain = _gain(r, one.span)
-        found.append(
-            Judged(one.cause, gain, one.span.shape[1], value, change, one.deviations(), sizes, refuted, change)
-        )
+        sigma = one.deviations()
+        found.append(Judged(one.cause, gain, one.span.shape[1], value, change, sigma, sizes, refuted, change, sigma))
     return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
 
 
 def _summed(judged: Sequence[Judged], plain: _Linear) -> tuple[Judged, ...]:
     """All causes with their changes as ``plain``, the problem without an allowance for expansion, has them."""
-    changes = {one.cause: one.change(plain.r) for one in plain.columns}
-    return tuple(replace(one, summed=changes.get(one.cause, one.change)) for one in judged)
+    by_cause = {one.cause: (one.change(plain.r), one.deviations()) for one in plain.columns}
+    return tuple(
+        replace(one, summed=summed, summed_sigma=sigma)
+        for one in judged
+        for summed, sigma in (by_cause.get(one.cause, (one.change, one.sigma)),)
+    )
 
 
 def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bool:

@@ -2,8 +2,9 @@
 
 The version is off by the same amount in every check, and the set-up scatters by more than the instrument: neither is known
 beforehand. So each check is compared with those before it alone, as a recursive residual of a regression on a constant and,
-where it was measured, on the temperature; by Student's t it becomes a standard normal number, independent of the earlier ones
-as long as nothing changes. Whatever the first checks scatter by, the sums then alarm as rarely as they should.
+where it was measured, on the temperature, each weighted by how well its rows tell the number. By Student's t it becomes a
+standard normal number, independent of the earlier ones as long as nothing changes. Whatever the first checks scatter by, the
+sums then alarm as rarely as they should.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ RUN_LENGTH = 1000  # checks between two false alarms of all charts together
 RECROSSED = 1.4
 ALLOWANCE = 0.5  # standard deviations of a check that a sum forgets each time
 CORRECTION = 1.166  # of the boundary for sums that are looked at check by check (Siegmund)
+HIGHEST = 2.0  # limits that a sum may reach: an arm that is as before again is told so after some twenty checks
 LARGEST = 8.0  # standard deviations that a single check may count
 SCATTER = 2  # checks beyond the regression before there is a scatter to compare with
+KNOWN = 20  # checks that tell well enough how an arm was: fewer learn from all, or a false alarm would stay
 DEPENDENT = 1e-9  # determinant over the product of the diagonal below which temperatures were all alike so far
 VARIED_K = 1.0  # range of temperatures that is worth a slope
 
@@ -67,25 +70,36 @@ def alarm_limit(charts: int, checks: float = RUN_LENGTH) -> float:
     return limit_of(charts, RECROSSED * checks)
 
 
-def chart(values: Floats, limit: float, temperature_c: Floats | None = None) -> Chart:
-    """Chart of a number (N,) over checks, oldest first."""
-    z = standardised(values, temperature_c)
-    up, down = np.full(len(z), np.nan), np.full(len(z), np.nan)
+def chart(values: Floats, limit: float, temperature_c: Floats | None = None, deviations: Floats | None = None) -> Chart:
+    """Chart of a number (N,) over checks, oldest first, with the standard deviation that each has by itself, if known.
+
+    What is beyond the limit is compared with the ``KNOWN`` checks or more before it, and not learned from: an arm that has
+    moved and stays there would be as it always was after some hundred checks.
+    """
+    X, own = _weighted(values, temperature_c, deviations)
+    before, z = _Before(X.shape[1]), np.full(len(own), np.nan)
+    up, down = np.full(len(own), np.nan), np.full(len(own), np.nan)
     high = low = 0.0
     begun = {True: 0, False: 0}
     since: int | None = None
-    for k, step in enumerate(z):
-        if np.isnan(step):
-            continue
-        if high == 0.0:
-            begun[True] = k
-        if low == 0.0:
-            begun[False] = k
-        high, low = max(0.0, high + step - ALLOWANCE), max(0.0, low - step - ALLOWANCE)
-        up[k], down[k] = high, low
-        since = _changed_at(z[: k + 1], begun[high >= low]) if max(high, low) > limit else None
+    for k, (x, value) in enumerate(zip(X, own, strict=True)):
+        z[k], residual = before.step(x, value)
+        if not np.isnan(z[k]):
+            if high == 0.0:
+                begun[True] = k
+            if low == 0.0:
+                begun[False] = k
+            high, low = (_summed(before_it, step, limit) for before_it, step in ((high, z[k]), (low, -z[k])))
+            up[k], down[k] = high, low
+            since = _changed_at(z[: k + 1], begun[high >= low]) if max(high, low) > limit else None
+        if since is None or before.count < KNOWN:
+            before.learn(x, value, residual)
     scatter = float(np.std(values, ddof=1)) if len(values) > SCATTER else float("nan")
     return Chart(up, down, limit, since, scatter)
+
+
+def _summed(sum_: float, step: float, limit: float) -> float:
+    return float(min(HIGHEST * limit, max(0.0, sum_ + step - ALLOWANCE)))
 
 
 def _changed_at(z: Floats, begun: int) -> int:
@@ -95,22 +109,60 @@ def _changed_at(z: Floats, begun: int) -> int:
     return begun + len(tail) - 1 - int(together.argmax())
 
 
-def standardised(values: Floats, temperature_c: Floats | None = None) -> Floats:
-    """Each value (N,) against those before it as a standard normal number; NaN as long as they do not tell their scatter."""
-    X = _design(len(values), temperature_c)
-    p = X.shape[1]
-    out, squares, freedom = np.full(len(values), np.nan), 0.0, 0
-    G, b = np.zeros((p, p)), np.zeros(p)
-    for n, (x, value) in enumerate(zip(X, values, strict=True)):
-        if n >= p and np.linalg.det(G) > DEPENDENT * np.prod(np.diag(G)):
-            inverse = np.linalg.inv(G)
-            residual = (value - x @ inverse @ b) / np.sqrt(1.0 + x @ inverse @ x)
-            if freedom >= SCATTER and squares > 0.0:
-                t = float(residual / np.sqrt(squares / freedom))
-                out[n] = np.clip(-ndtri(stdtr(freedom, -abs(t))) * np.sign(t), -LARGEST, LARGEST)
-            squares, freedom = squares + residual**2, freedom + 1
-        G, b = G + np.outer(x, x), b + x * value
+def standardised(values: Floats, temperature_c: Floats | None = None, deviations: Floats | None = None) -> Floats:
+    """Each value (N,) against those before it as a standard normal number; NaN as long as they do not tell their scatter.
+
+    A check by a coarser instrument or of fewer poses scatters by more: how much more, ``deviations (N,)`` say.
+    """
+    X, own = _weighted(values, temperature_c, deviations)
+    before, out = _Before(X.shape[1]), np.full(len(own), np.nan)
+    for n, (x, value) in enumerate(zip(X, own, strict=True)):
+        out[n], residual = before.step(x, value)
+        before.learn(x, value, residual)
     return out
+
+
+class _Before:
+    """The checks before one: a regression of so many columns, and how its recursive residuals scatter."""
+
+    def __init__(self, columns: int) -> None:
+        self._G, self._b, self.count = np.zeros((columns, columns)), np.zeros(columns), 0
+        self._squares, self._freedom = 0.0, 0
+
+    def step(self, x: Floats, value: float) -> tuple[float, float]:
+        """A value against those before it, as a standard normal number and as a residual; NaN of what these do not tell."""
+        if self.count < len(self._b) or np.linalg.det(self._G) <= DEPENDENT * np.prod(np.diag(self._G)):
+            return np.nan, np.nan
+        inverse = np.linalg.inv(self._G)
+        residual = float((value - x @ inverse @ self._b) / np.sqrt(1.0 + x @ inverse @ x))
+        if self._freedom < SCATTER or self._squares <= 0.0:
+            return np.nan, residual
+        t = float(residual / np.sqrt(self._squares / self._freedom))
+        return float(np.clip(-ndtri(stdtr(self._freedom, -abs(t))) * np.sign(t), -LARGEST, LARGEST)), residual
+
+    def learn(self, x: Floats, value: float, residual: float) -> None:
+        """Count a value among those before."""
+        if not np.isnan(residual):
+            self._squares, self._freedom = self._squares + residual**2, self._freedom + 1
+        self._G, self._b, self.count = self._G + np.outer(x, x), self._b + x * value, self.count + 1
+
+
+def _weighted(values: Floats, temperature_c: Floats | None, deviations: Floats | None) -> tuple[Floats, Floats]:
+    """Columns (N, p) and values (N,) that scatter alike."""
+    scale = _scales(len(values), deviations)
+    return _design(len(values), temperature_c) / scale[:, None], values / scale
+
+
+def _scales(count: int, deviations: Floats | None) -> Floats:
+    """Relative scatter (N,) of each check.
+
+    None counts as better than most before it: how much set-ups scatter by, which a better instrument does not reduce, is told
+    by these alone.
+    """
+    if deviations is None or not (np.isfinite(deviations) & (deviations > 0.0)).all():
+        return np.ones(count)
+    before = [float(np.quantile(deviations[: n + 1], 0.5, method="lower")) for n in range(count)]
+    return np.asarray(np.maximum(deviations, np.array(before)) / deviations.min(initial=np.inf))
 
 
 def _design(count: int, temperature_c: Floats | None) -> Floats:

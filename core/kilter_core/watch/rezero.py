@@ -20,7 +20,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats, Ints
 from kilter_core.watch.causes import Cause
-from kilter_core.watch.check import Check, absorbed, check
+from kilter_core.watch.check import Check, Judged, absorbed, check
 from kilter_core.watch.innovation import Innovation
 from kilter_core.watch.sockets import held_by_sockets
 
@@ -34,7 +34,8 @@ CODE = "rezero_not_carried"
 class Rezeroed:
     """The arm after the change; ``names`` changed by ``change (F,)`` SI with standard deviations ``sigma (F,)``.
 
-    ``before`` and ``after`` are the checks of the rows against the version and against this.
+    ``together (F, F)`` is the covariance of the change. ``before`` and ``after`` are the checks of the rows against the version
+    and against this.
     """
 
     calibration: Calibration
@@ -42,9 +43,26 @@ class Rezeroed:
     names: tuple[str, ...]
     change: Floats
     sigma: Floats
+    together: Floats
     causes: tuple[Cause, ...]
     before: Check
     after: Check
+
+    @property
+    def changed(self) -> tuple[Judged, ...]:
+        """Each cause with what changed in the version; a check looks at each alone, where it takes up what the others did."""
+        judged = {one.cause: one for one in self.before.judged}
+        if len(self.causes) == 1:
+            return (judged[self.causes[0]],)
+        out, first = [], 0
+        for cause in self.causes:
+            own = slice(first, first + (6 if cause.frame else 1))
+            first, change = own.stop, self.change[own]
+            sigma = np.where(self.sigma[own] > 0.0, self.sigma[own], np.inf)
+            size_sigma = _of_sizes(change, self.together[own, own]) if cause.frame else np.zeros(0)
+            told = replace(judged[cause], change=change, sigma=sigma, size_sigma=size_sigma)
+            out.append(replace(told, summed=change, summed_sigma=sigma))
+        return tuple(out)
 
 
 def rezero(
@@ -77,7 +95,8 @@ def rezero(
     chosen = _chosen(before, causes)
     names = [name for cause in chosen for name in _parameters(calibration, cause)]
     known = _with(known, names)
-    at, change, sigma, covariance = _estimated(calibration, rows, known, names, noise, fitted_c)
+    at, change, together, covariance = _estimated(calibration, rows, known, names, noise, fitted_c)
+    sigma = np.sqrt(np.diag(together))
     for cause in chosen:
         _refuse_unchanged(cause, *(part[[names.index(n) for n in _parameters(calibration, cause)]]
                                    for part in (change, sigma)))  # fmt: skip
@@ -89,7 +108,7 @@ def rezero(
             f"{after.p_value:.1g}): more has changed than {_listed(chosen)}. Measure a campaign and identify a version anew.",
             code=CODE, causes=[one.name for one in chosen],
         )  # fmt: skip
-    return Rezeroed(absorbed(at), now, tuple(names), change, sigma, chosen, before, after)
+    return Rezeroed(absorbed(at), now, tuple(names), change, sigma, together, chosen, before, after)
 
 
 def _chosen(found: Check, wanted: Sequence[str]) -> tuple[Cause, ...]:
@@ -158,7 +177,7 @@ def _estimated(
     calibration: Calibration, rows: Observations, known: Predictive, names: Sequence[str], noise: float | None,
     fitted_c: tuple[float, float] | None,
 ) -> tuple[Calibration, Floats, Floats, Floats]:  # fmt: skip
-    """The calibration after the change, the change and its standard deviations (F,), and the covariance (K, K)."""
+    """The calibration after the change, the change (F,) and its covariance (F, F), and that of all parameters (K, K)."""
     places = np.array([calibration.names.index(name) for name in names], dtype=np.int64)
     at, change = calibration, np.zeros(len(names))
     for _ in range(PASSES):
@@ -172,7 +191,7 @@ def _estimated(
         sigma = np.linalg.norm(P, axis=1)
         if np.all(np.abs(step) <= SETTLED * np.where(sigma > 0, sigma, np.inf)):
             break
-    return at, change, sigma, _covariance(known, names, P, _derivatives(innovation, at, _of(at, known)), at)
+    return at, change, P @ P.T, _covariance(known, names, P, _derivatives(innovation, at, _of(at, known)), at)
 
 
 def _of(calibration: Calibration, known: Predictive) -> Ints:
@@ -225,6 +244,16 @@ def _refuse_unchanged(cause: Cause, change: Floats, sigma: Floats) -> None:
             "more poses.",
             code=CODE, causes=[cause.name],
         )  # fmt: skip
+
+
+def _of_sizes(change: Floats, covariance: Floats) -> Floats:
+    """Standard deviations (2,) of the lengths of a frame's shift and rotation."""
+    out = []
+    for part in (slice(0, 3), slice(3, 6)):
+        size = float(np.linalg.norm(change[part]))
+        along = change[part] / size if size else np.zeros(3)
+        out.append(float(np.sqrt(along @ covariance[part, part] @ along)) if size else np.inf)
+    return np.array(out)
 
 
 def _listed(causes: Sequence[Cause]) -> str:

@@ -25,6 +25,11 @@ class CheckOfRobot(Strict):
     sentence: str = Field(description="The same in words.")
     p_value: float = Field(description="Chance of so much from an arm that has not moved.")
     temperature_c: Celsius | None = Field(description="Mean temperature, degrees Celsius; null: not known.")
+    whole: bool = Field(
+        True,
+        description="Whether every cause was looked at. False of frames that were set up anew and of a joint log alone: such a "
+        "check says how the arm stands, and is in no chart.",
+    )
 
 
 class ControlChart(Strict):
@@ -41,7 +46,10 @@ class ControlChart(Strict):
     limit: float = Field(description="Sum beyond which it alarms.")
     scatter: float | None = Field(description="Standard deviation of the values; null: too few checks.")
     alarms: bool = Field(description="Whether the sum is beyond the limit.")
-    since: datetime | None = Field(description="When the change that alarms most likely began; null: none does.")
+    since: datetime | None = Field(
+        description="When the change that alarms most likely began, if it came at once; one that comes little by little began "
+        "earlier. Null: none does."
+    )
 
 
 class DriftMark(Strict):
@@ -99,7 +107,9 @@ class DriftHistory(DriftSummary):
     )
     history: list[CheckOfRobot] = Field(description="All checks against any version, oldest first; at most 1000.")
     marks: list[DriftMark] = Field(description="What was done to its version, oldest first.")
-    charts: list[ControlChart] = Field(description="A chart for each number, over the checks of the active version.")
+    charts: list[ControlChart] = Field(
+        description="A chart for each number, over the checks of the active version that looked at every cause."
+    )
     run_length: int = Field(description="Checks between two false alarms of all charts together.")
     false_alarm: float = Field(description="Chance at which a single check says that the arm has moved.")
 

@@ -1,4 +1,4 @@
-"""What a version was fitted to, as far as a check asks: at which temperatures, to which rows; and when a check last agreed."""
+"""What a version was fitted to, as far as a check asks: at which temperatures, to which rows; and which checks agreed."""
 
 from __future__ import annotations
 
@@ -27,20 +27,30 @@ def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion
     seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
     made = drift.of_version(session, robot, version, named)
     repaired = repairs.last(session, robot)  # since then the arm is another one: no check agreed with it yet
-    good = [one.at for one in made if one.result.get("verdict") == "ok"]
-    agreed = max((at for at in good if repaired is None or at >= repaired.at), default=None)
+    good = [one for one in made if one.result.get("verdict") == "ok" and (repaired is None or one.at >= repaired.at)]
     dates = Dates(
         max(drift.measured(session, named)[0].values(), default=None),
         max((one.at for one in made), default=None),
         max((at for at in (_stated(session, one) for one, _ in trained) if at is not None), default=None),
     )
-    return FitOfVersion((min(seen), max(seen)) if seen else None, tuple(shared), agreed, fitted, dates)
+    agreeing = tuple(one for one in good if dates.rows is None or one.at <= dates.rows)
+    temperatures = (min(seen), max(seen)) if seen else None
+    used = frozenset(name for name in (_instrument(session, one) for one, _ in trained) if name is not None)
+    return FitOfVersion(temperatures, tuple(shared), agreeing, fitted, dates, used)
 
 
 def _stated(session: Session, campaign: str) -> datetime | None:
     """When a campaign was measured, as somebody stated; None: nobody did, or it was purged."""
     try:
         return campaigns.get(session, campaign).measured_at
+    except ServiceError:
+        return None
+
+
+def _instrument(session: Session, campaign: str) -> str | None:
+    """What a campaign was measured with; None: it does not say, or was purged."""
+    try:
+        return campaigns.get(session, campaign).instrument
     except ServiceError:
         return None
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kilter_service.contract.instruments import Instrument
     from kilter_service.contract.remarks import Remark
     from kilter_service.jobs.job_preview import JobPreview
+    from kilter_service.versions.drift.records import StoredCheck
 
 
 @dataclass(frozen=True)
@@ -37,15 +38,17 @@ class Dates:
 @dataclass(frozen=True)
 class FitOfVersion:
     """What a version was fitted to: the lowest and highest temperature (deg C) of those rows, None where nobody stated it,
-    and which campaigns of the job have rows of it. ``agreed_at`` is when a check last agreed with it, None: never.
-    ``fitted`` counts by campaign the rows that were fitted, whatever file they came in.
+    and which campaigns of the job have rows of it. ``agreeing`` are checks that agreed with it, measured before the job's rows.
+    ``fitted`` counts by campaign the rows that were fitted, whatever file they came in. ``instruments`` are the names of those
+    that measured its rows, as far as campaigns name one.
     """
 
     temperatures_c: tuple[float, float] | None = None
     shared: tuple[str, ...] = ()
-    agreed_at: datetime | None = None
+    agreeing: tuple[StoredCheck, ...] = ()
     fitted: Mapping[str, int] = field(default_factory=dict)
     dates: Dates = field(default_factory=Dates)
+    instruments: frozenset[str] = frozenset()
 
 
 Progress = Callable[[float, str], None]

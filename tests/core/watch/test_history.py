@@ -81,6 +81,19 @@ def test_a_season_is_no_drift_where_the_temperature_was_measured() -> None:
     assert beyond(chart(values, limit, one_unknown))
 
 
+def test_what_has_moved_and_stays_there_is_not_forgotten() -> None:
+    """Half a year at another place is no good state; a false alarm, or an arm mended without a word, ends by itself."""
+    limit = alarm_limit(12)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        values = rng.normal(0.0, 1.0, 300) + 2.0 * (np.arange(300) >= 30)
+        found = chart(values, limit)
+        assert found.alarms
+        assert 20 <= found.since <= 45
+        back = chart(np.r_[values, rng.normal(0.0, 1.0, 60)], limit)
+        assert not back.alarms
+
+
 def test_few_checks_say_nothing() -> None:
     found = chart(np.array([0.1, 5.0, -3.0]), limit_of(16))
     assert np.isnan(found.up).all()

@@ -13,6 +13,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import QUANTILE
 from kilter_core.watch import check, rezero
+from kilter_service.versions.drift.wire import rezero_sentence
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 
 NOISE = 5e-5
@@ -117,6 +118,23 @@ def test_what_the_data_do_not_carry_is_refused(fitted: Fitted) -> None:
         ["zero_4", "zero_2"],
     )
     assert both.names == ("theta_offset_4", "theta_offset_2")
+    four, two = both.changed
+    for one, true in ((four, 8e-3), (two, 3e-3)):  # what a check says of each alone takes up what the other did
+        assert abs(one.change[0] - true) < 2.0 * one.u95[0]
+    said = rezero_sentence(both, "ver_1", 6, "today")
+    assert f"zero of joint 4 by {np.degrees(both.change[0]):.3g} deg" in said
+    assert f"zero of joint 2 by {np.degrees(both.change[1]):.3g} deg" in said
+
+
+def test_a_zero_beside_a_frame_is_told_as_it_was_changed(fitted: Fitted) -> None:
+    arm, calibration, known = fitted
+    rng = np.random.default_rng(8)
+    moved = arm.after("zero_4", 8e-3).after("base", 2e-3)
+    found = rezero(calibration, moved.measured(some_poses(10, rng), rng, NOISE), known, ["base", "zero_4"])
+    base, zero = found.changed
+    assert abs(zero.change[0] - 8e-3) < 2.0 * zero.u95[0]
+    assert base.size_u95[0] < 1e-3
+    assert abs(np.linalg.norm(base.change[:3]) - 2e-3) < 2.0 * base.size_u95[0]
 
 
 def test_a_cause_without_a_parameter_is_refused(fitted: Fitted) -> None:

@@ -40,6 +40,10 @@ class ChangedNumber(Stored):
         None,
         description="The change by weights that no temperature changes: what control charts sum. Null: stored without.",
     )
+    summed_u95: float | None = Field(
+        None,
+        description="Half width of the 95 % interval of that: how much it counts. Null: stored without, or not shown.",
+    )
 
 
 class DriftCause(Stored):
@@ -105,7 +109,11 @@ class DriftResult(Stored):
     metrics: dict[str, StageErrors] | None = Field(
         None, description="Errors of the version on the rows, `identified`, by campaign, as an evaluation gives them."
     )
-    agreed_at: datetime | None = Field(None, description="When a check last agreed with the version; null: never.")
+    agreed_at: datetime | None = Field(
+        None,
+        description="When a check measured before last agreed with the version and showed every cause that may be it otherwise "
+        "than these rows; null: none did.",
+    )
     temperature_c: Celsius | None = Field(
         None, description="Mean temperature of the rows, degrees Celsius; null: not known."
     )

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
-from kilter_service.ground.wire import to_metres_if_known, to_mm
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.other_instrument import counted_noise, remark
 from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
 from kilter_service.versions.drift import wire
+from kilter_service.versions.drift.since import last_otherwise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,10 +64,23 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     """Return what the core says of the rows."""
     options: DriftOptions = job.options
     calibration = calibration_of(job)
-    noise = to_metres_if_known(options.noise_mm)
+    noise = counted_noise(job, known)
     return core_watch_check.check(
         calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
     )
+
+
+def _warmer(job: JobInput, rows: Observations, known: Predictive, found: Check) -> bool:
+    """Whether an arm that is ``WARMER_K`` warmer than at its fit shows as much, where nobody can tell that it is not."""
+    calibration, fitted = calibration_of(job), job.fit.temperatures_c
+    stated = fitted is not None and rows.temperature_c is not None
+    if found.verdict == "ok" or found.joint_log or stated or "temperature_c" in calibration.model.needs:
+        return False
+    warm = replace(rows, temperature_c=np.full(len(rows), wire.WARMER_K))
+    again = core_watch_check.check(
+        calibration, warm, known, noise=counted_noise(job, known), new_setup=found.new_setup, fitted_c=(0.0, 0.0)
+    )
+    return bool(again.verdict == "ok")
 
 
 def rows_of(job: JobInput) -> Observations:
@@ -116,10 +134,13 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     # How far balls in a socket are from each other is not an error of the tool: it lacks what moves all of them alike.
     measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
+    causes = [documents[one.cause.name] for one in found.causes]
+    warmer = _warmer(job, rows, known, found)
+    since = last_otherwise(causes, to_mm(found.noise), found.poses, job.fit.agreeing)
     return {
-        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, job.fit.agreed_at),
-        "agreed_at": None if job.fit.agreed_at is None else job.fit.agreed_at.isoformat(),
-        "remedy": wire.remedy(found), "causes": [documents[one.cause.name] for one in found.causes],
+        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since, warmer=warmer),
+        "agreed_at": None if since is None else since.isoformat(),
+        "remedy": wire.remedy(found, calibration_of(job).names, warmer=warmer), "causes": causes,
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
@@ -128,9 +149,16 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,
         "new_setup": list(found.new_setup),
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
-        "fitted_c": job.fit.temperatures_c, "warnings": list(_of_dates(job)), "refit": list(found.new_setup),
+        "fitted_c": job.fit.temperatures_c, "warnings": list(_warnings(job, known)), "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},
     }  # fmt: skip
+
+
+def _warnings(job: JobInput, known: Predictive) -> Iterator[dict[str, Any]]:
+    yield from _of_dates(job)
+    other = remark(job, known)
+    if other is not None:
+        yield other
 
 
 def _of_dates(job: JobInput) -> Iterator[dict[str, Any]]:

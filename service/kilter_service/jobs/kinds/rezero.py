@@ -9,8 +9,8 @@ import numpy as np
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
-from kilter_service.ground.wire import to_metres_if_known
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.other_instrument import counted_noise
 from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -36,15 +36,13 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     progress(0.5, "predicting")
     options: RezeroOptions = job.options
     ((campaign, rows),) = job.campaigns.items()
-    judged = {one.cause: one for one in found.before.judged}
-    changed = [judged[cause] for cause in found.causes]
     report = _report(job, found)
     said = wire.rezero_sentence(found, job.version_id or "", len(rows), job.names.get(campaign, campaign))
     remark = {"code": REZEROED, "message": said, "campaigns": [campaign]}
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]
     result = {
-        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in changed],
+        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in found.changed],
         "parameters": own, "p_before": found.before.p_value, "p_after": found.after.p_value,
         "metrics": report["metrics"], "warnings": [],
     }  # fmt: skip
@@ -65,7 +63,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 def _found(job: JobInput) -> Rezeroed:
     options: RezeroOptions = job.options
     rows, known = rows_of(job), known_of(job)
-    noise = to_metres_if_known(options.noise_mm)
+    noise = counted_noise(job, known)
     return core_watch.rezero(
         calibration_of(job), rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c
     )

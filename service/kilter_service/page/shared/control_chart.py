@@ -13,7 +13,7 @@ from kilter_service.ground.texts import plural
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import Axis, Days, around, days_around
 from kilter_service.page.words import moment, number
-from kilter_service.versions.drift.charts import height
+from kilter_service.versions.drift.charts import height, last_value
 from kilter_service.versions.drift.wire import chance_words
 from kilter_service.versions.today.sentences import ago
 
@@ -30,6 +30,10 @@ LOOKS: dict[State, tuple[str, str]] = {
     "never": ("not checked", "faint"),
 }
 VERDICTS = (("ok", "ok", 0), ("moved", "moved", 4), ("cannot_tell", "cannot tell", 5))
+NEVER_SUMMED = (
+    "No sums: with frames set up anew, or by a joint log alone, a check does not show every cause, and what creeps is not "
+    "seen. Leave the instrument where it stands for some checks."
+)
 MARKS = ("activated", "re-zeroed", "rolled back", "repaired", "repair")
 
 
@@ -49,6 +53,14 @@ class Watched:
     def badge(self) -> tuple[str, str]:
         """How the robot stands as words of a badge, and its look."""
         return LOOKS[self.found.state]
+
+    @property
+    def no_sums(self) -> str:
+        """Why there are none yet, or never will be."""
+        own = [one for one in self.found.history if one.version_id == self.found.version_id]
+        if own and not any(one.whole for one in own):
+            return NEVER_SUMMED
+        return "The sums over many checks begin with the fourth that agrees."
 
     @property
     def standing(self) -> str:
@@ -138,7 +150,9 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     days = [
         _day(one.at)
         for one in found.history
-        if one.version_id == found.version_id and (found.repaired_at is None or one.at >= found.repaired_at)
+        if one.whole
+        and one.version_id == found.version_id
+        and (found.repaired_at is None or one.at >= found.repaired_at)
     ]
     highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
     drawn = Plot(
@@ -197,7 +211,9 @@ def _table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
 
 
 def _words(one: CheckOfRobot) -> str:
-    return one.sentence if one.verdict != "ok" else "ok"
+    if one.verdict != "ok":
+        return one.sentence
+    return "ok" if one.whole else "ok, by rows that do not show every cause"
 
 
 def _chance(one: CheckOfRobot) -> str:
@@ -207,7 +223,7 @@ def _chance(one: CheckOfRobot) -> str:
 def _sums_table(charts: Sequence[ControlChart]) -> tuple[list[str], list[list[str]]]:
     rows = [
         [
-            one.words, f"{number(one.values[-1])} {one.unit}", f"{number(one.scatter)} {one.unit}",
+            one.words, f"{number(last_value(one))} {one.unit}", f"{number(one.scatter)} {one.unit}",
             number(height(one)), "" if one.since is None else f"{one.since:%Y-%m-%d}",
         ]
         for one in charts

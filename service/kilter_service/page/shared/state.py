@@ -9,6 +9,7 @@ from kilter_service.contract.today import Today
 from kilter_service.page.shared.accuracy import Accuracy
 from kilter_service.page.shared.correcting import OFF, Correcting
 from kilter_service.page.words import beside
+from kilter_service.versions.today.sentences import ago
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,12 @@ def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary
         return State("Not known", "warn", "Nothing was held out of the fit, so its error looks too good.")
     if drift is None or drift.state == "never":
         return State("Good", "good", "As good as at its fit, as far as is known: it was not checked since.")
-    return State("Good", "good", "Its checks agree with the active version.")
+    when = (
+        ""
+        if drift.last is None or drift.age_days is None
+        else f", last on {drift.last.at:%Y-%m-%d}, {ago(drift.age_days)}"
+    )
+    return State("Good", "good", f"Its checks agree with the active version{when}.")
 
 
 def _without_word(sentence: str) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,45 +17,67 @@ from kilter_service.versions.drift.records import StoredCheck
 RUN_LENGTH = 1000  # checks between two false alarms of all charts together
 FALSE_ALARM = 1e-3  # chance at which a single check alarms (kilter_core.watch, which loads numpy and scipy)
 KEPT = 200  # robots whose charts are kept: some 100 kB each
+
+
+class Shown(NamedTuple):
+    """A number of a check, half its 95 % interval, its words and its unit."""
+
+    value: float
+    u95: float
+    words: str
+    unit: str
+
+
+Numbers = dict[str, Shown]
 SHIFTS = ("value", "x", "y", "z")  # of a frame its shift: rotations of five poses are shifts for the most part
 
 
 def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
-    """Return the charts, in the order of the first check's causes by name; a number that some check does not show has none.
+    """Return the charts, in the order of the causes by name, of each number that most checks show.
 
-    A check that alarmed by itself is in no sum: it says what it saw, and after a repair the sums go on where they were.
+    A check that alarmed by itself is in no sum: it says what it saw, and after a repair the sums go on where they were. Nor is
+    one that does not show the number, as of too few poses, or that states no temperature where most do.
     """
     summed_by = (
         "summed" if all(map(_has_sums, made)) else "change"
     )  # of mixed numbers the difference would look like a step
     numbers = [_numbers(one, summed_by) for one in made]
-    names = sorted(set.intersection(*map(set, numbers))) if numbers else []
-    if not names:
-        return []
-    limit = core_history.alarm_limit(len(names), RUN_LENGTH)
-    summed = [k for k, one in enumerate(made) if one.result["verdict"] == "ok"]
+    told = Counter(name for one in numbers for name in one)
+    names = sorted(name for name, count in told.items() if 2 * count > len(made))
+    limit = core_history.alarm_limit(len(names), RUN_LENGTH) if names else 0.0
+    counted = _comparable(made)
+    return [_chart(name, made, numbers, counted, limit) for name in names]
+
+
+def _comparable(made: Sequence[StoredCheck]) -> list[int]:
+    """Places of the checks that may be summed: those that agreed, by day with a temperature where most have one."""
+    agreed = [k for k, one in enumerate(made) if one.result["verdict"] == "ok"]
+    felt = [k for k in agreed if made[k].result.get("temperature_c") is not None]
+    return felt if 2 * len(felt) > len(agreed) else agreed
+
+
+def _chart(
+    name: str, made: Sequence[StoredCheck], numbers: Sequence[Numbers], counted: Sequence[int], limit: float
+) -> ControlChart:
+    summed = [k for k in counted if name in numbers[k]]
     felt = [made[k].result.get("temperature_c") for k in summed]
     known = None if not felt or any(value is None for value in felt) else np.array(felt, dtype=np.float64)
-    out = []
-    for name in names:
-        values = np.array([one[name][0] for one in numbers])
-        found = core_history.chart(values[summed], limit, known)
-        words, unit = numbers[0][name][1:]
-        out.append(
-            ControlChart(
-                name=name,
-                words=words,
-                unit=unit,
-                values=values.tolist(),
-                up=_sums_by_check(found.up, summed, len(made)),
-                down=_sums_by_check(found.down, summed, len(made)),
-                limit=limit,
-                scatter=None if math.isnan(found.scatter) else found.scatter,
-                alarms=found.alarms,
-                since=None if found.since is None else made[summed[found.since]].at,
-            )
-        )
-    return out
+    own = np.array([numbers[k][name].value for k in summed], dtype=np.float64)
+    sure = np.array([numbers[k][name].u95 for k in summed], dtype=np.float64)
+    found = core_history.chart(own, limit, known, sure)
+    first = next(one[name] for one in numbers if name in one)
+    return ControlChart(
+        name=name,
+        words=first.words,
+        unit=first.unit,
+        values=[one[name].value if name in one else None for one in numbers],
+        up=_sums_by_check(found.up, summed, len(made)),
+        down=_sums_by_check(found.down, summed, len(made)),
+        limit=limit,
+        scatter=None if math.isnan(found.scatter) else found.scatter,
+        alarms=found.alarms,
+        since=None if found.since is None else made[summed[found.since]].at,
+    )
 
 
 class KeptCharts:
@@ -63,9 +86,20 @@ class KeptCharts:
     def __init__(self, most: int = KEPT) -> None:
         self._charts = Recent[list[ControlChart]](most)
 
-    def of(self, made: Sequence[StoredCheck]) -> list[ControlChart]:
-        """Return the charts of these checks; what is returned is shared, and nobody changes it."""
-        return self._charts.get(tuple((one.job_id, one.at) for one in made), lambda: charts_of(made))
+    def of(
+        self, made: Sequence[StoredCheck], read: Callable[[Sequence[StoredCheck]], Sequence[StoredCheck]] | None = None
+    ) -> list[ControlChart]:
+        """Return the charts of these checks; what is returned is shared, and nobody changes it.
+
+        ``read`` adds the numbers to checks whose charts are not kept.
+        """
+        key = tuple((one.job_id, one.at) for one in made)
+        return self._charts.get(key, lambda: charts_of(made if read is None else read(made)))
+
+
+def last_value(chart: ControlChart) -> float | None:
+    """Return the number of the last check that shows it."""
+    return next((value for value in reversed(chart.values) if value is not None), None)
 
 
 def height(chart: ControlChart) -> float:
@@ -80,15 +114,17 @@ def _has_sums(one: StoredCheck) -> bool:
     )
 
 
-def _numbers(one: StoredCheck, summed_by: str) -> dict[str, tuple[float, str, str]]:
-    """Change, words and unit by name of every number that a check shows."""
-    found: dict[str, tuple[float, str, str]] = {}
+def _numbers(one: StoredCheck, summed_by: str) -> Numbers:
+    """Every number that a check shows, by name."""
+    found: Numbers = {}
     for cause in one.result.get("looked_at") or []:
         for number in cause["numbers"]:
             if number["name"] in SHIFTS and number["u95"] is not None:
                 named = "" if number["name"] == "value" else f"_{number['name']}"
                 along = f" along {number['name']}" if named else ""
-                found[cause["name"] + named] = (float(number[summed_by]), f"{cause['words']}{along}", number["unit"])
+                own = number.get("summed_u95") if summed_by == "summed" else None
+                value, u95 = float(number[summed_by]), float(own or number["u95"])
+                found[cause["name"] + named] = Shown(value, u95, f"{cause['words']}{along}", number["unit"])
     return found
 
 

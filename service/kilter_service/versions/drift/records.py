@@ -10,12 +10,17 @@ from typing import Any
 
 @dataclass(frozen=True)
 class StoredCheck:
-    """A check that was made, and when its rows were measured, or sent."""
+    """A check that was made, and when its rows were measured, or sent.
+
+    ``whole``: every cause was looked at. Where frames were set up anew, or places were not measured, it says how the arm
+    stands, and is in no sum.
+    """
 
     job_id: str
     campaign_id: str
     at: datetime
     result: Mapping[str, Any]
+    whole: bool = True
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -27,7 +28,6 @@ from kilter_service.versions.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCh
 from kilter_service.versions.drift.records import Activated, StoredCheck
 
 KEPT = KeptCharts()
-MOST_OF_MANY = 100  # checks of each robot in the list of all
 MOST_SUMMED, SUMMED_S = 20, 600.0  # robots whose sums one scrape computes, and how long they hold without a check
 MOST_OF_LAST = 5  # looked through for the last one that counts
 WORST = ("moved", "cannot_tell", "creeping", "never", "ok")
@@ -42,7 +42,7 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
         made = store.checks(session, [key]).get(key, [])
         log = store.activations(session, [key]).get(key, [])
         repaired = repairs.of_robots(session, [key]).get(key, [])
-    own, charts = _own(made, log, repaired)
+        own, charts = _own(session, made, log, repaired)
     marks = [*map(wire.mark, log), *_agreeing_again(made), *map(wire.repair, repaired)]
     return DriftHistory(
         **_summary(name, _since(made, log, repaired), log, own, charts).model_dump(),
@@ -59,12 +59,12 @@ def of_robots(database: Database) -> DriftList:
     """Return how all robots stand, the worst first."""
     with database.reading() as session:
         names = robots.names_by_key(session, None)
-        made, log = store.checks(session, names, MOST_OF_MANY), store.activations(session, names)
+        made, log = store.checks(session, names), store.activations(session, names)
         repaired = repairs.of_robots(session, names)
-    found = []
-    for key, name in names.items():
-        known = made.get(key, []), log.get(key, []), repaired.get(key, [])
-        found.append(_summary(name, _since(*known), log.get(key, []), *_own(*known)))
+        found = []
+        for key, name in names.items():
+            known = made.get(key, []), log.get(key, []), repaired.get(key, [])
+            found.append(_summary(name, _since(*known), log.get(key, []), *_own(session, *known)))
     return DriftList(robots=sorted(found, key=_order))
 
 
@@ -94,10 +94,10 @@ class Creeping:
         now = time.monotonic()
         due = [name for name, one in last.items() if self._is_due(name, one, now)][: self._most]
         keys = {name: key for key, name in robots.names_by_key(session, None).items() if name in due}
-        made = store.checks(session, keys.values(), MOST_OF_MANY)
+        made = store.checks(session, keys.values())
         log, repaired = store.activations(session, keys.values()), repairs.of_robots(session, keys.values())
         for name, key in keys.items():
-            charts = _own(made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
+            charts = _own(session, made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
             creeps = last[name].verdict == "ok" and any(one.alarms for one in charts)
             self._known[name] = (last[name].job_id, now + self._kept_s, creeps)
         self._known = {name: one for name, one in self._known.items() if name in last}
@@ -109,10 +109,10 @@ class Creeping:
 
 
 def _agreeing_again(made: Sequence[StoredCheck]) -> list[DriftMark]:
-    """Checks that agree again with a version that the one before missed."""
+    """Checks that agree again with a version that the one before missed; not by frames that took up what it said."""
     return [
         wire.repaired(after)
-        for before, after in pairwise(made)
+        for before, after in pairwise([one for one in made if one.whole])
         if before.result.get("version_id") == after.result.get("version_id")
         and before.result["verdict"] != "ok"
         and after.result["verdict"] == "ok"
@@ -136,11 +136,11 @@ def _of_active(made: Sequence[StoredCheck], log: Sequence[Activated], repaired: 
 
 
 def _own(
-    made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]
+    session: Session, made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]
 ) -> tuple[list[StoredCheck], list[ControlChart]]:
-    """The checks of the active version since the last repair, and their charts."""
+    """The checks of the active version since the last repair, and the charts of those that looked at every cause."""
     own = _of_active(made, log, repaired)
-    return own, KEPT.of(own)
+    return own, KEPT.of([one for one in own if one.whole], partial(store.with_numbers, session))
 
 
 def _summary(
@@ -179,8 +179,9 @@ def _stand(last: Mapping[str, Any] | None, alarmed: Sequence[ControlChart], sinc
     if verdict != "ok" or not alarmed:
         return verdict, str(last["sentence"])
     most = max(alarmed, key=height)
-    since = "" if most.since is None else f" since {most.since:%Y-%m-%d}"
+    began = "" if most.since is None else f", since {most.since:%Y-%m-%d} at the latest"
     return (
         "creeping",
-        f"creeping: {most.words}{since}. No single check says so; all together do, by their cumulative sum.",
+        f"creeping: most like {most.words}{began}. No single check says so; all together do, by their cumulative sum. Another "
+        "cause may look like it: a check with more poses says which it is.",
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -23,6 +24,8 @@ from kilter_service.versions.drift.records import Activated, StoredCheck
 from kilter_service.versions.store import REZEROED
 
 MOST = 1000  # checks of a robot, the newest
+READ = ("verdict", "version_id", "sentence", "p_value", "temperature_c", "new_setup", "joint_log", "unseen")
+NUMBERS = ("looked_at", "noise_mm", "poses")
 MOST_LOOKED = 30  # looked through for the last one, and the last that agreed
 
 Digests = frozenset[str]  # of the uploads of a campaign
@@ -31,8 +34,8 @@ Digests = frozenset[str]  # of the uploads of a campaign
 def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int, list[StoredCheck]]:
     """Return the newest checks by robot, by when their rows were measured: a clock that was set back changes no order of jobs.
 
-    Checks of frames that were set up anew are left out: the frames took up what they would have said; and those of campaigns
-    that were retired.
+    Those of campaigns that were retired are left out. Of their results, which are long, what all of them are read for;
+    ``with_numbers`` adds what is summed.
     """
     row = JobRow
     place = func.row_number().over(partition_by=row.robot_id, order_by=(row.created_at.desc(), row.id))
@@ -42,25 +45,38 @@ def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int,
         .subquery()
     )
     query = (
-        select(row.robot_id, row.id, row.request, row.result)
+        select(row.robot_id, row.id, row.request["campaigns"], *(row.result[name] for name in READ))
         .join(newest, newest.c.id == row.id)
         .where(newest.c.place <= most)
         .order_by(row.created_at, row.id)
     )
-    found = [one for one in session.execute(query) if one.result and of_all_causes(one.result)]
-    at, digests = measured(session, {one.request["campaigns"][0] for one in found})
+    found = [
+        (robot, job, campaigns[0], dict(zip(READ, result, strict=True)))
+        for robot, job, campaigns, *result in session.execute(query)
+        if result[0] is not None
+    ]
+    at, digests = measured(session, {campaign for _, _, campaign, _ in found})
     out: dict[int, list[StoredCheck]] = {}
-    for one in found:
-        campaign = one.request["campaigns"][0]
+    for robot, job, campaign, result in found:
         if campaign in at:
-            out.setdefault(one.robot_id, []).append(StoredCheck(one.id, campaign, at[campaign], one.result))
+            one = StoredCheck(job, campaign, at[campaign], result, of_all_causes(result))
+            out.setdefault(robot, []).append(one)
     return {robot: _newest_of_each(made, digests) for robot, made in out.items()}
 
 
+def with_numbers(session: Session, made: Sequence[StoredCheck]) -> list[StoredCheck]:
+    """Return checks with the numbers of their causes, and how well their rows were measured."""
+    row = JobRow
+    query = select(row.id, *(row.result[name] for name in NUMBERS)).where(row.id.in_([one.job_id for one in made]))
+    more = {job: dict(zip(NUMBERS, values, strict=True)) for job, *values in session.execute(query)}
+    return [replace(one, result={**one.result, **more[one.job_id]}) for one in made]
+
+
 def of_version(session: Session, robot: int, version: str, besides: Collection[str]) -> list[StoredCheck]:
-    """Return the newest checks of a robot against a version, but for those of some campaigns; by when measured."""
+    """Return the newest checks of a robot against a version that looked at every cause, but for those of some campaigns."""
     found = checks(session, [robot], MOST_LOOKED).get(robot, [])
-    return [one for one in found if one.result.get("version_id") == version and one.campaign_id not in besides]
+    own = [one for one in found if one.whole and one.result.get("version_id") == version]
+    return with_numbers(session, [one for one in own if one.campaign_id not in besides])
 
 
 def _newest_of_each(made: list[StoredCheck], digests: Mapping[str, Digests]) -> list[StoredCheck]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from kilter_core.watch.poses import Faint
 
 PPM = 1e6
+QUANTILE = 1.959963984540054  # of a 95 % interval (kilter_core.types, which loads numpy)
 LEAST_CHANCE = 1e-300
 ZERO, SLIDE = math.radians(0.03), 5e-5  # steps that a check should show (kilter_core.watch.poses, which loads scipy)
 FRAME = ("x", "y", "z", "rx", "ry", "rz")
@@ -35,6 +36,20 @@ MOVED = (
     "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
     "corrects an arm that is no longer there."
 )
+WARMER_K = 10.0  # between an arm in the morning and one that has worked in summer
+WARM = (
+    f" An arm {WARMER_K:g} K warmer or colder than at its fit may show as much, too: nobody stated both temperatures."
+)
+STATE_WARMTH = "State temperature_c of these rows and of those of the fit, and check again. Else: "
+INSTRUMENT = (
+    "No parameter of the arm is such a change, and nothing can be re-zeroed. Check the instrument with a known length (its "
+    "unit, its refractive index), and whether the arm is as warm as when the version was measured; state temperature_c of both."
+)
+NO_NUMBER = (
+    "Repair it and check again. The version has no number for it that a re-zeroing could change: identify one anew with "
+    "axial_compliance at that joint. Look first whether the rows carried the payload that was stated."
+)
+LOADED = "Where the rows carried another payload than was stated, state it (payload_kg) and check again. Else: "
 ANEW = {
     "base": "Where the instrument was set up anew, check again and say so (--new-setup base). Else: ",
     "tool": "Where another tool was mounted, check again and say so (--new-setup base,tool). Else: ",
@@ -78,11 +93,12 @@ def cause_document(one: Judged) -> dict[str, Any]:
     """Return a cause as the contract has it."""
     names = FRAME if one.cause.frame else ("value",)
     numbers = []
-    for place, (name, change, sigma, summed) in enumerate(zip(names, one.change, one.u95, one.summed, strict=True)):
+    told = zip(names, one.change, one.u95, one.summed, QUANTILE * one.summed_sigma, strict=True)
+    for place, (name, change, half, summed, half_summed) in enumerate(told):
         unit, factor = unit_of(one.cause, place)
-        u95 = float(sigma * factor) if np.isfinite(sigma) else None
+        u95, summed_u95 = (float(value * factor) if np.isfinite(value) else None for value in (half, half_summed))
         number = {"name": name, "unit": unit, "change": float(change * factor), "u95": u95}
-        numbers.append({**number, "summed": float(summed * factor)})
+        numbers.append({**number, "summed": float(summed * factor), "summed_u95": summed_u95})
     return {
         "name": one.cause.name, "kind": one.cause.kind, "joint": one.cause.joint, "words": cause_words(one.cause),
         "numbers": numbers, "gain": one.gain, "bic": one.bic, "refuted": one.refuted,
@@ -99,8 +115,24 @@ def smallest_documents(found: Check) -> list[dict[str, Any]]:
     return out
 
 
-def sentence(found: Check, agreed_at: datetime | None = None) -> str:
-    """Return the verdict in one sentence."""
+def sentence(found: Check, agreed_at: datetime | None = None, *, warmer: bool = False) -> str:
+    """Return the verdict in one sentence, and others on what could not be seen; ``warmer``: warmth would explain it, too."""
+    return _verdict(found, agreed_at) + (WARM if warmer else "") + _limited(found)
+
+
+def _limited(found: Check) -> str:
+    """What a check did not see because frames were fitted first, or nobody measured a place; empty of any other."""
+    unseen = ", ".join(cause_words(one) for one in found.unseen)
+    if found.joint_log:
+        return f" A joint log alone does not show: {unseen}."
+    if not found.new_setup:
+        return ""
+    frames = " and ".join(found.new_setup)
+    alike = f" ({unseen})" if unseen else ""
+    return f" This is with {frames} set up anew: what looks like that is not seen{alike}."
+
+
+def _verdict(found: Check, agreed_at: datetime | None) -> str:
     if found.verdict == "ok":
         return (
             f"ok: {found.poses} poses agree with the version; measured and predicted are {to_mm(found.misfit):.3g} "
@@ -123,8 +155,7 @@ def chance_words(p_value: float, digits: int = 1) -> str:
 
 def rezero_sentence(found: Rezeroed, start: str, rows: int, campaign: str) -> str:
     """Return what was changed in a version, by how many rows of which campaign."""
-    judged = {one.cause: one for one in found.before.judged}
-    changes = " and ".join(by_how_much(judged[cause]) for cause in found.causes)
+    changes = " and ".join(by_how_much(one) for one in found.changed)
     return (
         f"Version {start} re-zeroed: {changes}; everything else is as it was identified. The {rows} rows of {campaign} were "
         "used for that, so errors on them flatter: rows measured from now on say how good it is."
@@ -154,12 +185,17 @@ def joined_by_or(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
-def remedy(found: Check) -> str | None:
-    """Return what to do about a verdict, or what would settle it."""
+def remedy(found: Check, names: Sequence[str] = (), *, warmer: bool = False) -> str | None:
+    """Return what to do about a verdict, or what would settle it; ``names`` are the parameters of the version."""
+    said = _remedy(found, names)
+    return STATE_WARMTH + said if warmer and said else said
+
+
+def _remedy(found: Check, names: Sequence[str]) -> str | None:
     if found.verdict == "ok":
         return None
     if found.verdict == "moved":
-        return ANEW.get(found.causes[0].cause.kind, "") + MOVED
+        return _repair(found.causes[0].cause, names)
     if not found.causes:
         return SEARCH
     kinds = {one.cause.kind: one.cause for one in found.causes}
@@ -169,6 +205,14 @@ def remedy(found: Check) -> str | None:
     if "tool" in kinds and zeros:
         return MASTERING.format(joint=zeros[0], place="the bolts of the tool", thing="the flange")
     return MORE_POSES
+
+
+def _repair(cause: Cause, names: Sequence[str]) -> str:
+    if cause.kind == "scale":
+        return INSTRUMENT
+    if cause.kind == "sag":
+        return LOADED + MOVED if f"compliance_{cause.joint}" in names else NO_NUMBER
+    return ANEW.get(cause.kind, "") + MOVED
 
 
 def faint_sentence(one: Faint) -> str:

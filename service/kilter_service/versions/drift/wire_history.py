@@ -17,6 +17,7 @@ def check(one: StoredCheck) -> CheckOfRobot:
         sentence=str(one.result["sentence"]),
         p_value=float(one.result["p_value"]),
         temperature_c=one.result.get("temperature_c"),
+        whole=one.whole,
     )
 
 

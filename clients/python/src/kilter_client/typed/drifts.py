@@ -19,6 +19,8 @@ class ChangedNumber(Record):
     """`value`, or of a frame `x`, `y`, `z`, `rx`, `ry`, `rz` in the frame itself."""
     summed: float | None
     """The change by weights that no temperature changes: what control charts sum. Null: stored without."""
+    summed_u95: float | None
+    """Half width of the 95 % interval of that: how much it counts. Null: stored without, or not shown."""
     u95: float | None
     """Half width of its 95 % interval; None: the rows do not show this number."""
     unit: str
@@ -50,7 +52,7 @@ class DriftResult(ShownDrift, Record):
     """Whether an arm has moved since its version was made, and by what."""
 
     agreed_at: str | None
-    """When a check last agreed with the version; None: never."""
+    """When a check measured before last agreed with the version and showed every cause that may be it otherwise than these rows; None: none did."""
     causes: Records[DriftCause]
     """What explains the rows, best first; empty: nothing did."""
     chi_square: float | None
@@ -145,6 +147,8 @@ class CheckOfRobot(Record):
     """What it said."""
     version_id: str
     """The version it was checked against."""
+    whole: bool
+    """Whether every cause was looked at. False of frames that were set up anew and of a joint log alone: such a check says how the arm stands, and is in no chart."""
 
 
 class ControlChart(Record):
@@ -161,7 +165,7 @@ class ControlChart(Record):
     scatter: float | None
     """Standard deviation of the values; None: too few checks."""
     since: str | None
-    """When the change that alarms most likely began; None: none does."""
+    """When the change that alarms most likely began, if it came at once; one that comes little by little began earlier. Null: none does."""
     unit: str
     """Unit of the values: deg, mm, deg/(N m), mm/N, ppm."""
     up: tuple[float | None, ...]
@@ -210,7 +214,7 @@ class DriftHistory(DriftSummary):
     """The checks of a robot, oldest first, and the control charts of its active version."""
 
     charts: Records[ControlChart]
-    """A chart for each number, over the checks of the active version."""
+    """A chart for each number, over the checks of the active version that looked at every cause."""
     false_alarm: float
     """Chance at which a single check says that the arm has moved."""
     history: Records[CheckOfRobot]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -10,6 +10,10 @@ from kilter_client.cli.terminal.output import say
 from kilter_client.cli.terminal.tables import number, show_rows
 
 EXIT_CODES = {"ok": 0, "moved": 3, "cannot_tell": 4}
+NEVER_SUMMED = (
+    "No sums: with frames set up anew, or by a joint log alone, a check does not show every cause, and what creeps is not "
+    "seen. Leave the instrument where it stands for some checks."
+)
 LISTED = 6  # causes of a table, the best first
 
 
@@ -51,7 +55,7 @@ def show_history(found: Mapping[str, Any]) -> None:
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
         (
-            one["words"], f"{number(one['values'][-1], 3)} {one['unit']}", number(one["scatter"], 2),
+            one["words"], f"{number(_last(one['values']), 3)} {one['unit']}", number(one["scatter"], 2),
             f"{number(_height(one), 2)} of {number(one['limit'], 2)}", str(one["since"] or "")[:10],
         )
         for one in charts
@@ -59,11 +63,17 @@ def show_history(found: Mapping[str, Any]) -> None:
     if rows:
         show_rows(("chart", "last", "scatter", "sum", "since"), rows)
     elif found["checks"]:
-        say("The sums over many checks begin with the fourth that agrees.")
+        whole = any(one["whole"] for one in found["history"] if one["version_id"] == found["version_id"])
+        say("The sums over many checks begin with the fourth that agrees." if whole else NEVER_SUMMED)
 
 
 def _said_of_mark(one: Mapping[str, Any]) -> str:
     return f"{one['note']} ({one['repair_id']})" if one.get("repair_id") else str(one["version_id"])
+
+
+def _last(values: Sequence[float | None]) -> float:
+    """The number of the last check that shows it."""
+    return next((value for value in reversed(values) if value is not None), 0.0)
 
 
 def _height(chart: Mapping[str, Any]) -> float:
