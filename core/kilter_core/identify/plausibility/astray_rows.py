@@ -72,8 +72,8 @@ def _said(found: list[tuple[int, float]], others_mm: float) -> dict[str, Any]:
     return {
         "code": ASTRAY, "rows": [row for row, _ in found], "off_mm": [off for _, off in found], "others_mm": others_mm,
         "message": f"The tool is not where the joints put it in {shown}{more}, where the others are within {others_mm:.2g} mm. "
-        "No arm does that: a reading that was not taken (zeros), the position of another pose, or joints of another. Leave these "
-        "rows out of the file and upload it again.",
+        "No arm does that: a reading that was not taken (zeros), the position of another pose, or joints of another. Leave "
+        "these rows out of the file and upload it again.",
     }  # fmt: skip
 
 
