@@ -33,7 +33,6 @@ from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.astray_rows import of_held_out, unless_astray
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.plausibility.flat_boards import bent_boards
-from kilter_core.identify.plausibility.timing import bad_timing
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.registry import METHODS
 from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows, warnings_of
@@ -63,6 +62,7 @@ from kilter_core.identify.view_report import (
     wrong,
 )
 from kilter_core.identify.views.cameras import with_cameras
+from kilter_core.identify.views.timing import bad_timing
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
