@@ -128,6 +128,7 @@ def test_what_is_not_a_pose_is_refused_with_words(there: Made, asked: dict[str, 
     assert (answer.status_code, said in words(answer.text)) == (422, True)
 
 
+@pytest.mark.short_path
 def test_the_pose_follows_the_sliders_and_stays_in_the_address(there: Made, chromium: Browser) -> None:
     with opened(chromium, there.client) as page:
         arm_of(page, there.robot, f"?campaign={there.campaign}&other={there.poor}")
