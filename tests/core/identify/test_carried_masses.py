@@ -108,6 +108,18 @@ def test_signs_of_loads_are_found_although_the_masses_are_wrong(effect: str) -> 
     assert max(apart["uncertain"]) < 3.0 < max(apart["as_stated"])
 
 
+def test_where_sharp_signs_let_the_masses_walk_to_and_fro_a_fit_begins_with_soft_ones() -> None:
+    """It ended as not converged: that loss has steps, and sixty of them gained a third of a unit in all."""
+    twin = soft_elbow(clearance_tilt=TILT)
+    rows, unseen = twin.rows(120, 10), twin.rows(60, 50)
+    asked = ({"id": "clearance_tilt", "joints": [j + 1 for j in TILT[0]]},)
+    left = []
+    for masses in ("uncertain", "as_stated"):
+        found = identify(believed(twin.robot, 0), rows, None, IdentifyOptions(effects=asked, masses=masses))
+        left.append(float(np.mean((found.calibration.predict(unseen).position - unseen.position) ** 2)))
+    assert left[0] < 0.8 * left[1]
+
+
 def test_the_result_says_that_masses_are_uncertain_and_by_how_much() -> None:
     document = told(0).to_document()
     assert document["masses"]["carried"]

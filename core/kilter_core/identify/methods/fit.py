@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.estimate import estimate
-from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.estimate import estimate, prepared
+from kilter_core.identify.fit.least_squares import Fit, fit_at
 from kilter_core.identify.fleet.believed import believed
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
@@ -46,18 +46,37 @@ def _by_method(
     prior: Prior | None,
 ) -> Fit:
     asked = measurement, options, prior
-    fit = _loaded(start, _fitted(start, measurement, options, progress, prior), *asked)
+    try:
+        fit = _loaded(start, _fitted(start, measurement, options, progress, prior), *asked)
+    except NotConvergedError as endless:  # the loss of sharp signs has steps, on which masses may walk to and fro
+        soft = softened(_at_start(start, measurement, options))
+        if soft is None:
+            raise
+        try:
+            return _with_signs_of(soft, start, *asked)
+        except NotConvergedError:
+            raise endless from None
     soft = softened(fit)
     if soft is None:
         return fit
     try:
-        anew = _fitted(
-            replace(start, model=replace(start.model, effects=soft.effects)), measurement, options, None, prior
-        )
-        other = _sharpened(start, anew, *asked)
+        other = _with_signs_of(soft, start, *asked)
     except NotConvergedError:  # the fit with sharp signs stands
         return fit
     return other if likelier(other, fit) else fit
+
+
+def _at_start(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Fit:
+    problem, values = prepared(start, measurement, options)
+    return fit_at(problem, values, problem.linearised(values))
+
+
+def _with_signs_of(
+    soft: RobotModel, start: Calibration, measurement: Measurement, options: IdentifyOptions, prior: Prior | None
+) -> Fit:
+    """The fit that begins with signs as soft as those of a model."""
+    begin = replace(start, model=replace(start.model, effects=soft.effects))
+    return _sharpened(start, _fitted(begin, measurement, options, None, prior), measurement, options, prior)
 
 
 def _loaded(
