@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.observations.neutral import with_neutral_conditions
 from kilter_core.parameters import Prior
 from kilter_core.plan.greedy import most_informative
 from kilter_core.types import Floats, Ints
@@ -54,7 +54,7 @@ def d_optimal_poses(
     needs = whole.needs
     pool = conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
     pool = loaded(pool, needs, start.robot, payload_com)
-    J = whole.jacobian(completed(pool, needs), values, free)[1][:, :3]
+    J = whole.jacobian(with_neutral_conditions(pool, needs), values, free)[1][:, :3]
     sigma, known = _before(whole, free, fleet)
     chosen = pool.select(most_informative(J * sigma / noise, count, progress, known))
     return chosen.select(driving_order(chosen.q, joint_ranges(start.robot)))
@@ -97,17 +97,6 @@ def loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com:
     if robot.load is None or not needs & {"moments", "payload_kg"}:
         return rows
     return rows.carrying(robot.load.mass, robot.load.com)
-
-
-def completed(rows: Observations, needs: frozenset[str]) -> Observations:
-    """Rows with constants for what a pose cannot choose, so that the effects can be evaluated."""
-    n = len(rows)
-    made: dict[str, Any] = {
-        "qd": np.zeros_like(rows.q), "qdd": np.zeros_like(rows.q), "t": np.zeros(n), "temperature_c": np.full(n, 20.0),
-        "base_tilt_x": np.zeros(n), "base_tilt_y": np.zeros(n),
-        "payload_kg": np.zeros(n), "session": np.zeros(n, dtype=np.int64), "direction": np.zeros_like(rows.q),
-    }  # fmt: skip
-    return replace(rows, **{name: made[name] for name in needs if name in made and getattr(rows, name) is None})
 
 
 def looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, Ints]:

@@ -18,7 +18,8 @@ from kilter_core.measurement.camera.pixels import Pixels
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.plan.d_optimal import POOL, completed, conditions, loaded, looked_for
+from kilter_core.observations.neutral import with_neutral_conditions
+from kilter_core.plan.d_optimal import POOL, conditions, loaded, looked_for
 from kilter_core.plan.greedy import most_informative
 from kilter_core.plan.in_sight import Pair, pairs
 from kilter_core.types import Floats, Ints
@@ -80,7 +81,7 @@ def view_poses(
     looking = pairs(start.rig, before)
     q = _seen_joints(_bare(start), region or Region.of(start), looking, count, rng, told)
     pool = loaded(conditions(q, needs, payloads_kg, rng), needs, start.robot, payload_com)
-    H = _information(model, values, free, completed(pool, needs), looking, _bare(start))
+    H = _information(model, values, free, with_neutral_conditions(pool, needs), looking, _bare(start))
     sigma = np.array([model.parameters[k].prior_sigma for k in free]) / noise
     chosen = pool.select(most_informative(_roots(H * np.outer(sigma, sigma)), count, told))
     return chosen.select(driving_order(chosen.q, joint_ranges(start.robot)))

@@ -19,6 +19,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.observations.neutral import with_neutral_conditions
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats, Ints, Progress
 from kilter_core.watch.causes import Cause, derivatives
@@ -96,8 +97,8 @@ def check_poses(
         best, power = (picked, found) if found > power else (best, power)
         if progress is not None:
             progress((start + 1) / STARTS, "choosing poses")
-    rows = pool.select(best)
-    rows = rows.select(driving_order(rows.q, joint_ranges(calibration.robot)))
+    q = pool.q[best]
+    rows = _imagined(calibration, q[driving_order(q, joint_ranges(calibration.robot))])
     shows = check(calibration, rows, known, noise=noise)
     return CheckPlan(rows.q, shows, _faint(calibration, pool, shows))
 
@@ -207,10 +208,11 @@ def _exchanged(shown: _Shown, picked: Ints) -> tuple[Ints, float]:
 
 
 def _imagined(calibration: Calibration, q: Floats) -> Observations:
-    """Rows in which an arm that has not moved is seen exactly where it is."""
-    rows = Observations(q)
+    """Rows in which an arm that has not moved, and drives to them in this order, is seen exactly where it is."""
+    rows = Observations(q, direction=np.sign(np.diff(q, axis=0, prepend=q[:1])))
     load = calibration.robot.load
     rows = rows if load is None else rows.carrying(load.mass, load.com)
+    rows = with_neutral_conditions(rows, calibration.model.needs)
     found = calibration.predict(rows)
     if calibration.marker_points is None:
         return replace(rows, position=found.position)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.effects.registry import make_effect
 from kilter_core.errors import RobotError
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
@@ -137,3 +138,13 @@ def test_the_same_seed_plans_the_same_poses() -> None:
     one, two, other = (check_poses(calibration, EXACT, 4, region, seed=seed).q for seed in (0, 0, 1))
     np.testing.assert_array_equal(one, two)
     assert not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("effect", ["backlash", "friction_windup", "drift", "session_shift", "thermal_growth"])
+def test_a_check_is_planned_for_a_version_whose_effects_need_conditions(effect: str) -> None:
+    _, nominal = perfect(0)
+    options = {"session_shift": {"sessions": [1, 2]}, "drift": {"t0_s": 0.0}}.get(effect, {})
+    calibration = nominal.with_effects([make_effect(effect, **options)])
+    plan = check_poses(calibration, EXACT, 5, Region.of(calibration), seed=0)
+    assert (plan.q.shape, plan.found.verdict) == ((5, 6), "ok")
+    assert plan.found.smallest["zero_3"] < np.radians(0.1)
