@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,32 @@ def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
     assert not any(alive(pid) for pid in last.values())
     assert not settings.server_file.exists()
     assert not settings.corrector_file.exists()
+
+
+def test_a_page_that_follows_a_stream_does_not_hold_a_stop_up(settings: Settings, tmp_path: Path) -> None:
+    with (tmp_path / "stderr.txt").open("wb") as log:
+        server = Server(settings, partial(subprocess.Popen, stderr=log))
+        try:
+            token = settings.token_file.read_text().strip()
+            with httpx.Client(
+                base_url=server.ready["url"], headers={"Authorization": f"Bearer {token}"}, timeout=60
+            ) as http:
+                http.post(
+                    "/v1/robots", json={"name": "shown", "convention": "preset", "preset": "katana450-chapter4"}
+                ).raise_for_status()
+                with http.stream("GET", "/robots/shown/stream/events") as events:
+                    lines = events.iter_lines()
+                    assert next(line for line in lines if line.startswith("event"))
+                    assert server.stop() == 0
+                    assert "event: refused" not in list(lines)  # the body ends as it should: no broken connection
+        finally:
+            server.process.kill()
+            server.process.wait()
+            assert server.process.stdout is not None
+            server.process.stdout.close()
+    said = (tmp_path / "stderr.txt").read_text()
+    assert "Traceback" not in said
+    assert "ERROR" not in said.upper().replace("ERRORS", "")
 
 
 def test_processes_end_when_the_supervisor_is_killed(settings: Settings, until: Until) -> None:

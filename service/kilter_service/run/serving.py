@@ -112,15 +112,15 @@ def serve(settings: Settings, opened: socket.socket) -> None:
     keep_small()
     sys.setswitchinterval(SWITCH_S)
     with lasting():
-        import uvicorn
+        from uvicorn import Config
 
         from kilter_service.run.app import create_app
-        from kilter_service.web.connections import TimedConnection
+        from kilter_service.web.connections import StreamEndingServer, TimedConnection
 
         app = create_app(settings)
     ShortPauses().begin()
     check_database(settings, MIGRATION_WAIT_S)
-    config = uvicorn.Config(
+    config = Config(
         app,
         log_config=None,
         access_log=False,
@@ -133,4 +133,4 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         timeout_graceful_shutdown=GRACE_S,
         timeout_keep_alive=KEEP_ALIVE_S,
     )
-    uvicorn.Server(config).run(sockets=[opened])
+    StreamEndingServer(config, app).run(sockets=[opened])

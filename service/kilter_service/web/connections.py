@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 
+from fastapi import FastAPI
+from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from kilter_service.ground.errors import PROBLEMS
+from kilter_service.web.auth.following import following_of
 from kilter_service.web.observability.requests import new_request_id
 from kilter_service.web.problems import MEDIA_TYPE
 
@@ -72,3 +76,16 @@ def _refusal() -> bytes:
         "Connection: close",
     ]  # fmt: skip
     return "\r\n".join([*lines, "", ""]).encode() + body
+
+
+class StreamEndingServer(Server):
+    """A server that ends its streams of events when it stops. uvicorn waits for every open response, then cancels it."""
+
+    def __init__(self, config: Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Let all followers go, then stop as uvicorn does."""
+        following_of(self._app).stopping = True
+        await super().shutdown(sockets)

@@ -29,6 +29,7 @@ class Following:
 
     def __init__(self) -> None:
         self.open: Counter[str] = Counter()
+        self.stopping = False  # the server: whoever follows is let go and comes again
         self._looked: dict[Credentials, tuple[float, bool]] = {}
 
     @contextmanager
@@ -99,7 +100,7 @@ async def _while_it_holds(request: Request, following: Following, sender: str, e
             return
         coming = asyncio.ensure_future(anext(events, None))
         try:
-            while await following.holds(request):
+            while not following.stopping and await following.holds(request):
                 await asyncio.wait({coming}, timeout=CHECK_S)
                 if not coming.done():
                     continue
@@ -108,7 +109,8 @@ async def _while_it_holds(request: Request, following: Following, sender: str, e
                     return
                 yield event
                 coming = asyncio.ensure_future(anext(events, None))
-            yield ENDED
+            if not following.stopping:
+                yield ENDED
         finally:
             coming.cancel()
             await asyncio.wait({coming})
