@@ -262,6 +262,21 @@ def test_what_moved_is_re_zeroed_activated_and_agrees(
     assert told["code"] == "option_invalid"
 
 
+def test_what_moved_is_re_zeroed_by_rows_of_a_tracker_that_stands_elsewhere(
+    calibrated: str, arm: DriftingArm, command: Command, tmp_path: Path
+) -> None:
+    moved = arm.after("zero_3", STEP)
+    elsewhere = written(tmp_path / "elsewhere.csv", moved.after("base", 0.3), 12, 3)
+    assert "moved: zero of joint 3" in command("check", calibrated, elsewhere, "--new-setup", "base", code=3)
+    found = command.json("rezero", calibrated, "--campaign", "elsewhere.csv", "--new-setup", "base")["result"]
+    assert "re-zeroed with base set up anew: zero of joint 3" in found["sentence"]
+    assert found["metrics"]["train"]["identified"]["mean_mm"] < 0.2
+    command("activate", found["version_id"], "--force", "--reason", "a test")
+    assert "ok: 6 poses agree" in command("check", calibrated, written(tmp_path / "back.csv", moved, 6, 8))
+    again = written(tmp_path / "again.csv", moved.after("base", -0.2), 6, 9)
+    assert "ok: 6 poses agree" in command("check", calibrated, again, "--new-setup", "base")
+
+
 def test_the_exit_code_is_the_verdicts_where_nobody_reads_on(
     calibrated: str, arm: DriftingArm, tmp_path: Path, server: Path
 ) -> None:

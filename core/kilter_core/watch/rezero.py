@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
+from kilter_core.identify.estimate import Frame, new_frames, refitted
 from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
@@ -72,17 +73,21 @@ def rezero(
     causes: Sequence[str] = (),
     *,
     noise: float | None = None,
+    new_setup: Sequence[str] = (),
     fitted_c: tuple[float, float] | None = None,
 ) -> Rezeroed:
     """Change what a check of the rows names, or the ``causes`` named here, as ``zero_3``, and nothing else.
 
-    Views are places of the tool by the cameras of the version, as in a check.
+    Views are places of the tool by the cameras of the version, as in a check. Frames of ``new_setup``, [], ["base"] or
+    ["base", "tool"], are estimated beside the causes and then dropped: the version keeps its own.
 
     Raises:
         CoreError: the data do not carry it: nothing has moved, several causes may be it, a cause named is refuted or has not
-            changed, or the rows still miss the arm afterwards. OptionError: no such cause. Whatever ``check`` refuses.
+            changed, or the rows still miss the arm afterwards. OptionError: no such cause or set-up.
+        Whatever ``check`` refuses.
 
     """
+    anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
     if held_by_sockets(rows):
         raise ObservationError(
@@ -91,17 +96,17 @@ def rezero(
             code=CODE,
         )
     rows = as_seen_places(calibration, rows, noise)
-    before = check(calibration, rows, known, noise=noise, fitted_c=fitted_c)
+    before = check(calibration, rows, known, noise=noise, new_setup=anew, fitted_c=fitted_c)
     chosen = _chosen(before, causes)
     names = [name for cause in chosen for name in _parameters(calibration, cause)]
     known = _with(known, names)
-    at, change, together, covariance = _estimated(calibration, rows, known, names, noise, fitted_c)
+    at, change, together, covariance = _estimated(calibration, rows, known, names, noise, anew, fitted_c)
     sigma = np.sqrt(np.diag(together))
     for cause in chosen:
         _refuse_unchanged(cause, *(part[[names.index(n) for n in _parameters(calibration, cause)]]
                                    for part in (change, sigma)))  # fmt: skip
     now = replace(known, covariance=covariance)
-    after = check(at, rows, now, noise=noise, fitted_c=fitted_c)
+    after = check(at, rows, now, noise=noise, new_setup=anew, fitted_c=fitted_c)
     if after.verdict != "ok":
         raise CoreError(
             f"After the change the rows still miss the arm by {mm(after.misfit):.3g} mm, more than chance explains (p = "
@@ -143,11 +148,9 @@ def _chosen(found: Check, wanted: Sequence[str]) -> tuple[Cause, ...]:
 
 def _parameters(calibration: Calibration, cause: Cause) -> list[str]:
     """Names of the parameters of a cause."""
-    names, n = calibration.names, calibration.model.n_geometric
-    if cause.kind == "base":
-        return list(names[:6])
-    if cause.kind == "tool":
-        return list(names[n - 6 : n])
+    names = calibration.names
+    if cause.kind in ("base", "tool"):
+        return _frame_parameters(calibration, cause.kind)
     found: str | None = None
     if cause.kind == "zero" and cause.joint is not None:
         chain = calibration.robot.chain
@@ -165,6 +168,12 @@ def _parameters(calibration: Calibration, cause: Cause) -> list[str]:
     return [found]
 
 
+def _frame_parameters(calibration: Calibration, frame: str) -> list[str]:
+    """Names (6) of the increments of the base or of the tool."""
+    n = calibration.model.n_geometric
+    return list(calibration.names[:6] if frame == "base" else calibration.names[n - 6 : n])
+
+
 def _with(known: Predictive, names: Sequence[str]) -> Predictive:
     """The same with more names, which count as known exactly so far."""
     more = [name for name in names if name not in known.names]
@@ -175,11 +184,14 @@ def _with(known: Predictive, names: Sequence[str]) -> Predictive:
 
 def _estimated(
     calibration: Calibration, rows: Observations, known: Predictive, names: Sequence[str], noise: float | None,
-    fitted_c: tuple[float, float] | None,
+    anew: Sequence[Frame], fitted_c: tuple[float, float] | None,
 ) -> tuple[Calibration, Floats, Floats, Floats]:  # fmt: skip
     """The calibration after the change, the change (F,) and its covariance (F, F), and that of all parameters (K, K)."""
-    places = np.array([calibration.names.index(name) for name in names], dtype=np.int64)
-    at, change = calibration, np.zeros(len(names))
+    frames = [name for frame in anew for name in _frame_parameters(calibration, frame)]
+    places = np.array([calibration.names.index(name) for name in (*names, *frames)], dtype=np.int64)
+    at, change = calibration, np.zeros(len(places))
+    if anew:  # an instrument that was set up elsewhere is metres away: derivatives reach from near it only
+        at = absorbed(refitted(at, Innovation.of(at, rows, known, noise, fitted_c).measurement, anew))
     for _ in range(PASSES):
         innovation = Innovation.of(at, rows, known, noise, fitted_c)
         W = _derivatives(innovation, at, places)
@@ -191,7 +203,11 @@ def _estimated(
         sigma = np.linalg.norm(P, axis=1)
         if np.all(np.abs(step) <= SETTLED * np.where(sigma > 0, sigma, np.inf)):
             break
-    return at, change, P @ P.T, _covariance(known, names, P, _derivatives(innovation, at, _of(at, known)), at)
+    P, change = P[: len(names)], change[: len(names)]
+    covariance = _covariance(known, names, P, _derivatives(innovation, at, _of(at, known)), at)
+    values = calibration.values.copy()
+    values[places[: len(names)]] += change
+    return replace(calibration, values=values), change, P @ P.T, covariance
 
 
 def _of(calibration: Calibration, known: Predictive) -> Ints:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError, OptionError
@@ -144,3 +147,27 @@ def test_a_cause_without_a_parameter_is_refused(fitted: Fitted) -> None:
         rezero(calibration, arm.after("scale", 1e-3).measured(some_poses(6, rng), rng, NOISE), known)
     with pytest.raises(OptionError, match="no cause 'zero_9'"):
         rezero(calibration, arm.measured(some_poses(6, rng), rng, NOISE), known, ["zero_9"])
+
+
+@pytest.mark.parametrize("frames", [["base"], ["base", "tool"]])
+def test_a_zero_is_changed_by_rows_of_a_tracker_that_stands_elsewhere(frames: list[str], fitted: Fitted) -> None:
+    arm, calibration, known = fitted
+    moved = arm.after("zero_3", 4e-3)
+    rows = moved.measured(some_poses(12, np.random.default_rng(1)), np.random.default_rng(2), NOISE)
+    assert rows.position is not None
+    turned = Rotation.from_euler("xyz", [0.02, 0.3, -2.1]).apply(rows.position)
+    elsewhere = replace(rows, position=turned + np.array([1.9, -1.2, 0.4]))
+    found = rezero(calibration, elsewhere, known, new_setup=frames)
+    assert [one.name for one in found.causes] == ["zero_3"]
+    assert found.change == pytest.approx([4e-3], abs=4.0 * float(found.sigma[0]))
+    np.testing.assert_allclose(found.calibration.model.T_base, calibration.model.T_base, atol=1e-14)
+    assert misfit(found.calibration, moved) < 3.0 * NOISE  # where the instrument stood at the fit
+
+
+def test_a_first_zero_looks_like_a_base_that_was_set_up_anew(fitted: Fitted) -> None:
+    arm, calibration, known = fitted
+    rows = arm.after("zero_1", 4e-3).measured(some_poses(8, np.random.default_rng(1)), np.random.default_rng(2), NOISE)
+    with pytest.raises(CoreError, match="Nothing has moved"):
+        rezero(calibration, rows, known, new_setup=["base"])
+    with pytest.raises(OptionError, match="no cause 'base'"):
+        rezero(calibration, rows, known, ["base"], new_setup=["base"])

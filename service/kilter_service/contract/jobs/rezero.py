@@ -8,7 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.fits import Metrics, Parameter
 from kilter_service.contract.jobs.drift import DriftCause
-from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NoiseMm, Version
+from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NewFrames, NoiseMm, Version
 from kilter_service.contract.units import Asked
 
 CauseName = Annotated[str, Field(pattern=r"^((zero|sag)_[1-9][0-9]?|base|tool|scale)$")]
@@ -24,6 +24,10 @@ class RezeroOptions(Asked):
     )
     noise_mm: NoiseMm | None = Field(
         None, description="Standard deviation of a coordinate, mm, above 0; null: what the version's fit found."
+    )
+    new_setup: NewFrames = Field(
+        [],
+        description='Frames that were set up anew: [], ["base"] or ["base", "tool"]. The version keeps its own.',
     )
     limits: Limits = Field(None, description=LIMITS)
 

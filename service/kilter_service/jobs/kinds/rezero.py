@@ -65,7 +65,13 @@ def _found(job: JobInput) -> Rezeroed:
     rows, known = rows_of(job), known_of(job)
     noise = counted_noise(job, known)
     return core_watch.rezero(
-        calibration_of(job), rows, known, options.causes, noise=noise, fitted_c=job.fit.temperatures_c
+        calibration_of(job),
+        rows,
+        known,
+        options.causes,
+        noise=noise,
+        new_setup=options.new_setup,
+        fitted_c=job.fit.temperatures_c,
     )
 
 
@@ -77,8 +83,8 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
     before = {row["name"]: row for row in (job.report or {}).get("parameters") or []}
     told = np.array([name in found.names or bool(before.get(name, {}).get("identifiable", True)) for name in names])
     ((campaign, rows),) = job.campaigns.items()
-    errors = core_evaluate.evaluate(found.calibration, rows, [], found.known)
-    budget = budget_of(found.calibration, found.known, rows, job.instruments.get(campaign))
+    errors = core_evaluate.evaluate(found.calibration, rows, found.before.new_setup, found.known)
+    budget = budget_of(found.calibration, found.known, rows, job.instruments.get(campaign), found.before.new_setup)
     return start | {
         "parameters": core_report.rows_of(found.calibration, names, sigma, told),
         "metrics": {"train": {stage: errors[stage] for stage in STAGES} | {"budget": budget}},

@@ -32,7 +32,7 @@ USUAL: Mapping[str, tuple[str, ...]] = {
     "plan": ("purpose", "count", "effects", "version", "payloads_kg"),
     "joint_parameters": ("propose", "resolution_deg", "count"),
     "drift": ("version", "new_setup", "noise_mm"),
-    "rezero": ("version", "causes", "noise_mm"),
+    "rezero": ("version", "causes", "new_setup", "noise_mm"),
 }
 NUMBERS = {"number", "integer"}
 

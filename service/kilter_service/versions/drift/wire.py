@@ -156,9 +156,10 @@ def chance_words(p_value: float, digits: int = 1) -> str:
 def rezero_sentence(found: Rezeroed, start: str, rows: int, campaign: str) -> str:
     """Return what was changed in a version, by how many rows of which campaign."""
     changes = " and ".join(by_how_much(one) for one in found.changed)
+    setup = f" with {' and '.join(found.before.new_setup)} set up anew" if found.before.new_setup else ""
     return (
-        f"Version {start} re-zeroed: {changes}; everything else is as it was identified. The {rows} rows of {campaign} were "
-        "used for that, so errors on them flatter: rows measured from now on say how good it is."
+        f"Version {start} re-zeroed{setup}: {changes}; everything else is as it was identified. The {rows} rows of "
+        f"{campaign} were used for that, so errors on them flatter: rows measured from now on say how good it is."
     )
 
 

@@ -152,6 +152,7 @@ def rezero(
     ] = "latest",
     cause: Annotated[list[str] | None, typer.Option("--cause", metavar="A,B", help=REZERO["causes"])] = None,
     version: Annotated[str | None, typer.Option(help=REZERO["version"])] = None,
+    new_setup: Annotated[str | None, typer.Option(metavar="base,tool", help=REZERO["new_setup"])] = None,
     noise_mm: Annotated[float | None, typer.Option(help=REZERO["noise_mm"])] = None,
     option: MoreOptions = None,
     name: JobName = "",
@@ -160,6 +161,8 @@ def rezero(
 ) -> None:
     """Make a version of the one or few parameters that moved; everything else stays as it was identified."""
     chosen = arguments.options(option, causes=arguments.split_names(cause), version=version, noise_mm=noise_mm)
+    if new_setup is not None:
+        chosen["new_setup"] = arguments.split_names([new_setup])
     run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name)
 
 

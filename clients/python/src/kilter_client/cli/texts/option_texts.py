@@ -91,5 +91,6 @@ REZERO = {
     "version": "Id of the version to change; left out: the active one.",
     "causes": "What moved: zero_3, sag_2, base, tool; left out: what a check of the rows names, if it is one cause.",
     "noise_mm": "Standard deviation of a coordinate, mm, above 0; left out: what the version's fit found.",
+    "new_setup": 'Frames that were set up anew: [], ["base"] or ["base", "tool"]. The version keeps its own.',
     "limits": "The largest correction the version may make; left out: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm.",
 }
