@@ -191,6 +191,8 @@ class RezeroOptions(TypedDict, total=False):
     """What moved: `zero_3`, `sag_2`, `base`, `tool`; empty: what a check of the rows names, if it is one cause."""
     limits: Mapping[str, Any] | None
     """The largest correction the version may make; None: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm."""
+    new_setup: Sequence[Literal["base", "tool"]]
+    """Frames that were set up anew: [], ["base"] or ["base", "tool"]. The version keeps its own."""
     noise_mm: float | None
     """Standard deviation of a coordinate, mm, above 0; None: what the version's fit found."""
     version: str | None
