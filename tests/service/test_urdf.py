@@ -228,7 +228,7 @@ def bad() -> Iterator[tuple[str, str, str, str]]:
     yield good, "bse", "tip", "Near it: base"
     yield good, "l3", "side0", "does not hang on"
     yield good, "l1", "l2", "No joint moves"
-    yield good.replace('type="prismatic"', 'type="planar"'), "base", "tip", "joint joint2 is 'planar'"
+    yield good.replace('type="prismatic"', 'type="planar"'), "base", "tip", "joint joint2 is 'planar' and lies between"
     yield good.replace('xyz="0.3 -0.7 0.64"', 'xyz="0.3 x 0"'), "base", "tip", "is not 3 numbers"
 
 

@@ -13,7 +13,7 @@ from kilter_core.types import Floats
 from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
 from kilter_service.robots.importers.urdf_masses import in_frame, merged
 from kilter_service.robots.importers.urdf_spares import spares
-from kilter_service.robots.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
+from kilter_service.robots.importers.urdf_tree import FREE, MOVING, Body, UrdfJoint, UrdfTree, parse
 
 Item = dict[str, Any]
 
@@ -30,13 +30,15 @@ class UrdfImport:
     ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
     ``link_frames`` has, for every joint that moves, the arm's joint whose link it carries ("": it follows one, with a link
     of its own), the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass. ``mimics`` has
-    the mimic joints of the path, and the element that each became.
+    the mimic joints of the path, and the element that each became. ``unused`` has sentences on values of the joints, and
+    on floating and planar joints, that the document leaves out.
     """
 
     document: Item
     held_joints: tuple[str, ...] = ()
     link_frames: tuple[tuple[str, str, Floats], ...] = ()
     mimics: tuple[tuple[str, int], ...] = ()
+    unused: tuple[str, ...] = ()
 
 
 @dataclass
@@ -80,6 +82,7 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
     for element in chain.elements:
         if element.get("name") in dependent:
             element["spare"] = True
+    outside = _outside(tree, path, base_link)
     bodies = _bodies(tree, path, chain)
     primary = _primary(chain, drivers)
     return UrdfImport(
@@ -90,7 +93,15 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
             "elements": chain.elements,
             "links": [*(_link(bodies[place]) for place in primary), *_followers(bodies, primary)],
         },
-        held_joints=_held(tree, path, base_link),
+        held_joints=tuple(sorted(joint.name for joint in outside if joint.moves)),
+        unused=(
+            *(said for joint in path for said in joint.unused),
+            *(
+                f"{joint.name} is {joint.kind}: what hangs on it is not part of the arm"
+                for joint in outside
+                if joint.kind in FREE
+            ),
+        ),
         mimics=tuple(chain.mimics),
         link_frames=tuple((chain.elements[k]["joint"] if k in primary else "", link, T) for k, T, link in chain.frames),
     )
@@ -196,8 +207,6 @@ def _followers(bodies: dict[int, Body], primary: list[int]) -> list[Item]:
 
 
 def _joint(tree: UrdfTree, name: str) -> Item:
-    if name not in tree.joints:
-        raise RobotError(f"A joint mimics {name!r}, which is not in the URDF.", field="urdf", place=name)
     joint = tree.joints[name]
     item: Item = {"name": name}
     if math.isfinite(joint.lower) and joint.lower < joint.upper:
@@ -216,16 +225,13 @@ def _link(body: Body) -> Item:
     }
 
 
-def _held(tree: UrdfTree, path: list[UrdfJoint], base_link: str) -> tuple[str, ...]:
-    """Moving joints that hang on the arm without being of the chain."""
+def _outside(tree: UrdfTree, path: list[UrdfJoint], base_link: str) -> list[UrdfJoint]:
+    """Joints that hang on the arm without being of the chain, none beyond a floating or planar one."""
     on_path = {joint.name for joint in path}
-    moving_links = {joint.child for joint in path} | {base_link}
-    held, queue = [], list(moving_links)
+    outside, queue = [], [*(joint.child for joint in path), base_link]
     while queue:
         for joint in tree.children(queue.pop()):
-            if joint.name in on_path:
-                continue
-            queue.append(joint.child)
-            if joint.moves:
-                held.append(joint.name)
-    return tuple(sorted(held))
+            if joint.name not in on_path:
+                outside.append(joint)
+                queue += [] if joint.kind in FREE else [joint.child]
+    return outside
