@@ -145,7 +145,7 @@ def test_merged_masses_load_the_joints_as_pinocchio_says(seed: int) -> None:
 def test_elements_of_a_joint_are_six_named_constants() -> None:
     document = chain_document(random_urdf(1), "base", "tip", "random").document
     named = [element["name"] for element in document["elements"] if element.get("name", "").startswith("joint0_")]
-    assert named == [f"joint0_{suffix}" for suffix in ("x", "y", "z", "yaw", "pitch", "roll")]
+    assert named == [f"joint0_{suffix}" for suffix in ("x", "y", "z", "rz", "ry", "rx")]
     assert document["joints"][0]["limits_deg"] == pytest.approx([-114.591559, 143.239449])
     assert document["joints"][1]["limits_mm"] == [-2000, 2500]
 
@@ -177,15 +177,18 @@ def test_what_is_identified_of_an_arm_says_all_and_nothing_twice(seed: int, mimi
     assert rank(kept) == kept.shape[1] == rank(seen(result, spare=True))
 
 
-def test_an_arm_of_revolute_joints_has_four_numbers_each_and_two_more() -> None:
+@pytest.mark.parametrize("pitch", [None, np.pi / 2, -np.pi / 2, np.radians(89.9), 1.57])
+def test_an_arm_of_revolute_joints_has_four_numbers_each_and_two_more(pitch: float | None) -> None:
     """Six of the flange are the tool's: 4 R + 6 less what only those say (Mooring, Roth and Driels 1991)."""
     rng = np.random.default_rng(3)
     parts = [LINK.format(name="l0", xyz="0 0 0", rpy="0 0 0", mass=1.0)]
     for k in range(6):
+        rpy = rng.uniform(-1.5, 1.5, 3)
+        rpy[1] = rpy[1] if pitch is None else pitch
         parts.append(
             JOINT.format(
                 name=f"j{k}", kind="revolute", parent=f"l{k}", child=f"l{k + 1}", xyz=numbers(rng.uniform(-0.4, 0.4, 3)),
-                rpy=numbers(rng.uniform(-1.5, 1.5, 3)), axis=str(rng.choice(AXES)), mimic="",
+                rpy=numbers(rpy), axis=str(rng.choice(AXES)), mimic="",
             )
         )  # fmt: skip
         parts.append(LINK.format(name=f"l{k + 1}", xyz="0 0 0", rpy="0 0 0", mass=1.0))
@@ -225,7 +228,7 @@ def bad() -> Iterator[tuple[str, str, str, str]]:
     yield good, "bse", "tip", "Near it: base"
     yield good, "l3", "side0", "does not hang on"
     yield good, "l1", "l2", "No joint moves"
-    yield good.replace('type="prismatic"', 'type="planar"'), "base", "tip", "joint joint2 is 'planar'"
+    yield good.replace('type="prismatic"', 'type="planar"'), "base", "tip", "joint joint2 is 'planar' and lies between"
     yield good.replace('xyz="0.3 -0.7 0.64"', 'xyz="0.3 x 0"'), "base", "tip", "is not 3 numbers"
 
 

@@ -37,7 +37,7 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
     notes = []
     if result.held_joints:
         notes.append(f"joints outside the chain, held at zero: {', '.join(result.held_joints)}")
-    return CoreDocument(document, notes)
+    return CoreDocument(document, [*notes, *result.unused])
 
 
 def without_settings(posted: dict[str, Any]) -> dict[str, Any]:

@@ -143,8 +143,9 @@ def test_origins_of_the_robots_own_urdf_are_corrected(kind: str) -> None:
     robot = robot_from_document(chain_document(urdf, "base", "tip", "arm").document)
     errors = {
         "a_x": 1e-3,
-        "b_yaw": 2e-3,
-        "b_pitch": -1e-3,
+        "b_rz": 2e-3,
+        "b_ry": -1e-3,
+        "b_rx": 1.5e-3,
         "c_z": 3e-4,
         "theta_offset_2": 4e-3,
         "theta_offset_3": -3e-3,
@@ -161,6 +162,25 @@ def test_origins_of_the_robots_own_urdf_are_corrected(kind: str) -> None:
     assert " kept " in text
     assert text.count("<joint ") == urdf.count("<joint ") + (kind == "revolute")
     assert '<origin xyz="0 0 0.1"' in text  # what is not of the chain stays as it was
+
+
+def test_an_arm_stored_with_errors_of_roll_pitch_and_yaw_is_exported_as_it_is() -> None:
+    urdf = URDF.format(kind="fixed").replace("0 1.5707963267948966 0.2", "0.4 0.7 0.2")
+    document = dict(chain_document(urdf, "base", "tip", "arm").document)
+    kept = [e for e in document["elements"] if not str(e.get("name", "")).endswith(("_rx", "_ry", "_rz"))]
+    names = iter(["b_yaw", "b_pitch", "b_roll"])
+    turned = {k for k, e in enumerate(kept) if e.get("fixed") and e["value"] in np.degrees([0.2, 0.7, 0.4])}
+    elements = [{**e, "fixed": False, "name": next(names)} if k in turned else e for k, e in enumerate(kept)]
+    stored = document | {"elements": elements}
+    robot = robot_from_document(stored)
+    calibration = Twin(robot, {"b_yaw": 2e-3, "b_pitch": -1e-3, "b_roll": 1e-3}).truth
+    calibration = Calibration(calibration.model, calibration.values, wanted_base=robot.T_base, wanted_tool=robot.T_tool)
+    posted = {"name": "arm", "convention": "urdf", "urdf": urdf, "base_link": "base", "tip_link": "tip"}
+    file = exportable(stored, calibration)
+    file = dataclasses.replace(file, arm=StoredRobot(*file.arm)._replace(document=posted))
+    text, q = export("urdf", file).text, joints(robot.n_joints)
+    stand = pose_from_xyz_rpy(np.array([0, 0, 0.7]), np.array([0, 0, 3.14159]))
+    assert np.abs(pinocchio_poses(text, "tip", q) - stand @ poses_of(calibration, q)).max() < 1e-9
 
 
 def test_an_uncalibrated_urdf_comes_out_as_it_went_in() -> None:

@@ -25,7 +25,7 @@ def urdf_file(version: Exportable) -> Written:
     """Write the URDF; a comment at its head has what geometry cannot say."""
     notes = omissions(version.calibration)
     if version.robot["convention"] == "urdf":
-        root = _corrected(version.robot, flange_frames(version.calibration))
+        root = _corrected(version.robot, flange_frames(version.calibration), version.calibration.robot.chain.driven)
     else:
         root = new_urdf(version.version.robot, version.calibration)
     head = [f" Calibrated by Kilter: version {version.version.id} of robot {version.version.robot}.", *notes]
@@ -34,15 +34,15 @@ def urdf_file(version: Exportable) -> Written:
     return Written('<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n", notes)
 
 
-def _corrected(robot: dict[str, str], found: FlangeFrames) -> Element:
+def _corrected(robot: dict[str, str], found: FlangeFrames, driven: tuple[int, ...]) -> Element:
     """The original file, comments and all, with the origins of the chain's joints replaced."""
     root = read_xml(robot["urdf"], comments=True)
     path = parse(robot["urdf"]).path(robot["base_link"], robot["tip_link"])
-    ends = dict(chain_document(robot["urdf"], robot["base_link"], robot["tip_link"], "").joint_ends)
+    children = iter(_children(robot, found, driven))
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
     before = np.eye(4)
     for joint in path:
-        child = found.elements[ends[joint.name]]
+        child = next(children) if joint.moves else before @ joint.origin
         last = joint is path[-1] and not joint.moves
         child = child @ found.end if last else child
         origin = inverse(before) @ child @ inverse(_at_zero(joint))
@@ -52,6 +52,12 @@ def _corrected(robot: dict[str, str], found: FlangeFrames) -> Element:
     if path[-1].moves and np.abs(found.end - np.eye(4)).max() > SAME:
         _add_tip(root, elements[path[-1].name], robot["tip_link"], found.end)
     return root
+
+
+def _children(robot: dict[str, str], found: FlangeFrames, driven: tuple[int, ...]) -> list[Floats]:
+    """Poses (4, 4) of the links behind the moving joints, of elements of today or of an earlier release."""
+    arm = chain_document(robot["urdf"], robot["base_link"], robot["tip_link"], "")
+    return [found.elements[k + 1] @ T for k, (_, _, T) in zip(driven, arm.link_frames, strict=True)]
 
 
 def _at_zero(joint: UrdfJoint) -> Floats:

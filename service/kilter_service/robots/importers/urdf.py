@@ -13,13 +13,14 @@ from kilter_core.types import Floats
 from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
 from kilter_service.robots.importers.urdf_masses import in_frame, merged
 from kilter_service.robots.importers.urdf_spares import spares
-from kilter_service.robots.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
+from kilter_service.robots.importers.urdf_tree import FREE, MOVING, Body, UrdfJoint, UrdfTree, parse
 
 Item = dict[str, Any]
 
 MM = 1e3
 STRAIGHT = 1e-12  # an axis this close to x, y or z is one of them
-ORIGIN = (("x", "Tx", 0), ("y", "Ty", 1), ("z", "Tz", 2), ("yaw", "Rz", 2), ("pitch", "Ry", 1), ("roll", "Rx", 0))
+SHIFTS = (("x", "Tx"), ("y", "Ty"), ("z", "Tz"))
+ROTATIONS = (("rz", "Rz", 2), ("ry", "Ry", 1), ("rx", "Rx", 0))  # as URDF composes roll, pitch and yaw
 
 
 @dataclass(frozen=True)
@@ -27,17 +28,17 @@ class UrdfImport:
     """The document, and what of the URDF it leaves out.
 
     ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
-    ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link. ``link_frames``
-    has, for every joint that moves, the arm's joint whose link it carries ("": it follows one, with a link of its own),
-    the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass. ``mimics`` has the mimic
-    joints of the path, and the element that each became.
+    ``link_frames`` has, for every joint that moves, the arm's joint whose link it carries ("": it follows one, with a link
+    of its own), the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass. ``mimics`` has
+    the mimic joints of the path, and the element that each became. ``unused`` has sentences on values of the joints, and
+    on floating and planar joints, that the document leaves out.
     """
 
     document: Item
-    joint_ends: tuple[tuple[str, int], ...] = ()
     held_joints: tuple[str, ...] = ()
     link_frames: tuple[tuple[str, str, Floats], ...] = ()
     mimics: tuple[tuple[str, int], ...] = ()
+    unused: tuple[str, ...] = ()
 
 
 @dataclass
@@ -55,9 +56,10 @@ class _Chain:
 def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfImport:
     """Convert URDF text to a ``chain`` document (mm, degrees) of the arm from ``base_link`` to ``tip_link``.
 
-    Each moving joint's origin becomes six named elements ``<joint>_x, _y, _z, _yaw, _pitch, _roll``, of which those that say
-    what others say too are dependent; fixed joints
-    become fixed elements. Fixed rotations bring an axis not along x, y or z there, and back after the joint.
+    Each moving joint's origin has six named elements. ``<joint>_x, _y, _z`` are its place in the parent link, and
+    ``<joint>_rz, _ry, _rx`` rotations in the joint's own frame, zero behind the fixed roll, pitch and yaw of the file. Those
+    that say what others say too are dependent; fixed joints become fixed elements. Fixed rotations bring an axis not along
+    x, y or z there, and back after the joint.
 
     Raises:
         RobotError: the text is not URDF, the links do not exist, or nothing moves between them.
@@ -67,10 +69,9 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
     path = tree.path(base_link, tip_link)
     drivers = list(dict.fromkeys(joint.mimic.joint if joint.mimic else joint.name for joint in path if joint.moves))
     _check_drivers(drivers, base_link, tip_link)
-    chain, ends = _Chain(), []
+    chain = _Chain()
     for joint in path:
         _append(chain, joint)
-        ends.append((joint.name, len(chain.elements)))
     if len(chain.elements) > MAX_ELEMENTS:
         raise RobotError(
             f"The arm from {base_link!r} to {tip_link!r} has {len(chain.elements)} elements, at most "
@@ -81,6 +82,7 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
     for element in chain.elements:
         if element.get("name") in dependent:
             element["spare"] = True
+    outside = _outside(tree, path, base_link)
     bodies = _bodies(tree, path, chain)
     primary = _primary(chain, drivers)
     return UrdfImport(
@@ -91,8 +93,15 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
             "elements": chain.elements,
             "links": [*(_link(bodies[place]) for place in primary), *_followers(bodies, primary)],
         },
-        joint_ends=tuple(ends),
-        held_joints=_held(tree, path, base_link),
+        held_joints=tuple(sorted(joint.name for joint in outside if joint.moves)),
+        unused=(
+            *(said for joint in path for said in joint.unused),
+            *(
+                f"{joint.name} is {joint.kind}: what hangs on it is not part of the arm"
+                for joint in outside
+                if joint.kind in FREE
+            ),
+        ),
         mimics=tuple(chain.mimics),
         link_frames=tuple((chain.elements[k]["joint"] if k in primary else "", link, T) for k, T, link in chain.frames),
     )
@@ -110,13 +119,18 @@ def _check_drivers(drivers: list[str], base_link: str, tip_link: str) -> None:
 
 
 def _append(chain: _Chain, joint: UrdfJoint) -> None:
-    for suffix, axis, k in ORIGIN:
-        value = joint.xyz[k] * MM if axis[0] == "T" else math.degrees(joint.rpy[k])
+    for (suffix, axis), metres in zip(SHIFTS, joint.xyz, strict=True):
         if joint.moves:
-            chain.add(name=f"{joint.name}_{suffix}", axis=axis, value=float(value))
-        elif value:
-            chain.add(axis=axis, value=float(value), fixed=True)
+            chain.add(name=f"{joint.name}_{suffix}", axis=axis, value=float(metres * MM))
+        elif metres:
+            chain.add(axis=axis, value=float(metres * MM), fixed=True)
+    for _, axis, k in ROTATIONS:
+        if joint.rpy[k]:
+            chain.add(axis=axis, value=math.degrees(joint.rpy[k]), fixed=True)
     if joint.moves:
+        # Errors of roll, pitch and yaw themselves would be two directions instead of three at a pitch of 90 degrees.
+        for suffix, axis, _ in ROTATIONS:
+            chain.add(name=f"{joint.name}_{suffix}", axis=axis, value=0.0)
         _append_motion(chain, joint)
 
 
@@ -193,8 +207,6 @@ def _followers(bodies: dict[int, Body], primary: list[int]) -> list[Item]:
 
 
 def _joint(tree: UrdfTree, name: str) -> Item:
-    if name not in tree.joints:
-        raise RobotError(f"A joint mimics {name!r}, which is not in the URDF.", field="urdf", place=name)
     joint = tree.joints[name]
     item: Item = {"name": name}
     if math.isfinite(joint.lower) and joint.lower < joint.upper:
@@ -213,16 +225,13 @@ def _link(body: Body) -> Item:
     }
 
 
-def _held(tree: UrdfTree, path: list[UrdfJoint], base_link: str) -> tuple[str, ...]:
-    """Moving joints that hang on the arm without being of the chain."""
+def _outside(tree: UrdfTree, path: list[UrdfJoint], base_link: str) -> list[UrdfJoint]:
+    """Joints that hang on the arm without being of the chain, none beyond a floating or planar one."""
     on_path = {joint.name for joint in path}
-    moving_links = {joint.child for joint in path} | {base_link}
-    held, queue = [], list(moving_links)
+    outside, queue = [], [*(joint.child for joint in path), base_link]
     while queue:
         for joint in tree.children(queue.pop()):
-            if joint.name in on_path:
-                continue
-            queue.append(joint.child)
-            if joint.moves:
-                held.append(joint.name)
-    return tuple(sorted(held))
+            if joint.name not in on_path:
+                outside.append(joint)
+                queue += [] if joint.kind in FREE else [joint.child]
+    return outside

@@ -7,7 +7,7 @@ from collections.abc import Container, Iterator
 import numpy as np
 
 from kilter_core.types import Floats
-from kilter_service.robots.importers.urdf_tree import Body, UrdfTree
+from kilter_service.robots.importers.urdf_tree import FREE, Body, UrdfTree
 
 
 def merged(tree: UrdfTree, link: str, cut: Container[str]) -> Body:
@@ -23,7 +23,7 @@ def hanging(tree: UrdfTree, link: str, cut: Container[str]) -> Iterator[tuple[Fl
     waiting = [(np.eye(4), joint) for joint in tree.children(link)]
     while waiting:
         T, joint = waiting.pop()
-        if joint.name not in cut:
+        if joint.name not in cut and joint.kind not in FREE:
             here = T @ joint.origin
             yield here, joint.child
             waiting += [(here, below) for below in tree.children(joint.child)]

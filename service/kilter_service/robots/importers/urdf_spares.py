@@ -12,10 +12,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from kilter_core.types import Floats
-from kilter_service.ground.core import transforms
 from kilter_service.robots.importers.urdf_tree import MOVING, UrdfJoint
 
-SUFFIXES = ("x", "y", "z", "yaw", "pitch", "roll")
+SUFFIXES = ("x", "y", "z", "rz", "ry", "rx")
 LENGTH_M = 0.3  # of an arm: over it a rotation is compared with a shift
 ALIKE = 1e-6  # share within which two are alike, and the first is kept
 NOTHING = 1e-6  # of a unit column: dependent on those kept
@@ -72,12 +71,9 @@ def _by_one_before(before: UrdfJoint, T: Floats) -> Iterator[Floats]:
 
 def _constants(joint: UrdfJoint) -> Floats:
     """Twists (6, 6) in the frame behind the origin, a column for each of :data:`SUFFIXES`."""
-    roll, pitch, _ = joint.rpy
     out = np.zeros((6, 6))
     out[:3, :3] = joint.origin[:3, :3].T
-    rolled = transforms.pose_from_xyz_rpy(np.zeros(3), np.array([roll, 0.0, 0.0]))[:3, :3]
-    pitched = transforms.pose_from_xyz_rpy(np.zeros(3), np.array([roll, pitch, 0.0]))[:3, :3]
-    out[3:, 3:] = np.column_stack([pitched.T[:, 2], rolled.T[:, 1], [1.0, 0.0, 0.0]])
+    out[3:, 3:] = np.eye(3)[::-1]
     return out
 
 

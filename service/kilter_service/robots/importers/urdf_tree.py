@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.ground.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
 from kilter_service.ground.texts import LINE
+from kilter_service.robots.importers.urdf_unused import unused_values
 from kilter_service.robots.importers.xml_text import read_xml
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+FREE = ("floating", "planar")  # they hold nothing: what hangs on them is not of the arm
 
 
 @dataclass(frozen=True)
@@ -47,10 +50,11 @@ class UrdfJoint:
     lower: float
     upper: float
     mimic: Mimic | None
+    unused: tuple[str, ...] = ()  # values of the file that are not used, in words
 
     @property
     def moves(self) -> bool:
-        """Whether it is not a fixed joint."""
+        """Whether an arm's joint moves it: it is neither fixed nor free."""
         return self.kind in MOVING
 
     @property
@@ -92,10 +96,11 @@ class UrdfTree:
         return found
 
     def path(self, base: str, tip: str) -> list[UrdfJoint]:
-        """Joints from ``base`` to ``tip``.
+        """Joints from ``base`` to ``tip``; those that mimic name the joint at the end of their row of mimics.
 
         Raises:
-            RobotError: a link that does not exist, or no way from one to the other.
+            RobotError: a link that does not exist, no way from one to the other, a joint in between that is floating or
+                planar, or one that mimics none that moves.
 
         """
         for place, link in (("base_link", base), ("tip_link", tip)):
@@ -114,7 +119,47 @@ class UrdfTree:
                 )
             found.append(self.above[link])
             link = self.above[link].parent
-        return found[::-1]
+        for joint in found:
+            if joint.kind in FREE:
+                raise RobotError(
+                    f"joint {joint.name} is {joint.kind!r} and lies between {base!r} and {tip!r}: name two links with none "
+                    "such in between.",
+                    field="urdf",
+                    place=joint.name,
+                )
+        return [replace(joint, mimic=self._resolve_mimic(joint)) for joint in reversed(found)]
+
+    def _resolve_mimic(self, joint: UrdfJoint) -> Mimic | None:
+        """Return what a joint mimics in the end: ``q = multiplier * q[driver] + offset`` through all mimics between."""
+        total, passed = joint.mimic if joint.moves else None, [joint.name]
+        while total is not None:
+            other = self.joints.get(total.joint)
+            if other is None or not other.moves or other.name in passed:
+                fault = _mimic_fault(other, passed)
+                raise RobotError(
+                    f"joint {joint.name} mimics {total.joint[:MAX_NAME]!r}, which {fault}: name a joint that moves, or leave "
+                    "<mimic> out.",
+                    field="urdf",
+                    place=joint.name,
+                )
+            if other.mimic is None:
+                break
+            passed.append(other.name)
+            total = Mimic(
+                other.mimic.joint,
+                total.multiplier * other.mimic.multiplier,
+                total.multiplier * other.mimic.offset + total.offset,
+            )
+        return total
+
+
+def _mimic_fault(other: UrdfJoint | None, passed: list[str]) -> str:
+    """Say why a joint cannot be mimicked by the first of ``passed``."""
+    if other is None:
+        return "is not in the URDF"
+    if not other.moves:
+        return f"is {other.kind}"
+    return "is itself" if other.name == passed[-1] else "follows it in turn"
 
 
 def parse(text: str) -> UrdfTree:
@@ -209,7 +254,7 @@ def _name(element: Element, what: str) -> str:
 
 
 def numbers(element: Element | None, attribute: str, default: tuple[float, ...], place: str) -> Floats:
-    """Numbers of an attribute, ``default`` where it is not there.
+    """Finite numbers of an attribute, ``default`` where it is not there.
 
     Raises:
         RobotError: they are not as many numbers as the default.
@@ -250,9 +295,9 @@ def symmetric(six: list[float]) -> Floats:
 def _joint(element: Element) -> UrdfJoint:
     name = _name(element, "joint")
     place, kind = f"joint {name}", str(element.get("type"))
-    if kind not in MOVING and kind != "fixed":
+    if kind not in (*MOVING, *FREE, "fixed"):
         raise RobotError(
-            f"{place} is {kind[:MAX_NAME]!r}: Kilter knows revolute, continuous, prismatic and fixed.",
+            f"{place} is {kind[:MAX_NAME]!r}: URDF has revolute, continuous, prismatic, fixed, floating and planar.",
             field="urdf",
             place=place,
         )
@@ -269,10 +314,20 @@ def _joint(element: Element) -> UrdfJoint:
         xyz=numbers(origin, "xyz", (0, 0, 0), place),
         rpy=numbers(origin, "rpy", (0, 0, 0), place),
         axis=_axis(element, place) if kind in MOVING else np.array([1.0, 0.0, 0.0]),
-        lower=float(numbers(limit, "lower", (0,), place)[0]) if bounded else -math.inf,
-        upper=float(numbers(limit, "upper", (0,), place)[0]) if bounded else math.inf,
+        lower=_limit(limit, "lower", place) if bounded else -math.inf,
+        upper=_limit(limit, "upper", place) if bounded else math.inf,
         mimic=_mimic(element, place),
+        unused=unused_values(element, kind) if kind in MOVING else (),
     )
+
+
+def _limit(limit: Element | None, end: str, place: str) -> float:
+    """Return one end of a range; infinite where the file says so."""
+    text = "" if limit is None else limit.get(end, "")
+    with suppress(ValueError):
+        if math.isinf(float(text)):
+            return float(text)
+    return float(numbers(limit, end, (0,), place)[0])
 
 
 def _axis(element: Element, place: str) -> Floats:
