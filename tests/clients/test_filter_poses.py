@@ -149,7 +149,7 @@ def rapid_back(text: str) -> list[tuple[Floats, str]]:
 
 def config(q: Floats) -> str:
     behind = Arm("irb120").wrist(np.array([0, *q[1:]]))[0] < 0
-    turns = [int(np.floor((q[k] + 180) / 360)) for k in (3, 4, 5)]
+    turns = [int(np.floor((q[k] + 180) / 360)) for k in (0, 3, 5)]
     letters = f"{'N' if q[4] < 0 else 'F'} {'U' if elbow('irb120', q) > 0 else 'D'} {'B' if behind else 'T'}"
     return f"'{letters}, {', '.join(map(str, turns))}'"
 
