@@ -8,7 +8,15 @@ from dataclasses import replace
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, Span
-from kilter_files.formats.programs.poses.urscript import CALLED, CHANGED, KNOWN, Poses, inside, inverse_arguments
+from kilter_files.formats.programs.poses.urscript import (
+    BY_FORCE,
+    CALLED,
+    CHANGED,
+    KNOWN,
+    Poses,
+    inside,
+    inverse_arguments,
+)
 
 DECLARED = re.compile(r"^[ \t]*(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*=[ \t]*([^\r\n]*)", re.M)
 MOVE = re.compile(
@@ -42,6 +50,8 @@ def find(program: Program) -> None:
         for name in re.findall(r"\w+", match[1]):
             declared.pop(name, None)
     taken: dict[int, JointTarget | None] = {}
+    forced: set[JointTarget | None] = set()
+    plain: set[JointTarget | None] = set()
     near = 0
     poses = Poses(program, text, declared)
     for match in MOVE.finditer(text):
@@ -57,6 +67,9 @@ def find(program: Program) -> None:
             name = match[1] if goal.startswith("[") else goal
             taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
             target = taken[_before(match.start(), places)]
+            if match.start() in poses.forced:
+                program.leave(match.start(), f"{match[1]}({goal[:40]}: {BY_FORCE}")
+            (forced if match.start() in poses.forced else plain).add(target)
             sure = goal.startswith("[") or poses.is_sure(goal, match.start(), places)
             poses.last = (match.start(), target) if target is not None and sure else None
             program.moves.append(target and replace(target, line=line_at(text, match.start())))
@@ -78,6 +91,7 @@ def find(program: Program) -> None:
             program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
     _name_calls(program, text, declared)
     poses.leave_beside_targets()
+    program.leave_targets({one: f"{BY_FORCE} in all moves to it" for one in forced - plain if one is not None})
     if poses.displaced and program.targets:
         program.warn("the program displaces moves to joints too (path offset, conveyor)")
     if near:
