@@ -73,3 +73,34 @@ def test_a_pose_to_which_one_move_goes_without_force_is_rewritten(tmp_path: Path
     program = read_program(path)
     assert program.left == [(7, "movel(A: force_mode moves the arm beside it")]
     assert program.cartesian[0].why_left() == ""
+
+
+RAPID = """MODULE w
+  CONST jointtarget j1 := [[0, 10, 20, 30, 40, 50],[9E9,9E9,9E9,9E9,9E9,9E9]];
+  PROC main()
+    MoveAbsJ j1, v100, fine, tool0;
+  ENDPROC
+ENDMODULE
+"""
+
+
+@pytest.mark.parametrize("ending", [".mod", ".modx", ".sysx", ".prg", ".MODX"])
+def test_modules_of_rapid_have_several_endings(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"w{ending}"
+    path.write_text("! Prüfung\n" + RAPID, encoding="utf-8")
+    program = read_program(path)
+    assert program.rewritten([program.targets[0].joints_deg]).encode("latin-1") == path.read_bytes()
+
+
+def test_programs_of_urscript_may_end_in_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "w.urscript"
+    path.write_text(f"def w():\n  movej({Q})\nend\n")
+    assert len(read_program(path).targets) == 1
+
+
+def test_a_dat_that_is_not_there_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "weld.src"
+    path.write_text("DEF weld( )\nSPTP XP1 WITH $VEL_AXIS[1] = 50\nSLIN XP2\nEND\n")
+    with pytest.raises(FileError, match=r"Line 2: .*weld\.dat is not beside it") as refused:
+        read_program(path)
+    assert "state their frames" not in str(refused.value)

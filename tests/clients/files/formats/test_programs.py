@@ -121,7 +121,7 @@ def test_what_is_left_is_named_with_its_line(tmp_path: Path, name: str, text: st
         (
             "a.src",
             "\nLIN {X 1,Y 2,Z 3}\n",
-            "Store them as joints, or state their frames. Line 2: a move, a pose: without A, B, C.",
+            "holds no targets to rewrite. Line 2: a move, a pose: without A, B, C.",
         ),
     ],
 )

@@ -188,7 +188,7 @@ def _numbers(text: str, start: int, written: str) -> tuple[list[tuple[str, Span]
 
 DIALECT = Dialect(
     "URScript",
-    (".script",),
+    (".script", ".urscript"),
     sign(r"\bmovej\s*\("),
     find,
     "Give movej joints: get_actual_joint_positions() reads them",
