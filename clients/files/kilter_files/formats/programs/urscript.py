@@ -86,9 +86,7 @@ def find(program: Program) -> None:
         program.moves += [] if hint is None else [hint]
         if hint is None:
             _name_other(program, match, goal, places)
-    for match in CHANGED.finditer(text):
-        if any(at in taken for at, _ in declared.get(match[1], [])):
-            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
+    _name_changes(program, text, declared, taken)
     _name_calls(program, text, declared)
     poses.leave_beside_targets()
     program.leave_targets({one: f"{BY_FORCE} in all moves to it" for one in forced - plain if one is not None})
@@ -98,6 +96,13 @@ def find(program: Program) -> None:
         program.list_warnings.append(
             f"{near} moves to a pose count with the joints of their qnear: where the waypoint was taught"
         )
+
+
+def _name_changes(program: Program, text: str, declared: Places, taken: dict[int, JointTarget | None]) -> None:
+    """Name the lines that change single joints of a target."""
+    for match in CHANGED.finditer(text):
+        if any(at in taken for at, _ in declared.get(match[1], [])):
+            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
 
 
 def _before(at: int, places: list[tuple[int, str]]) -> int:
