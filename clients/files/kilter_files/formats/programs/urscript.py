@@ -50,9 +50,7 @@ def find(program: Program) -> None:
         for name in re.findall(r"\w+", match[1]):
             declared.pop(name, None)
     taken: dict[int, JointTarget | None] = {}
-    forced: set[JointTarget | None] = set()
-    plain: set[JointTarget | None] = set()
-    near = 0
+    forced, plain, near = set[JointTarget | None](), set[JointTarget | None](), 0
     poses = Poses(program, text, declared)
     for match in MOVE.finditer(text):
         goal = (match[2] or "").strip()
@@ -67,9 +65,9 @@ def find(program: Program) -> None:
             name = match[1] if goal.startswith("[") else goal
             taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
             target = taken[_before(match.start(), places)]
-            if match.start() in poses.forced:
-                program.leave(match.start(), f"{match[1]}({goal[:40]}: {BY_FORCE}")
-            (forced if match.start() in poses.forced else plain).add(target)
+            by_force = match.start() in poses.forced
+            program.left += [(line_at(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}")] if by_force else []
+            (forced if by_force else plain).add(target)
             sure = goal.startswith("[") or poses.is_sure(goal, match.start(), places)
             poses.last = (match.start(), target) if target is not None and sure else None
             program.moves.append(target and replace(target, line=line_at(text, match.start())))
