@@ -149,7 +149,7 @@ def rapid_back(text: str) -> list[tuple[Floats, str]]:
 
 def config(q: Floats) -> str:
     behind = Arm("irb120").wrist(np.array([0, *q[1:]]))[0] < 0
-    turns = [int(np.floor((q[k] + 180) / 360)) for k in (3, 4, 5)]
+    turns = [int(np.floor((q[k] + 180) / 360)) for k in (0, 3, 5)]
     letters = f"{'N' if q[4] < 0 else 'F'} {'U' if elbow('irb120', q) > 0 else 'D'} {'B' if behind else 'T'}"
     return f"'{letters}, {', '.join(map(str, turns))}'"
 
@@ -257,6 +257,35 @@ def test_nominal_controller_and_corrected_program_hit_the_taught_points(
     assert len(corrected) == len(new) + 1
     number = re.compile(r"-?\d[\d.]*")
     assert [number.sub("#", line) for line in old] == [number.sub("#", line) for line in new]
+
+
+@pytest.mark.parametrize("order", ["ABA", "ABCBA", "ABAB", "ABBA"])
+def test_a_path_that_comes_back_to_a_pose_is_rewritten(
+    kilter: Kilter, arms: dict[str, str], tmp_path: Path, order: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = robot_of(kilter, arms, "ur10e", tmp_path)
+    ideal, real = Arm("ur10e"), Arm("ur10e", ERRORS)
+    at = {
+        "A": [-91.0, -98, -126, -46, 91, -2],
+        "B": [-92.0, -88, -117, -66, 91, -2],
+        "C": [-85.0, -80, -120, -60, 88, 5],
+    }
+    pose = {name: ideal.flange(np.array(q)) @ TOOL for name, q in at.items()}
+    listed = [f"  {name}=p[{vector(T)}]" for name, T in pose.items() if name in order]
+    start = ", ".join(f"{v:.9f}" for v in np.radians(at["A"]))
+    lines = ["def w():", f"  set_tcp(p[{vector(TOOL)}])", *listed, f"  movej([{start}], a=1.4)"]
+    path, output = tmp_path / "w.script", tmp_path / "out.script"
+    path.write_text("\n".join([*lines, *(f"  movel({name})" for name in order), "end", ""]))
+    told = document(capsys, "filter", path, "--robot", robot, "-o", output)
+    assert told["left"] == []
+    written = re.findall(r"^  (\w)=p\[(.*)\]", output.read_text(), re.M)
+    assert len(written) == len(listed)
+    for name, inside in written:
+        v = np.array([float(part) for part in inside.split(",")])
+        T = shift(*v[:3] * 1e3)
+        T[:3, :3] = Rotation.from_rotvec(v[3:]).as_matrix()
+        command = ideal.joints(T @ np.linalg.inv(TOOL), np.array(at[name]))
+        assert np.linalg.norm((real.flange(command) @ TOOL - pose[name])[:3, 3]) < WITHIN_MM
 
 
 def lines_left(told: dict[str, object]) -> dict[int, str]:

@@ -406,3 +406,21 @@ def test_inspect_says_what_they_are(tmp_path: Path, capsys: pytest.CaptureFixtur
     servos = inspect(path)
     assert servos["kind"] == "lerobot-calibration"
     assert "servo 1 shoulder_pan: homing offset -200 ticks, range 740 to 3420 (+-117.8 deg)" in servos["notes"]
+
+
+@pytest.mark.parametrize(
+    ("servo", "change", "warned"),
+    [
+        ("shoulder_lift", {"range_min": 0, "range_max": 4095}, True),
+        ("shoulder_lift", {"range_min": 1, "range_max": 2300, "homing_offset": -2040}, True),
+        ("elbow_flex", {"range_min": 1900, "range_max": 4093}, True),
+        ("elbow_flex", {"range_min": 60, "range_max": 2300}, False),
+        ("wrist_roll", {"range_min": 0, "range_max": 4095}, False),
+    ],
+)
+def test_a_range_that_ends_at_the_seam_of_the_encoder_is_doubted(
+    tmp_path: Path, servo: str, change: dict[str, int], warned: bool
+) -> None:
+    warnings = inspect(calibration(tmp_path, **{servo: change}))["warnings"]
+    assert len(warnings) == warned
+    assert all(servo in text and "seam of the encoder" in text for text in warnings)

@@ -121,7 +121,7 @@ def test_what_is_left_is_named_with_its_line(tmp_path: Path, name: str, text: st
         (
             "a.src",
             "\nLIN {X 1,Y 2,Z 3}\n",
-            "Store them as joints, or state their frames. Line 2: a move, a pose: without A, B, C.",
+            "holds no targets to rewrite. Line 2: a move, a pose: without A, B, C.",
         ),
     ],
 )
@@ -274,7 +274,7 @@ end
         }, [16, 20]),
         ("a.ls", FANUC_POSES, {
             3: "moves beside it", 4: "left", 5: "left", 6: "no position of this file", 8: "have an offset",
-            9: "UT : 1 is not in this program", 10: "without X", 11: "an external axis",
+            9: "UT : 1 is not in this program", 10: "not taught", 11: "an external axis",
         }, [7]),
         ("a.script", UR_POSES, {
             2: "no set_tcp is before it", 4: "the program changes it", 6: "left", 10: "its frame p1 is a target itself",

@@ -57,4 +57,4 @@ def describe_calibration(path: Path) -> Document:
             f"servo {servo.id} {name}: homing offset {servo.homing_offset} ticks, range {servo.range_min} to "
             f"{servo.range_max} (+-{servo.half_range_deg:.1f} deg){reversed_}"
         )
-    return {"notes": notes}
+    return {"notes": notes, "warnings": found.seam_warnings()}

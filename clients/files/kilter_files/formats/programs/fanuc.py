@@ -6,7 +6,7 @@ import re
 
 from kilter_files.formats.programs.found import DATA, EXTERNAL_AXES, NUMBER, Dialect, Mark, Program, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans
-from kilter_files.formats.programs.poses.fanuc import OFFSET, OTHER_FRAME, pose_of
+from kilter_files.formats.programs.poses.fanuc import NOT_TAUGHT, OFFSET, OTHER_FRAME, pose_of
 
 POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
@@ -43,11 +43,15 @@ def find(program: Program) -> None:
     for match in POSITION.finditer(text):
         other = OTHER_GROUP.search(match[2])
         program.warnings += [GROUPS] if other and GROUPS not in program.warnings else []
-        axes = [*AXIS.finditer(text, match.start(2), match.start(2) + other.start() if other else match.end(2))]
+        span = (match.start(2), match.start(2) + other.start() if other else match.end(2))
+        axes = [*AXIS.finditer(text, *span)]
         arm = [axis for axis in axes if axis[3] != "mm"]  # an axis in mm moves the arm's base, or a tool
-        if not arm:
-            end = match.start(2) + other.start() if other else match.end(2)
-            poses[match[1]] = program.add_pose(pose_of(program, match[1], match.start(), (match.start(2), end)))
+        not_taught = NOT_TAUGHT.search(text, *span) is not None
+        if not arm or not_taught:
+            pose = pose_of(program, match[1], match.start(), span)
+            poses[match[1]] = program.add_pose(pose, counted=not not_taught)
+            if not_taught:
+                program.unknown.append((pose.line, f"{pose.name} is not taught", "Teach it, or delete it."))
             continue
         wrong = [part for part in arm if not re.fullmatch(NUMBER, part[2]) or part[3] != "deg"]
         if wrong or match[3][:1] != "}" or [int(part[1]) for part in arm] != [*range(1, len(arm) + 1)]:

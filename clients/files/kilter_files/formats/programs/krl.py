@@ -186,7 +186,7 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
         target = known.written.get(at) if name[0] == "{" else _joints_of(known, name, at) or known.poses.get(name)
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
-        where = " or of its .dat" if program.beside is not None else ""
+        where = " or of its .dat" if program.beside is not None else f": {program.path.stem}.dat is not beside it"
         if goal is None or match.start(2) + goal.start(1) not in known.written:
             program.leave(match.start(), f"{said}: not a target of this file{where}")
             known.moved |= note_computed(match[2], known.poses)

@@ -144,7 +144,9 @@ class PoseTarget:
     @property
     def first(self) -> int:
         """Where it begins in the text."""
-        return self.spans[0][0] if self.computed is None else self.computed.place[0]
+        if self.computed is not None:
+            return self.computed.place[0]
+        return self.spans[0][0] if self.spans else self.whole[0]
 
     def why_left(self) -> str:
         """Say what of this target is not known; empty: all that the program can say."""

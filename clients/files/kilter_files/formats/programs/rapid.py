@@ -38,6 +38,9 @@ MOVE = re.compile(
 )
 TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
 TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld
+CONFIGURATION_IS_OFF = (
+    "the program turns its configuration off: write ConfJ \\On and ConfL \\On, if its confdata is right"
+)
 SEVERAL_TIMES = "it is declared several times"
 PART_READ = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*robax\b", re.I)
 EXTERNAL = re.compile(r"\.\s*extax\b", re.I)
@@ -197,7 +200,7 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
     locked = AXIS_LOCKED.search(text) is not None
     for pose in program.cartesian:
         if any(use.straight in off for use in pose.uses):
-            pose.problem = pose.problem or "its configuration is not kept (ConfJ, ConfL \\Off)"
+            pose.problem = pose.problem or CONFIGURATION_IS_OFF
         if locked and any(use.straight for use in pose.uses):
             pose.problem = pose.problem or "its orientation is not kept (SingArea \\LockAxis4)"
 
@@ -270,7 +273,7 @@ def _take(program: Program, name: str, pair: re.Match[str]) -> JointTarget:
 
 DIALECT = Dialect(
     "RAPID",
-    (".mod",),
+    (".mod", ".modx", ".sys", ".sysx", ".prg"),
     sign(r"\bjointtarget\b|\bMoveAbsJ\b|\brobtarget\b\s+\w+\s*(?:\{[\w,\s]*\})?\s*:="),
     find,
     "Store jointtargets: CJointT() reads the joints where the arm stands",

@@ -122,7 +122,7 @@ def _checked(programs: list[Program]) -> list[Program]:
             f" Line {line}{_of(program, programs)}: {what}." for program in programs for line, what in program.left[:5]
         )
         raise fault(
-            programs[0].path, "holds no targets to rewrite", f"Store them as joints, or state their frames.{where}"
+            programs[0].path, "holds no targets to rewrite", (where or " Store its targets as joints.").lstrip()
         )
     count = len(targets[0][1].joints_deg) if targets else 0
     for program, target in targets:

@@ -8,7 +8,15 @@ from dataclasses import replace
 
 from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
 from kilter_files.formats.programs.one_target import JointTarget, Span
-from kilter_files.formats.programs.poses.urscript import CALLED, CHANGED, KNOWN, Poses, inside, inverse_arguments
+from kilter_files.formats.programs.poses.urscript import (
+    BY_FORCE,
+    CALLED,
+    CHANGED,
+    KNOWN,
+    Poses,
+    inside,
+    inverse_arguments,
+)
 
 DECLARED = re.compile(r"^[ \t]*(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*=[ \t]*([^\r\n]*)", re.M)
 MOVE = re.compile(
@@ -42,7 +50,7 @@ def find(program: Program) -> None:
         for name in re.findall(r"\w+", match[1]):
             declared.pop(name, None)
     taken: dict[int, JointTarget | None] = {}
-    near = 0
+    forced, plain, near = set[JointTarget | None](), set[JointTarget | None](), 0
     poses = Poses(program, text, declared)
     for match in MOVE.finditer(text):
         goal = (match[2] or "").strip()
@@ -57,6 +65,9 @@ def find(program: Program) -> None:
             name = match[1] if goal.startswith("[") else goal
             taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
             target = taken[_before(match.start(), places)]
+            by_force = match.start() in poses.forced
+            program.left += [(line_at(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}")] if by_force else []
+            (forced if by_force else plain).add(target)
             sure = goal.startswith("[") or poses.is_sure(goal, match.start(), places)
             poses.last = (match.start(), target) if target is not None and sure else None
             program.moves.append(target and replace(target, line=line_at(text, match.start())))
@@ -73,17 +84,23 @@ def find(program: Program) -> None:
         program.moves += [] if hint is None else [hint]
         if hint is None:
             _name_other(program, match, goal, places)
-    for match in CHANGED.finditer(text):
-        if any(at in taken for at, _ in declared.get(match[1], [])):
-            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
+    _name_changes(program, text, declared, taken)
     _name_calls(program, text, declared)
     poses.leave_beside_targets()
+    program.leave_targets({one: f"{BY_FORCE} in all moves to it" for one in forced - plain if one is not None})
     if poses.displaced and program.targets:
         program.warn("the program displaces moves to joints too (path offset, conveyor)")
     if near:
         program.list_warnings.append(
             f"{near} moves to a pose count with the joints of their qnear: where the waypoint was taught"
         )
+
+
+def _name_changes(program: Program, text: str, declared: Places, taken: dict[int, JointTarget | None]) -> None:
+    """Name the lines that change single joints of a target."""
+    for match in CHANGED.finditer(text):
+        if any(at in taken for at, _ in declared.get(match[1], [])):
+            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
 
 
 def _before(at: int, places: list[tuple[int, str]]) -> int:
@@ -174,7 +191,7 @@ def _numbers(text: str, start: int, written: str) -> tuple[list[tuple[str, Span]
 
 DIALECT = Dialect(
     "URScript",
-    (".script",),
+    (".script", ".urscript"),
     sign(r"\bmovej\s*\("),
     find,
     "Give movej joints: get_actual_joint_positions() reads them",

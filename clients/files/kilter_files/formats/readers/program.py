@@ -18,7 +18,7 @@ class Program(Reader[Source]):
     name = "program"
     title = "joint targets of a robot program"
     use = MAP
-    endings = (".mod", ".src", ".ls", ".script")
+    endings = (".mod", ".modx", ".sys", ".sysx", ".prg", ".src", ".ls", ".script", ".urscript")
 
     def recognises(self, head: Head) -> bool:
         """A text with targets of a dialect, whatever its ending."""

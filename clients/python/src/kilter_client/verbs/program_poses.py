@@ -105,6 +105,7 @@ def _chosen(
     known: dict[int, Found | str] = {}
     for (near, joints), reaching in zip(before.items(), found, strict=False):
         known[near] = files_postures.posture_at(joints, reaching.postures) or "the target before it is at a singularity"
+    following: dict[PoseTarget, Sequence[Document]] = {}
     for pose, (postures, certain) in zip(poses, found[len(before) :], strict=True):
         stated = pose.configuration
         if not certain:
@@ -112,7 +113,8 @@ def _chosen(
         elif stated is not None:
             known[id(pose)] = files_postures.by_configuration(stated, postures, limits, signs)
         else:
-            known[id(pose)] = _following(pose, postures, known, limits)
+            following[pose] = postures
+    _follow(following, known, limits)
     joints_deg, left, branches = {}, {}, {}
     for pose in poses:
         one = known[id(pose)]
@@ -121,6 +123,34 @@ def _chosen(
         else:
             joints_deg[pose], branches[pose] = one.joints_deg, one.branch
     return Understood(joints_deg, left, branches)
+
+
+def _follow(
+    following: Mapping[PoseTarget, Sequence[Document]],
+    known: dict[int, Found | str],
+    limits: Sequence[tuple[float, float]],
+) -> None:
+    """Find the joints of poses without a stated posture: from any move whose start is known, then checked by all moves.
+
+    A path may come back to a pose (approach, work, approach). What one move says holds if each further move confirms it.
+    """
+    again = True
+    while again:
+        again = False
+        for pose, postures in following.items():
+            starts = ((use, known.get(id(use.near))) for use in pose.uses)
+            use, near = next(((use, near) for use, near in starts if near and not isinstance(near, str)), (None, None))
+            if use is not None and near is not None and id(pose) not in known:
+                known[id(pose)] = files_postures.after(near, postures, limits, straight=use.straight)
+                again = True
+    again = True
+    while again:
+        again = False
+        for pose, postures in following.items():
+            if not isinstance(known.get(id(pose)), str):
+                checked = _following(pose, postures, known, limits)
+                again = again or isinstance(checked, str)
+                known[id(pose)] = checked
 
 
 def _following(

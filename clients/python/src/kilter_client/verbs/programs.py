@@ -54,7 +54,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
 
     Args:
         robot: name of the robot.
-        program: path of the program: .src, .dat, .mod, .script, .ls or .csv.
+        program: path of the program: .src, .dat, .mod, .modx, .script, .ls or .csv.
         version: another version than the active one: id or its beginning, name, or ``"latest"``.
         signs: signs of the program's joints against the robot's: ``(1, -1, 1, 1, -1, 1)`` or ``"+,-,+,+,-,+"``.
         fanuc_j3: ``"same"`` where J3 of a FANUC program is the robot's, ``"coupled"`` where the robot's is J2 + J3.

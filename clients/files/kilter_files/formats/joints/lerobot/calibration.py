@@ -24,6 +24,8 @@ TICKS, TURN_TICKS, MOST_OFFSET = 4096, 4095, 2047
 BY_RANGE, DEGREES = NORM_MODES = ("RANGE_M100_100", "DEGREES")
 TELEOPERATORS, ROBOTS = "teleoperators", "robots"  # the folders in which LeRobot keeps calibrations
 LEADER, FOLLOWER = "leader", "follower"
+FULL_TURN = "wrist_roll"  # LeRobot gives it all ticks by design
+SEAM_TICKS = 8  # a range that ends nearer to the seam of the encoder was probably cut by it
 LEAST_RANGE, OUTSIDE_DEG = 10, 1.0  # ticks; beyond the range of its own calibration
 
 
@@ -60,6 +62,17 @@ class Calibration:
             return kept == TELEOPERATORS
         named = (folder.lower(), whole.stem.lower())
         return TELEOPERATORS in whole.parts or any(LEADER in name and FOLLOWER not in name for name in named)
+
+    def seam_warnings(self) -> list[str]:
+        """Name each servo whose range ends at the seam of its encoder: its zero, the middle of the range, is then wrong."""
+        return [
+            f"servo {name!r}: its range {servo.range_min} to {servo.range_max} ends at the seam of the encoder and was "
+            "probably cut there. Its zero is then wrong by tens of degrees. Put the joint into the middle of its travel "
+            "and calibrate again, unless it turns fully"
+            for name, servo in self.servos.items()
+            if not name.endswith(FULL_TURN)
+            and (servo.range_min <= SEAM_TICKS or servo.range_max >= TICKS - 1 - SEAM_TICKS)
+        ]
 
     def degrees(self, name: str, recorded: Floats, mode: str) -> Floats:
         """Angle (n,) of a servo from the middle of its range, degrees, of what was recorded."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from kilter_files.formats.programs.one_target import Branch, Span
 
+CONFIG_TURNS = (0, 3, 5)  # FANUC: joints (from 0) whose full turns the three numbers of CONFIG state: J1, J4, J6
 EDGE_DEG = 1e-6  # a joint nearer to the edge of a quadrant or of a full turn is on both sides of it
 
 
@@ -77,7 +78,7 @@ class ConfData:
 
 @dataclass(frozen=True)
 class Config:
-    """FANUC: flip of the wrist by the sign of J5, elbow up, front, and the full turns of J4, J5 and J6."""
+    """FANUC: flip of the wrist by the sign of J5, elbow up, front, and the full turns of J1, J4 and J6."""
 
     flip: bool
     up: bool
@@ -90,10 +91,11 @@ class Config:
         return not branch.named or (branch.front == self.front and branch.elbow_up == self.up)
 
     def fits_joint(self, k: int, value_deg: float) -> bool:
-        """Say whether a joint has its full turns, and J5 its sign."""
-        if k == 4 and not _either(self.flip, lambda q: q >= 0.0, value_deg):
-            return False
-        return k < 3 or _either(self.turns[k - 3], _turns, value_deg)
+        """Say whether J1, J4 or J6 has its full turns, or J5 its sign within half a turn."""
+        if k == 4:
+            return abs(value_deg) <= 180.0 + EDGE_DEG and _either(self.flip, lambda q: q >= 0.0, value_deg)
+        stated = dict(zip(CONFIG_TURNS, self.turns, strict=True)).get(k)
+        return stated is None or _either(stated, _turns, value_deg)
 
     def keeps(self, branch: Branch, joints_deg: Sequence[float]) -> bool:
         """Say whether the branch is still the stated one, and axis 5 on its side; the other numbers are written anew."""
@@ -103,8 +105,8 @@ class Config:
         """Return the full turns for these joints that are others."""
         return {
             span: str(_turns(joints_deg[k]))
-            for k, span in zip((3, 4, 5), self.spans, strict=True)
-            if not _either(self.turns[k - 3], _turns, joints_deg[k])
+            for k, span in zip(CONFIG_TURNS, self.spans, strict=True)
+            if not self.fits_joint(k, joints_deg[k])
         }
 
 

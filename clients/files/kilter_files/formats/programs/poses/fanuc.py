@@ -19,6 +19,7 @@ SET = re.compile(
 )
 TRACKS = re.compile(r"^\s*LINE_TRACK_SCHEDULE(?:_NUMBER)?\s*:\s*0*[1-9]", re.I | re.M)
 OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
+NOT_TAUGHT = re.compile(r"=\s{0,9}\*{3,}")  # what a controller writes of a position that nobody taught
 OTHER_FRAME = re.compile(r"\b(?:RTCP|COORD)\b", re.I)
 
 
@@ -29,6 +30,7 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     missing = [name for name in FANUC.names if name not in parts]
     config = CONFIG.search(text, *span)
     problem = f"without {', '.join(missing)}" if missing else "" if config else "its CONFIG is not understood"
+    problem = "it is not taught (********)" if NOT_TAUGHT.search(text, *span) else problem
     if any(name[0] == "E" and float(match[2]) for name, match in parts.items()):
         problem = problem or "an external axis may move its base"
     if TRACKS.search(text):
@@ -38,6 +40,7 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     pose = PoseTarget(
         f"P[{number}]", line_at(text, at), FANUC, numbers, tuple(match.span(2) for match in whole), problem=problem
     )
+    pose.whole = span
     if config is not None:
         turns = (int(config[4]), int(config[5]), int(config[6]))
         spans = (config.span(4), config.span(5), config.span(6))

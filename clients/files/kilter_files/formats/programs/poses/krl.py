@@ -43,7 +43,7 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
     for cell in match[4].split(","):
         part = PART.fullmatch(cell)
         if part is None:
-            problem = f"{cell.strip()[:20]!r} is not a number"
+            problem = problem or f"{cell.strip()[:20]!r} is not a number"
         else:
             parts[part[1].upper()] = (part[2], (at + part.start(2), at + part.end(2)))
         at += len(cell) + 1

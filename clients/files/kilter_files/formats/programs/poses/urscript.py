@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Use
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.rapid import arguments
 
@@ -27,6 +27,8 @@ KNOWN = re.compile(
 )
 MOVES = re.compile(r"(?:optimove|move|servo|speed)[jlpc]")
 DISPLACED = re.compile(r"\b(?:path_offset_(?:set|enable)|track_conveyor_\w{1,20})[ \t]{0,9}\(")
+FORCED = re.compile(r"\b(end_)?force_mode[ \t]{0,9}\(")
+BY_FORCE = "force_mode moves the arm beside it"
 OF_INVERSE = ("qnear", "maxpositionerror", "maxorientationerror", "tcp")
 FIXED_ORIENTATION = re.compile(r"mode\s?=(?!\s?0\b)")
 CONTROL = re.compile(
@@ -61,6 +63,7 @@ class Poses:
         self._tool = InForce(sorted([*control, *calls]), starts, owners)
         others = [(at, 0) for at in _other_calls(text)]
         self._way = InForce(sorted({*control, *calls, *others}), starts, owners)
+        self.forced = self._forced_spans(text)
         for at, tool in sorted(self._tools(text), key=lambda one: one[0]):
             self._tool.set(at, tool)
         self.last: tuple[int, JointTarget | PoseTarget] | None = None
@@ -75,6 +78,20 @@ class Poses:
             calls = calls_that_set(text, OWN, self._tool.owner, [at for at, _ in found])
             found += [(at, f"{name}() sets the tool") for at, name in calls]
         return found
+
+    def _forced_spans(self, text: str) -> Spans:
+        """Parts between force_mode and its end: all of a program that ends it elsewhere, or calls a subprogram under it."""
+        marks = [(match.start(), match[1] is None) for match in FORCED.finditer(text)]
+        calls = calls_of_own(text, OWN)
+        spans: list[Span] = []
+        for at, begins in marks:
+            if begins and not (spans and at < spans[-1][1]):
+                ends = (end for end, other in marks if end > at and not other)
+                end = next((end for end in ends if self._tool.owner(end) == self._tool.owner(at)), None)
+                if end is None or any(at < call < end for call in calls):
+                    return Spans([(0, len(text))])
+                spans.append((at, end))
+        return Spans(spans)
 
     def _frame(self, said: str) -> Frame | str:
         if said in self._changed:
@@ -103,7 +120,11 @@ class Poses:
         for goal in goals:
             assert goal is not None
             pose, base = goal
-            near = hint or self.before(match.start())
+            near, self.last = hint or self.before(match.start()), (match.start(), pose)
+            if match.start() in self.forced:
+                self._program.leave(match.start(), f"{call[1]}({said[0][1][:40]}: {BY_FORCE}")
+                pose.unused = f"{BY_FORCE} in all moves to it"
+                continue
             pose.uses.append(Use(base, self._held(match.start()), near, call[1] != "movej"))
             turned = call[1] == "movec" and any(FIXED_ORIENTATION.match(one) for _, one in said)
             pose.problem = pose.problem or doubt or ("its orientation is not kept (mode)" if turned else "")
@@ -112,7 +133,6 @@ class Poses:
             )
             what = f"{call[1]}({said[0][1][:40]}"
             self._program.moves_to_poses.append((line_at(self._text, match.start()), what, pose))
-            self.last = (match.start(), pose)
         return True
 
     def before(self, at: int) -> JointTarget | PoseTarget | None:

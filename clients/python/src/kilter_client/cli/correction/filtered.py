@@ -42,7 +42,8 @@ def register(app: typer.Typer) -> None:
 
 def filtered(
     program: Annotated[
-        Path, typer.Argument(help="The program: .src, .dat, .mod, .script, .ls or .csv.", exists=True, dir_okay=False)
+        Path,
+        typer.Argument(help="The program: .src, .dat, .mod, .modx, .script, .ls or .csv.", exists=True, dir_okay=False),
     ],
     robot: Annotated[str, typer.Option("--robot", help="Name of the robot.")],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")] = None,
