@@ -43,6 +43,29 @@ def failed(client: httpx.Client, until: Until, campaign: str) -> str:
     return str(read()["error"]["code"])
 
 
+@pytest.mark.parametrize("kind", ["identify", "gap"])
+def test_fitted_rows_in_another_file_do_not_validate(
+    client: httpx.Client, katana: Katana, worker: WorkerProcess, until: Until, kind: str
+) -> None:
+    fit, columns, other = katana.campaign(client, ROWS), katana.columns(ROWS), katana.columns(9, seed=4)
+    worker.start()
+    few = some(columns, [7, 3, 40])
+    units = {"_mm": ("_m", 1e-3), "_deg": ("_rad", np.pi / 180)}
+    changed = {}
+    for name, values in few.items():
+        stem, unit = name.split("_")
+        ending, scale = units[f"_{unit}"]
+        changed[f"{stem}{ending}"] = [value * scale for value in values]
+    mixed = {name: [*other[name], columns[name][5]] for name in columns}
+    for name, rows in {"other units": changed, "one among new ones": mixed}.items():
+        body = {"robot": "katana", "kind": kind, "campaigns": [fit], "validation": [sent(client, name, rows)]}
+        made = client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
+        until(lambda made=made: client.get(f"/v1/jobs/{made}").json()["state"] in ("succeeded", "failed"))
+        assert (client.get(f"/v1/jobs/{made}").json()["error"] or {}).get("code") == "rows_shared", name
+        previewed = client.post("/v1/jobs/check", json=body).raise_for_status().json()
+        assert "rows_shared" in [one["code"] for one in previewed["problems"]], name
+
+
 def decided(client: httpx.Client, campaign: str) -> httpx.Response:
     return client.get("/v1/robots/katana/acceptance", params={"tolerance_mm": 5.0, "campaign": campaign})
 

@@ -67,6 +67,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 
@@ -189,13 +190,12 @@ def identify(
     Raises:
         CoreError: ``fleet_too_few``, ``fleet_gauge``, ``fleet_conflict``: no prior from these versions.
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
-        ObservationError: nothing measured, or ``foreign_observations``. NotConvergedError: no minimum found.
+        ObservationError: nothing measured, ``foreign_observations``, ``rows_shared``. NotConvergedError: no minimum found.
 
     """
     options, progress = options or IdentifyOptions(), progress or unheard
     train, validation = as_inputs(options.make_effects(), start, train, validation)
-    begin = begin_with(robot, train, options, start)
-    nominal = Calibration.nominal(robot)
+    begin, nominal = begin_with(robot, train, options, start), Calibration.nominal(robot)
     odd = _belonging(begin, train, validation)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     begin, of_type = of_its_type(begin, train, options, fleet)
@@ -208,7 +208,8 @@ def identify(
     begin, measurement = _seen(begin, train, options)
     found, wanted = _registered(begin, measurement.of_tool(), options, prior)
     begin, learned = gated(begin, train, options, prior)
-    fit = _fitted(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
+    made = fit_by_method(begin, measurement, options, _section(progress, 0.5, 0.4), prior)
+    fit = beside_held_arm(with_likeliest_scale(made))
     calibration = fit.calibration(*wanted)
     stages = _stages(found if measurement.tool.places_itself else nominal, found, calibration)
     own = [] if frames is None else frames.fitted(calibration)
@@ -219,7 +220,7 @@ def identify(
     progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
-    told, last = metrics_document(errors, held), _last(progress)
+    told, last = metrics_document(errors, held), _section(progress, 0.95, 0.04)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
     said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_worse(compared, of_type, fit))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
@@ -253,12 +254,6 @@ def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -
     return {"nominal": nominal, "registration_only": found, "identified": identified}
 
 
-def _fitted(
-    begin: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress, prior: Prior | None
-) -> Fit:
-    return beside_held_arm(with_likeliest_scale(fit_by_method(begin, measurement, options, progress, prior)))
-
-
 def _views(
     result: Identification, warnings: tuple[dict[str, Any], ...], validation: Validation, measurement: Measurement,
     held: dict[str, Errors], begin: Calibration,
@@ -284,16 +279,18 @@ def _in_one_frame(
 
 
 def _belonging(begin: Calibration, train: Observations, validation: Validation) -> tuple[dict[str, Any], ...]:
-    """Refuse rows that cannot be of this robot, before any of them are held out; what is odd about those to fit."""
+    """Refuse rows that cannot be of this robot or are held out and fitted at once; what is odd about those to fit."""
     refuse_missing_columns(begin, train)
     remarks = refuse_mixed_up(begin, train)
-    held = refuse_mixed_up(begin, validation) if isinstance(validation, Observations) else ()
-    return (*remarks, *of_held_out(held))
+    if not isinstance(validation, Observations):
+        return remarks
+    refuse_shared_rows(train, validation, "validation")
+    return (*remarks, *of_held_out(refuse_mixed_up(begin, validation)))
 
 
-def _last(progress: Progress) -> Progress:
-    """Progress of the report."""
-    return lambda fraction, stage: progress(0.95 + 0.04 * fraction, stage)
+def _section(progress: Progress, start: float, share: float) -> Progress:
+    """Progress of a part that begins at ``start`` of the whole and takes ``share`` of it."""
+    return lambda fraction, stage: progress(start + share * fraction, stage)
 
 
 def _parted(

@@ -16,7 +16,7 @@ from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.held_out import practical_size
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
-from kilter_core.gap.evidence.held_out.holding_out import held_out, parted, shared_rows
+from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.replication import Confirmation, replication
@@ -32,6 +32,7 @@ from kilter_core.gap.search.scan import Scorer, null_of
 from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.shared_rows import shared_rows
 from tests.core.gap.simulated import campaign, katana
 
 EFFECTS = ("eccentricity", "encoder_scale", "second_harmonic", "axial_compliance", "backlash")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap.evidence.held_out.holding_out import held_out
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.holdout import fold_splits, split
@@ -132,3 +132,19 @@ def test_options_in_the_place_of_the_validation_are_refused() -> None:
     seen = measured(ur10(), joints(ur10(), 30, rng), rng, 1e-5)
     with pytest.raises(OptionError, match=r"validation is IdentifyOptions: give observations, a fraction"):
         identify(robot_from_document(ur10().document()), seen, IdentifyOptions())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("see", ["position", "pose"])
+def test_rows_of_the_fit_are_not_held_out(see: str) -> None:
+    """Copies in another order and unit, moved in time and, of whole poses, without their orientation."""
+    rng = np.random.default_rng(0)
+    every = measured(ur10(), joints(ur10(), 30, rng), rng, 1e-5, see, t=np.arange(30.0))
+    copied = every.select(np.array([25, 4, 17]))
+    assert copied.position is not None
+    others = Observations(
+        np.radians(np.degrees(copied.q)), position=copied.position * 1e3 / 1e3, t=np.arange(3.0) + 1e6
+    )
+    robot = robot_from_document(ur10().document())
+    with pytest.raises(ObservationError, match="3 of 3 rows for validation") as refused:
+        identify(robot, every, others, IdentifyOptions(level=1))
+    assert refused.value.code == "rows_shared"

@@ -19,7 +19,6 @@ from kilter_core.effects import Effect
 from kilter_core.errors import CoreError, ObservationError, TooFewPosesError
 from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.guarded import Guarded
-from kilter_core.gap.evidence.held_out.holding_out import refuse_shared
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
@@ -29,6 +28,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.parameters import mm, reported
 from kilter_core.types import Floats, Progress
 
@@ -108,7 +108,7 @@ def refuse_unfit(robot: Robot, searched: Observations, confirmation: Observation
             f"The confirmation has {confirmation.q.shape[1]} joints, robot {robot.name!r} has {robot.n_joints}: name a "
             "campaign of this robot."
         )
-    refuse_shared(searched, confirmation, "confirmation")
+    refuse_shared_rows(searched, confirmation, "confirmation")
     if confirmation.position is None and confirmation.markers is None and not held(confirmation):
         return
     measured = Measurement.of(confirmation, held=True)

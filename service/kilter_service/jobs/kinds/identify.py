@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kilter_core.observations import Observations
+from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.types import one_by_one
 from kilter_service.campaigns.store import numbered
 from kilter_service.contract.fits import metrics_with_earlier_names
@@ -97,6 +98,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         found.learn_from(train)
         _refuse_mixed_up(job, train, validation)
         if isinstance(validation, Observations):
+            refuse_shared_rows(train, validation, "validation")
             found.hold("campaigns", validation)
         elif isinstance(validation, core_identify.Folds):
             found.hold("folds", train)

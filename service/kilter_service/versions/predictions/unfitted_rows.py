@@ -11,9 +11,10 @@ import numpy as np
 from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_poses, rounded_poses
+from kilter_core.observations.shared_rows import rows_beyond_chance
 from kilter_core.types import Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
-from kilter_service.ground.core import holding_out, holdout
+from kilter_service.ground.core import holdout
 from kilter_service.ground.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
@@ -82,7 +83,7 @@ class Archive:
         for training in store.trainings(self.session, version):
             trained.add(training)
         marked = int(trained.mask(campaign_id).sum())
-        return max([marked, *(len(holding_out.copies(part, rows)) for part in trained.parts())])
+        return max([marked, *(len(rows_beyond_chance(part, rows)) for part in trained.parts())])
 
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
@@ -158,7 +159,7 @@ class _Trained:
         """Mark rows that a re-zeroing took, in whatever file: their poses may come again, and they may not."""
         out = np.zeros(len(rows), dtype=bool)
         for part in self._parts_of(set(self.rows) - self.whole):
-            out[holding_out.copies(part, rows)] = True
+            out[rows_beyond_chance(part, rows)] = True
         return out
 
     def _changed_little(self, training: Training) -> bool:

@@ -13,14 +13,12 @@ from kilter_core.identify.holdout import split
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import contacts_of, placements
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.types import Ints
 
 SHARE = 0.25  # of the poses, held out when nothing else is asked
 POSES_TO_SPARE_SOME = 60  # poses from which so many can be spared
 FEWEST_PLACEMENTS = 4  # of contacts, from which one can be spared unasked
-SAME_ROW = 1e-7  # m or rad: rows closer than this in all that was measured are one row, whatever unit they came in
-COINCIDENCE = 0.01  # share of the rows of a motion that may be the same: an arm at rest reads the same twice
 
 
 def share_of(rows: Observations, validation: float | None) -> float:
@@ -65,35 +63,11 @@ def parted(
 
     """
     if isinstance(validation, Observations):
-        refuse_shared(rows, validation, "validation")
+        refuse_shared_rows(rows, validation, "validation")
         _refuse_other_contacts(rows, validation)
         return rows, validation
     inside, outside = held_out(rows, validation, seed)
     return (rows, None) if not len(outside) else (rows.select(inside), rows.select(outside))
-
-
-def refuse_shared(rows: Observations, others: Observations, use: str) -> None:
-    """Refuse rows that are searched and judge at once; compared by what they hold, so a second upload counts too.
-
-    Raises:
-        ObservationError: ``rows_shared``, with the first of them and the remedy.
-
-    """
-    shared = copies(rows, others)
-    if not len(shared):
-        return
-    raise ObservationError(
-        f"{len(shared)} of {len(others)} rows for {use} are rows of the search too (row {shared[0] + 1} of the {use} is "
-        f"the first). What chose a name cannot judge it: leave these rows out of one of the two, or measure others.",
-        code="rows_shared",
-    )
-
-
-def copies(rows: Observations, others: Observations) -> Ints:
-    """Rows of ``others`` that are rows of ``rows`` too; none where they are as few as an arm at rest gives by chance."""
-    shared = shared_rows(rows, others)
-    free = int(COINCIDENCE * len(others)) if is_trajectory(others) else 0
-    return shared if len(shared) > free else shared[:0]
 
 
 def _refuse_other_contacts(rows: Observations, validation: Observations) -> None:
@@ -112,24 +86,3 @@ def _refuse_other_contacts(rows: Observations, validation: Observations) -> None
         )
     if widths[1]:
         Measurement.of(validation, held=True)
-
-
-def shared_rows(rows: Observations, others: Observations) -> Ints:
-    """Rows of ``others`` whose joints and measured values are all in a row of ``rows`` too; each content once."""
-    one, two = _contents(rows), _contents(others)
-    if one.shape[1] != two.shape[1]:
-        return np.zeros(0, dtype=np.int64)
-    known = {row.tobytes() for row in one}
-    first: dict[bytes, int] = {}
-    for k, row in enumerate(two):
-        first.setdefault(row.tobytes(), k)
-    return np.array(sorted(k for row, k in first.items() if row in known), dtype=np.int64)
-
-
-def _contents(rows: Observations) -> Ints:
-    """Joints and measured values (N, c) in steps of ``SAME_ROW``; the time is left out, because a copy may be shifted."""
-    contacts = (rows.socket, rows.plane, rows.bar, rows.bar_length)
-    values = (rows.position, rows.markers, rows.link_q, *contacts)
-    parts = [rows.q, *(v.reshape(len(rows), -1) for v in values if v is not None)]
-    whole = np.nan_to_num(np.hstack(parts), nan=1e3)
-    return np.ascontiguousarray(np.round(whole / SAME_ROW).astype(np.int64))
