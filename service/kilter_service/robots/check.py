@@ -13,6 +13,7 @@ from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
 from kilter_service.ground.core import core_conversions, core_documents, core_geometry, core_model, transforms
 from kilter_service.ground.wire import to_deg, to_mm
+from kilter_service.robots.directions import notes_on_missing_directions
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.plausibility import implausible
@@ -49,7 +50,7 @@ def check(document: RobotDocument) -> RobotCheck:
         reach_mm=to_mm(reach),
         drives=said_of_drives(robot),
         suspicious=implausible(robot, placed, reach, posted),
-        notes=understood.notes,
+        notes=[*understood.notes, *notes_on_missing_directions(robot)],
     )
 
 

@@ -11,6 +11,7 @@ from kilter_service.contract.robot_reports import JointSummary, RobotReport, Rob
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.ground.wire import DEG, MM
 from kilter_service.robots.compensation import statement
+from kilter_service.robots.directions import notes_on_missing_directions
 from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.records import RobotRecord
 
@@ -31,7 +32,7 @@ def report(record: RobotRecord, robot: Robot) -> RobotReport:
         **_summary_fields(record),
         joints=[joint_summary(joint) for joint in robot.joints],
         parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
-        notes=record.notes,
+        notes=[*record.notes, *notes_on_missing_directions(robot)],
         drives=said_of_drives(robot),
         sha256=record.sha256,
         source_sha256=record.source_sha256,

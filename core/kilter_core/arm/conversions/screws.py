@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,10 +40,16 @@ class Screws:
 
     def poses(self, q: Floats) -> Floats:
         """Poses (N, 4, 4) at joints ``q (N, n)``."""
+        *_, moved = self.link_motions(q)
+        return np.asarray(moved @ self.home)
+
+    def link_motions(self, q: Floats) -> Iterator[Floats]:
+        """Rigid motions (N, 4, 4) of the base and of the link behind each axis at joints ``q (N, n)``, from joints zero."""
         T = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        yield T
         for k in range(len(self)):
             T = T @ self._motion(k, q[:, self.joint[k]] * self.ratio[k])
-        return np.asarray(T @ self.home)
+            yield T
 
     def _motion(self, k: int, amount: Floats) -> Floats:
         """Rigid motions (N, 4, 4) by ``amount (N,)`` along or about axis k."""

@@ -60,6 +60,8 @@ def add(
         document = {**document, "controller_compensation": controller_compensation.value}
     with Kilter() as kilter:
         emit(kilter.robots.add(document), as_json, _show)
+        for line in () if as_json else kilter.robots.check(document)["suspicious"]:
+            say(f"suspicious: {line}")
 
 
 @robot.command(epilog="Example: kilter robot check arm.csv --name arm --convention dh --plot arm.png")
