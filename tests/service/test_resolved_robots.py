@@ -161,7 +161,10 @@ def test_the_chains_of_a_migration_are_those_of_robots_added_now(settings: Setti
                 text("SELECT sha256, source_sha256, left_out FROM robots WHERE name = :name"), {"name": posted["name"]}
             ).all()
         left_out = json.loads(found.left_out) if isinstance(found.left_out, str) else found.left_out
-        assert (report["sha256"], report["notes"]) == (found.sha256, left_out)
+        assert (report["sha256"], report["notes"][: len(left_out)]) == (
+            found.sha256,
+            left_out,
+        )  # then what no hash covers
     assert report["sha256"] != report["source_sha256"]
     database.close()
 
