@@ -349,4 +349,7 @@ def test_an_unknown_dialect_is_named_before_an_output_is_asked_for(
 ) -> None:
     (tmp_path / "w.job").write_text("/JOB\n")
     assert run(["filter", str(tmp_path / "w.job"), "--robot", "any"]) == 1
-    assert "the ending '.job' is of no known dialect. Known are .mod, .ls" in capsys.readouterr().err
+    assert (
+        "the ending '.job' is of no known dialect. Known are .mod, .modx, .sys, .sysx, .prg, .ls"
+        in capsys.readouterr().err
+    )

@@ -39,7 +39,7 @@ MOVE = re.compile(
 TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
 TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld
 CONFIGURATION_IS_OFF = (
-    "the program turns its configuration off: write ConfJ \\On and ConfL \\On, if its confdata is right"
+    "the program switches its configuration off: write ConfJ \\On and ConfL \\On, if its confdata is right"
 )
 SEVERAL_TIMES = "it is declared several times"
 PART_READ = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*robax\b", re.I)

@@ -68,7 +68,7 @@ class Calibration:
         return [
             f"servo {name!r}: its range {servo.range_min} to {servo.range_max} ends at the seam of the encoder and was "
             "probably cut there. Its zero is then wrong by tens of degrees. Put the joint into the middle of its travel "
-            "and calibrate again, unless it turns fully"
+            "and calibrate again, unless it rotates all the way round"
             for name, servo in self.servos.items()
             if not name.endswith(FULL_TURN)
             and (servo.range_min <= SEAM_TICKS or servo.range_max >= TICKS - 1 - SEAM_TICKS)

@@ -91,7 +91,7 @@ class Config:
         return not branch.named or (branch.front == self.front and branch.elbow_up == self.up)
 
     def fits_joint(self, k: int, value_deg: float) -> bool:
-        """Say whether J1, J4 or J6 has its full turns, or J5 its sign within half a turn."""
+        """Say whether J1, J4 or J6 has its full rotations, or J5 its sign within half a rotation."""
         if k == 4:
             return abs(value_deg) <= 180.0 + EDGE_DEG and _either(self.flip, lambda q: q >= 0.0, value_deg)
         stated = dict(zip(CONFIG_TURNS, self.turns, strict=True)).get(k)
