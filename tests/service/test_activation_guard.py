@@ -17,6 +17,7 @@ from kilter_core.observations.repeats import rounded_poses
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.jobs.job import NewGapJob, NewIdentifyJob
+from kilter_service.contract.versions import ActivationWish
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow
 from kilter_service.jobs import store as jobs
@@ -341,6 +342,30 @@ def test_where_no_pose_is_new_to_both_the_larger_held_out_error_is_asked_about(l
     (said,) = [w["message"] for w in back["warnings"] if w["code"] == "own_errors_compared"]
     assert "0.032 mm" in said
     assert "0.14 mm" in said
+
+
+def test_where_neither_held_rows_out_those_that_both_fitted_are_compared(lab: Lab) -> None:
+    campaign = lab.campaign(lab.readings(60, 1), 1)
+    good, coarse = lab.identify([campaign]), lab.identify([campaign], level=1, fix=["theta_offset_*"])
+    lab.activate(good).raise_for_status()
+    refused = lab.activate(coarse)
+    assert codes(refused.json()["context"]["objections"]) >= {"larger_own_error"}
+    assert "both fitted to 60 poses of c" in refused.json()["detail"]
+    lab.activate(coarse, force=True, reason="a test").raise_for_status()
+    back = lab.activate(good).raise_for_status().json()
+    assert "own_errors_compared" in codes(back["warnings"])
+
+
+def test_who_activates_is_told_that_somebody_else_just_did(lab: Lab) -> None:
+    campaign = lab.campaign(lab.readings(60, 1), 1)
+    first = lab.identify([campaign], validation=0.25)
+    second = lab.stored(first, "second", lambda _: None)
+    activation.activate(lab.database, first, "alice", ActivationWish())
+    told = activation.activate(lab.database, second, "bob", ActivationWish()).warnings
+    (said,) = [one.message for one in told if one.code == "activated_lately"]
+    assert f"alice activated version {first} less than a minute ago" in said
+    again = activation.activate(lab.database, first, "bob", ActivationWish()).warnings
+    assert "activated_lately" not in {one.code for one in again}
 
 
 def stored_errors(mean: float) -> dict[str, Any]:

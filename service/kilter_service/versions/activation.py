@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
 from kilter_service.ground import left_out
 from kilter_service.ground.core import program
 from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db.row import now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
@@ -20,6 +22,7 @@ from kilter_service.versions.if_match import ANY_STATE, Expected
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5
+LATELY = timedelta(minutes=10)  # within which somebody else's activation is probably not known yet
 
 
 def activate(
@@ -45,6 +48,7 @@ def activate(
     able = ability(database, version_id, temperature_c)
     for _ in range(ATTEMPTS):
         verdict = _with_controller(database, _with(judge(database, version_id), able, version_id), version_id)
+        verdict = _with_recent_activation(database, verdict, version_id, actor)
         if verdict.objections and not wish.force:
             raise _refusal(version_id, verdict, able)
         summary = _activated(database, version_id, actor, wish, verdict, expected)
@@ -84,6 +88,20 @@ def _with_controller(database: Database, verdict: Verdict, version_id: str) -> V
         return replace(verdict, objections=(*verdict.objections, speaks_against))
     said = [one.model_dump() for one in (speaks_against, unknown) if one is not None]
     return replace(verdict, warnings=(*verdict.warnings, *said))
+
+
+def _with_recent_activation(database: Database, verdict: Verdict, version_id: str, actor: str) -> Verdict:
+    """A verdict that says whose activation of a moment ago this one replaces."""
+    with database.reading() as session:
+        last = store.active_entry(session, store.get(session, version_id).robot_id)
+    if last is None or version_id == last.version_id or actor == last.actor or now() - last.at > LATELY:
+        return verdict
+    minutes = round((now() - last.at).total_seconds() / 60.0)
+    said = (
+        f"{last.actor} activated version {last.version_id} {f'{minutes} min' if minutes else 'less than a minute'} ago: "
+        "this replaces it. `kilter rollback` returns to it."
+    )
+    return replace(verdict, warnings=({"code": "activated_lately", "message": said}, *verdict.warnings))
 
 
 def _left_out(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:

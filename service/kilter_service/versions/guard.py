@@ -74,7 +74,7 @@ def judge(database: Database, version_id: str) -> Verdict:
             new, active = store.calibration(session, version_id), None if last is None else last.version_id
             cases = _cases(session, row.robot_id, new, store.trainings(session, version_id), active, row.report)
             rival = None if active is None else store.get(session, active).report
-        return _settled(_first(cases, [*own, *of_calibration(new, own)]), row.report, rival)
+        return _verdict(cases, [*own, *of_calibration(new, own)], row.report, rival)
 
 
 def judge_unstored(
@@ -92,23 +92,22 @@ def judge_unstored(
         cases = _cases(session, robot_id, new, [training], active, report)
         rival = None if active is None else store.get(session, active).report
     own = objections_of(report, limits)
-    return _settled(_first(cases, [*own, *of_calibration(new, own)]), report, rival)
+    return _verdict(cases, [*own, *of_calibration(new, own)], report, rival)
 
 
-def _first(cases: list[Case], own: list[Objection]) -> Verdict:
-    """The verdict of the first case that compares anything."""
-    verdicts = (case.verdict(own) for case in cases)
-    first = next(verdicts)
-    return first if first.compared or first.objections else next((v for v in verdicts if v.compared), first)
+def _verdict(cases: Cases, own: list[Objection], report: Mapping[str, Any], rival: Mapping[str, Any] | None) -> Verdict:
+    """The verdict of the first case that compares anything; beside it the active version, where that left it out.
 
-
-def _settled(verdict: Verdict, report: Mapping[str, Any], rival: Mapping[str, Any] | None) -> Verdict:
-    """A verdict in which the active version counts, by stored errors where no measured pose is new to both.
-
-    Those of a re-zeroed version are not compared: the rows of the other are of the arm as it was before, or after.
+    It counts by stored errors of held-out rows, else by the rows that both versions were fitted to. Those of a re-zeroed
+    version are not compared: the rows of the other are of the arm as it was before, or after.
     """
+    verdicts = (case.verdict(own) for case in cases.unseen)
+    verdict = next(verdicts)
+    if not (verdict.compared or verdict.objections):
+        verdict = next((v for v in verdicts if v.compared), verdict)
     if (
-        rival is None
+        cases.fitted is None
+        or rival is None
         or verdict.active is None
         or store.REZEROED in report
         or store.REZEROED in rival
@@ -116,6 +115,8 @@ def _settled(verdict: Verdict, report: Mapping[str, Any], rival: Mapping[str, An
     ):
         return verdict
     objections, remarks = own_errors.compared(report, rival, verdict.active)
+    if not objections and not remarks:
+        objections, remarks = cases.fitted.compare_fitted_rows()
     return replace(verdict, objections=(*verdict.objections, *objections), warnings=(*verdict.warnings, *remarks))
 
 
@@ -133,8 +134,10 @@ class Part:
 def _cases(
     session: Session, robot_id: int, new: Calibration, trainings: Sequence[Training], active: str | None,
     report: Mapping[str, Any],
-) -> list[Case]:  # fmt: skip
-    """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
+) -> Cases:  # fmt: skip
+    """The version beside the active one; by itself, for where the active one was fitted to all that is left; and beside it
+    on the rows that both were fitted to.
+    """
     archive = Archive(session, robot_id)
     reports = [report] if active is None else [report, store.get(session, active).report]
     was = AsItWas.by(session, robot_id, *reports)
@@ -143,17 +146,28 @@ def _cases(
     names = {one: campaigns.get(session, one).name for one in unseen.rows}
     alone = Case(new, active, None, unseen, own, since=was.since, names=names)
     if active is None:
-        return [alone]
+        return Cases((alone,))
     both = was.left_out(archive.unseen_by([*trainings, *store.trainings(session, active)]))
     rival, rival_own = store.calibration(session, active), store.made_from(session, active)
     beside = Case(new, active, rival, both, own, rival_own, was.since, names)
     alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
-    return [beside, alone]
+    fitted = was.left_out(archive.fitted_by_each([trainings, store.trainings(session, active)]))
+    return Cases((beside, alone), replace(beside, unseen=fitted, warnings=[], unpredictable=[]))
+
+
+@dataclass(frozen=True)
+class Cases:
+    """What a version is compared on: rows new to it, the best case first, and rows that it and the active one fitted."""
+
+    unseen: tuple[Case, ...]
+    fitted: Case | None = None
 
 
 @dataclass
 class Case:
-    """A version, its rivals, and the rows that none of them was fitted to. ``rival`` is the active one, if it may be.
+    """A version, its rivals, and the rows that they are compared on: those none of them was fitted to, or all were.
+
+    ``rival`` is the active version, if it may be.
 
     ``own`` and ``rival_own`` are the campaigns that they were made from; rows ``since`` then show the arm as it is, if that is
     known. ``names`` are those of the campaigns.
@@ -199,6 +213,22 @@ class Case:
         if against_rival is not None and compared.active is not None and against_rival.worse:
             worse.append(_objection("active", compared, compared.active))
         return Verdict(self.active, (*own, *worse), compared, tuple(self.warnings))
+
+    def compare_fitted_rows(self) -> tuple[list[Objection], list[dict[str, Any]]]:
+        """What rows that both versions were fitted to say: an objection, or a remark with both numbers."""
+        found = [part for part in self._parts() if part is not None and part.rival is not None]
+        if not found:
+            return [], []
+        new = compare.pooled([part.new for part in found])
+        rival = compare.pooled([part.rival for part in found if part.rival is not None])
+        names = ", ".join(sorted({self.called(part.campaign) for part in found}))
+        message = (
+            f"Version {self.active}, active now, and this one were both fitted to {len(new)} poses of {names}: this one "
+            f"leaves {to_mm(float(new.mean())):.4g} mm there, version {self.active} {to_mm(float(rival.mean())):.4g} mm."
+        )
+        if compare.Difference.of(new, rival).worse:
+            return [Objection(code=own_errors.CODE, message=message + own_errors.REMEDY)], []
+        return [], [{"code": own_errors.COMPARED, "message": message}]
 
     def _parts(self) -> list[Part | None]:
         for message in self.unseen.left_out.values():

@@ -12,6 +12,7 @@ from kilter_service.versions.objections import ERRORS_OF_DOUBT, SHARE_OF_DOUBT, 
 
 CODE = "larger_own_error"
 COMPARED = "own_errors_compared"
+REMEDY = " Measure poses that neither was fitted to (kilter upload --role confirmation) and activate again."
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,7 @@ def compared(
         f"{mine.words}, version {active} {other.words}."
     )
     if mine.beyond(other):
-        remedy = " Measure poses that neither was fitted to (kilter upload --role confirmation) and activate again."
-        return [Objection(code=CODE, message=message + remedy)], []
+        return [Objection(code=CODE, message=message + REMEDY)], []
     return [], [{"code": COMPARED, "message": message}]
 
 

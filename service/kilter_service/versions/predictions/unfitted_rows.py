@@ -66,10 +66,7 @@ class Archive:
 
     def fitted(self, version: str, campaign_id: str) -> Bools:
         """Mark the rows of a campaign that a version, or one that it continues, was fitted to."""
-        trained = _Trained(self)
-        for training in store.trainings(self.session, version):
-            trained.add(training)
-        return trained.mask(campaign_id)
+        return self._trained(store.trainings(self.session, version)).mask(campaign_id)
 
     def copied(self, version: str, campaign_id: str) -> int:
         """Count the rows of a campaign that a version, or one that it continues, was fitted to, in whatever order or file.
@@ -79,9 +76,7 @@ class Archive:
         rows = self.rows(campaign_id)
         if rows is None:
             return 0
-        trained = _Trained(self)
-        for training in store.trainings(self.session, version):
-            trained.add(training)
+        trained = self._trained(store.trainings(self.session, version))
         marked = int(trained.mask(campaign_id).sum())
         return max([marked, *(len(rows_beyond_chance(part, rows)) for part in trained.parts())])
 
@@ -89,11 +84,28 @@ class Archive:
         """Rows at poses none of these versions was fitted to."""
         return self.unseen_by(part for version in versions for part in store.trainings(self.session, version))
 
-    def unseen_by(self, trainings: Iterable[Training]) -> Unseen:
-        """Rows at poses that nothing was fitted to."""
+    def fitted_by_each(self, fits: Iterable[Iterable[Training]]) -> Unseen:
+        """Rows that every one of these fits took."""
+        all_trained = [self._trained(trainings) for trainings in fits]
+        out = {}
+        for campaign_id in self._worth_reading(set[str]().union(*(trained.rows for trained in all_trained))):
+            rows = self.rows(campaign_id)
+            if rows is None:
+                continue
+            shared = np.logical_and.reduce([trained.mask(campaign_id) for trained in all_trained])
+            if shared.any():
+                out[campaign_id] = rows.select(shared)
+        return Unseen(out, dict(self.left_out))
+
+    def _trained(self, trainings: Iterable[Training]) -> _Trained:
         trained = _Trained(self)
         for training in trainings:
             trained.add(training)
+        return trained
+
+    def unseen_by(self, trainings: Iterable[Training]) -> Unseen:
+        """Rows at poses that nothing was fitted to."""
+        trained = self._trained(trainings)
         poses = trained.poses()
         out, places = {}, {}
         for campaign_id in self._worth_reading(set(trained.rows)):
