@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.types import Bools, Floats, Ints
 from kilter_service.contract.stream_messages import Flag, Status
 from kilter_service.ground.core import walker
-from kilter_service.ground.correction_uncertainty import about, from_parameters
+from kilter_service.ground.correction_uncertainty import about, from_parameters, from_unknown_sides
 from kilter_service.ground.wire import to_mm
 
 if TYPE_CHECKING:
@@ -39,12 +39,14 @@ class Outcome:
 
     ``stated (N, 3)`` m are half widths of the 95 % intervals from the parameters alone, ``u95 (N, 3)`` m of where the tool
     is after this correction: parameters and what is left together. NaN where refused, or nothing is known of the version.
+    ``sides (N, 3)`` m are what joints add whose last motion nobody knows; they count as left.
     ``oriented``: the orientation was asked for as well.
     """
 
     done: CorrectedTrajectory
     stated: Floats
     u95: Floats
+    sides: Floats
     oriented: bool
 
     @property
@@ -55,15 +57,15 @@ class Outcome:
 
     @property
     def left(self) -> Floats:
-        """Distance (N,) m of the corrected tool from where it should be by the version; NaN where refused."""
-        found: Floats = np.linalg.norm(self.done.left, axis=1)
+        """Largest distance (N,) m of the corrected tool from where it should be by the version; NaN where refused."""
+        found: Floats = np.linalg.norm(np.abs(self.done.left) + self.sides, axis=1)
         return found
 
     @property
     def words(self) -> Sequence[str]:
         """The verdict on each row: OK, DAMPED, LIMITED, or why it was refused."""
         within = self._within()
-        held = (self.done.flags & HELD) != 0
+        held = ((self.done.flags & HELD) != 0) | self.sides.any(axis=1)
         return [
             Status(code).name if code != Status.OK else OK if good else LIMITED if limit else DAMPED
             for code, good, limit in zip(self.done.status.tolist(), within.tolist(), held.tolist(), strict=True)
@@ -77,7 +79,7 @@ class Outcome:
     def _within(self) -> Bools:
         """Rows whose remaining error is within what is stated, along each axis, and small; refused ones are not."""
         stated = np.maximum(np.where(np.isnan(self.stated), STATED_M, self.stated), REACHED_M)
-        good: Bools = np.all(np.abs(self.done.left) <= stated, axis=1) & (self.left <= MOST_OK_M)
+        good: Bools = np.all(np.abs(self.done.left) + self.sides <= stated, axis=1) & (self.left <= MOST_OK_M)
         if self.oriented:
             good = good & (self.done.left_rad <= STATED_RAD)
         return good
@@ -94,16 +96,27 @@ def correct(
     """
     done = walker.correct_trajectory(calibration, rows, options)
     stated = from_parameters(calibration, done, known, options.temperature_c)
-    return Outcome(done, stated, about(done.left, stated), options.task == "pose")
+    sides = from_unknown_sides(calibration, done, options.temperature_c)
+    return Outcome(done, stated, about(done.left, stated) + sides, sides, options.task == "pose")
 
 
 def summary(found: Outcome) -> tuple[str, ...]:
     """Say how many rows keep more of their error than is stated, how much at worst and in which row; nothing if none does."""
     words = np.array(found.words)
-    return tuple(
+    kept = tuple(
         _kept(word.lower(), np.flatnonzero(words == word), found.left)
         for word in (DAMPED, LIMITED)
         if (words == word).any()
+    )
+    unknown = np.flatnonzero(found.sides.any(axis=1))
+    if not len(unknown):
+        return kept
+    worst = float(np.linalg.norm(found.sides, axis=1).max())
+    return (
+        *kept,
+        f"From which side joints with backlash come is not known in {len(unknown)} of {len(words)} rows, the first of them "
+        f"row {int(unknown[0]) + 1}: up to {to_mm(worst):.2g} mm. Begin with a short move of these joints, or state dir1 ... "
+        "in every row.",
     )
 
 

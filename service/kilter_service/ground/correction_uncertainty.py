@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from kilter_core.correct.walker import CorrectedTrajectory
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
 
 
 LEVEL, TWO_SIDED, ONE_SIDED = 0.95, 1.959963984540054, 1.6448536269514722  # of the standard normal
@@ -34,20 +35,51 @@ def from_parameters(
     NaN for rows that were refused, and everywhere when nothing is ``known`` of the version. An effect that is left out of
     the correction is left out here.
     """
-    rows = done.wanted
-    out = np.full((len(rows), 3), np.nan)
+    out = np.full((len(done.wanted), 3), np.nan)
     good = done.status == Status.OK
     if known is None or not good.any():
         return out
+    arm, there = _as_corrected(calibration, done, temperature_c)
+    out[good] = known.of_the_tool(arm, there.select(good), arm.wanted().model.T_base[:3, :3])
+    return out
+
+
+def from_unknown_sides(
+    calibration: Calibration, done: CorrectedTrajectory, temperature_c: float | None = None
+) -> Floats:
+    """Largest displacements (N, 3) m by joints whose last motion nobody knows, along the axes of the wanted base.
+
+    Half of what the tool moves between the two sides of each such joint's backlash. 0 where all directions are known.
+    """
+    out = np.zeros((len(done.wanted), 3))
+    arm, there = _as_corrected(calibration, done, temperature_c)
+    if "direction" not in arm.model.needs:
+        return out
+    axes = arm.wanted().model.T_base[:3, :3]
+    unknown = (done.direction == 0.0) & (done.status == Status.OK)[:, None]
+    for joint in np.flatnonzero(unknown.any(axis=0)):
+        rows = there.select(unknown[:, joint])
+        assert rows.direction is not None
+        sides = []
+        for side in (-1.0, 1.0):
+            direction = rows.direction.copy()
+            direction[:, joint] = side
+            sides.append(arm.predict(replace(rows, direction=direction)).position)
+        out[unknown[:, joint]] += 0.5 * np.abs((sides[1] - sides[0]) @ axes)
+    return out
+
+
+def _as_corrected(
+    calibration: Calibration, done: CorrectedTrajectory, temperature_c: float | None
+) -> tuple[Calibration, Observations]:
+    """The arm with the effects that are corrected, and the rows (N,) it was sent to."""
+    rows = done.wanted
     there = replace(rows, q=done.q, direction=done.direction)
     if rows.temperature_c is None and temperature_c is not None:
         there = replace(there, temperature_c=np.full(len(rows), temperature_c))
     corrected = [e for key, e in zip(calibration.model.effect_slices(), calibration.model.effects, strict=True)
                  if key not in done.not_corrected]  # fmt: skip
-    arm = calibration.with_effects(corrected)
-    axes = arm.wanted().model.T_base[:3, :3]
-    out[good] = known.of_the_tool(arm, there.select(good), axes)
-    return out
+    return calibration.with_effects(corrected), there
 
 
 def about(bias: Floats, half: Floats) -> Floats:
