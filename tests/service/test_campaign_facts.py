@@ -82,6 +82,22 @@ def test_two_wild_rows_do_not_count_as_noise_where_every_pose_was_visited_twice(
     assert float(named[8].split()[0]) == pytest.approx(4.0, abs=0.1)  # from the other, not from between them
 
 
+@pytest.mark.parametrize("apart_mm", [0.0, 3.0])
+def test_a_pose_whose_sides_differ_far_more_than_those_of_others_is_named(
+    client: httpx.Client, database: Database, katana: Katana, apart_mm: float
+) -> None:
+    """As by a nest that was missed once; what backlash does to all poses is usual."""
+    rows = {name: values[: 2 * POSES] for name, values in measured(katana).items()}
+    side = np.repeat([1.0, -1.0], POSES)
+    for joint in range(1, 6):
+        rows[f"dir{joint}"] = side
+    rows["x_mm"] = rows["x_mm"] + 0.1 * side
+    rows["y_mm"][POSES + 20] += apart_mm
+    found = facts(looking.stored(database, stored(client, katana, rows)))
+    assert {one.row for one in found.doubtful.rows} == ({21, POSES + 21} if apart_mm else set())
+    assert found.repeats.between is None
+
+
 def test_a_row_far_from_the_arm_is_named_without_repeats(
     client: httpx.Client, database: Database, katana: Katana
 ) -> None:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 FAR = 6.0  # robust standard deviations from the other rows of its pose: such a row is named
 MAD = 1.4826  # median absolute deviation of normal noise to its standard deviation
+Far = tuple["Ints", "Floats", "Floats"]  # rows, how far from the others of their pose (m), in robust deviations
 FEWEST_REPEATS = 2  # rows of a pose from which some may be said to lie apart; of two it is not known which
 
 
@@ -55,10 +56,28 @@ def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repe
         means, _ = _means(_compact(visit[seen]), points[seen])
         start = np.unique(visit[seen], return_index=True)[1]
         between, freedom = _scatter(under[seen][start], means)
+        far, distance, sigmas = _with_other_conditions(pose, under, points, (far, distance, sigmas))
     return Repeats(
         len(rows), len(first), (int(rows.min()), int(rows.max())), (int(visits.min()), int(visits.max())),
         int((visits > 1).sum()), within, between, freedom, far, distance, sigmas,
     )  # fmt: skip
+
+
+def _with_other_conditions(pose: Ints, under: Ints, points: Floats, named: Far) -> Far:
+    """Add rows far from visits of their pose from other sides or under other loads, where most such visits agree better.
+
+    Backlash and load part them: how far is usual is told by all poses that were visited so. Noise is not made of them.
+    """
+    first = np.unique(np.column_stack([pose, under]), axis=0)[:, 0]
+    left = (np.bincount(first)[pose] > 1) & ~np.isnan(points).any(axis=1)
+    left[named[0]] = False
+    rows = np.flatnonzero(left)
+    if not len(rows):
+        return named
+    far, distance, sigmas = _far(_compact(pose[rows]), points[rows])
+    found = [np.concatenate(pair) for pair in zip(named, (rows[far], distance, sigmas), strict=True)]
+    order = np.argsort(found[0], kind="stable")
+    return found[0][order].astype(np.int64), found[1][order], found[2][order]
 
 
 def _compact(keys: Ints) -> Ints:
@@ -84,7 +103,7 @@ def _scatter(group: Ints, points: Floats) -> tuple[float | None, int]:
     return float(np.sqrt((left**2).sum() / (3 * freedom))), 3 * freedom
 
 
-def _far(group: Ints, points: Floats) -> tuple[Ints, Floats, Floats]:
+def _far(group: Ints, points: Floats) -> Far:
     """Rows much farther from the middle of their pose than rows usually are, how far, and in what is usual."""
     count = np.bincount(group)
     judged = count[group] >= FEWEST_REPEATS
