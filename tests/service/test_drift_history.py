@@ -78,7 +78,7 @@ def test_what_creeps_is_seen_by_all_checks_together(
     assert seen['kilter_drift_verdict{robot="creeping",verdict="moved"}'] == 1.0
     assert seen['kilter_drift_verdict{robot="creeping",verdict="ok"}'] == 0.0
     assert seen['kilter_drift_p_value{robot="creeping"}'] < 1e-6
-    assert seen['kilter_drift_last_check_seconds{robot="creeping"}'] == (DAY + timedelta(days=45)).timestamp()
+    assert seen['kilter_drift_last_check_timestamp_seconds{robot="creeping"}'] == (DAY + timedelta(days=45)).timestamp()
 
     # A version of what moved begins a history of its own, and the marks say so.
     last = found["history"][-1]["campaign_id"]

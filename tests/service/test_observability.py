@@ -98,11 +98,11 @@ def test_metrics_say_how_much_room_is_left_and_when_the_certificate_ends(databas
     made = x509.CertificateBuilder(name, name, key.public_key(), 7, now, now + timedelta(days=9))
     certificate.write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
     with_it = values(service.text(database, Settings(data=tmp_path, tls_certificate=certificate)).decode())
-    assert with_it["kilter_certificate_end_seconds", ()] == (now + timedelta(days=9)).timestamp()
+    assert with_it["kilter_certificate_end_timestamp_seconds", ()] == (now + timedelta(days=9)).timestamp()
     assert with_it["kilter_disk_free_bytes", ()] > 0
     for settings in (Settings(data=tmp_path), Settings(data=tmp_path, tls_certificate=tmp_path / "none.pem")):
         without = values(service.text(database, settings).decode())
-        assert ("kilter_certificate_end_seconds", ()) not in without
+        assert ("kilter_certificate_end_timestamp_seconds", ()) not in without
 
 
 def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database: Database) -> None:

@@ -55,7 +55,7 @@ class _Asked(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """Read and give the metrics."""
-        yield _gauge("kilter_build", "1, with the version that runs.", ("version",), [((code_version(),), 1.0)])
+        yield _gauge("kilter_build_info", "1, with the version that runs.", ("version",), [((code_version(),), 1.0)])
         yield from machine.gauges(self._settings)
         try:
             with self._database.reading() as session:
@@ -97,7 +97,7 @@ def _of_checks(checks: Mapping[str, CheckOfRobot], creeping: Mapping[str, bool])
     yield _gauge("kilter_drift_creeping", text, ("robot",), [((robot,), float(one)) for robot, one in creeping.items()])
     measured = [((robot,), one.at.timestamp()) for robot, one in checks.items()]
     text = "When the rows of the last check were measured, s since 1970."
-    yield _gauge("kilter_drift_last_check_seconds", text, ("robot",), measured)
+    yield _gauge("kilter_drift_last_check_timestamp_seconds", text, ("robot",), measured)
 
 
 def _of_webhooks(counts: Mapping[str, Mapping[str, int]]) -> Iterable[Metric]:

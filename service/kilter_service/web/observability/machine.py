@@ -17,7 +17,9 @@ from kilter_service.ground.settings import Settings
 def gauges(settings: Settings) -> Iterable[Metric]:
     """Give what can be read; what cannot is left out, so that an alert on its absence may say so."""
     free = GaugeMetricFamily("kilter_disk_free_bytes", "Bytes free on the disk of the data folder.")
-    end = GaugeMetricFamily("kilter_certificate_end_seconds", "When the server's certificate ends, s since 1970.")
+    end = GaugeMetricFamily(
+        "kilter_certificate_end_timestamp_seconds", "When the server's certificate ends, s since 1970."
+    )
     age = GaugeMetricFamily("kilter_backup_age_seconds", "Since the newest backup in KILTER_BACKUPS; +Inf without any.")
     with contextlib.suppress(OSError):
         free.add_metric((), float(shutil.disk_usage(settings.data).free))
