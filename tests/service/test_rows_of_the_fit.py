@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 
 import httpx
 import numpy as np
 import pytest
+from sqlalchemy import select, text
 
+from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import VersionRow
 from tests.service.conftest import Katana, WorkerProcess
 from tests.service.test_today import done, sent, today
 
@@ -57,13 +61,51 @@ def test_fitted_rows_in_another_file_do_not_validate(
         ending, scale = units[f"_{unit}"]
         changed[f"{stem}{ending}"] = [value * scale for value in values]
     mixed = {name: [*other[name], columns[name][5]] for name in columns}
-    for name, rows in {"other units": changed, "one among new ones": mixed}.items():
+    rounded = {name: [round(value, 6) for value in values] for name, values in changed.items()}
+    tricks = {"other units": changed, "one among new ones": mixed, "rounded to a micrometre": rounded}
+    for name, rows in tricks.items():
         body = {"robot": "katana", "kind": kind, "campaigns": [fit], "validation": [sent(client, name, rows)]}
         made = client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
         until(lambda made=made: client.get(f"/v1/jobs/{made}").json()["state"] in ("succeeded", "failed"))
         assert (client.get(f"/v1/jobs/{made}").json()["error"] or {}).get("code") == "rows_shared", name
         previewed = client.post("/v1/jobs/check", json=body).raise_for_status().json()
         assert "rows_shared" in [one["code"] for one in previewed["problems"]], name
+
+
+@pytest.mark.parametrize("kind", ["identify", "gap"])
+def test_rows_of_the_start_do_not_validate_what_continues_it(
+    client: httpx.Client, katana: Katana, worker: WorkerProcess, until: Until, fitted: list[bool], kind: str
+) -> None:
+    start = today(client)["version_id"]
+    (used,) = {one["id"] for one in client.get(f"/v1/versions/{start}").json()["campaigns"]}
+    other = sent(client, "other rows", katana.columns(40, seed=4))
+    body = {"robot": "katana", "kind": kind, "campaigns": [other], "validation": [used], "options": {"start": start}}
+    made = client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{made}").json()["state"] in ("succeeded", "failed"))
+    error = client.get(f"/v1/jobs/{made}").json()["error"]
+    assert (error or {}).get("code") == "rows_shared"
+    assert start in error["message"]
+    previewed = client.post("/v1/jobs/check", json=body).raise_for_status().json()
+    assert "rows_shared" in [one["code"] for one in previewed["problems"]]
+
+
+def test_a_version_judged_by_its_own_rows_is_said_to_be_so(
+    client: httpx.Client, katana: Katana, worker: WorkerProcess, until: Until, database: Database
+) -> None:
+    first, other = katana.campaign(client, ROWS), sent(client, "other", katana.columns(20, seed=4))
+    worker.start()
+    body = {"campaigns": [first], "validation": [other], "options": {"level": 2}}
+    made = done(client, until, kind="identify", **body)["result"]
+    client.post(f"/v1/versions/{made['version_id']}/activate").raise_for_status()
+    assert today(client)["newest"]["source"] == "held_out"
+    with database.transaction() as session:  # as earlier releases stored it
+        where = VersionRow.id == made["version_id"]
+        (train,) = (
+            one for one in session.scalars(select(VersionRow.campaigns).where(where)).one() if one["use"] == "train"
+        )
+        stored = {"used": json.dumps([train, {**train, "use": "validation"}]), "id": made["version_id"]}
+        session.execute(text("UPDATE versions SET campaigns = :used WHERE id = :id"), stored)
+    assert today(client)["newest"]["source"] == "fitted"
 
 
 def decided(client: httpx.Client, campaign: str) -> httpx.Response:

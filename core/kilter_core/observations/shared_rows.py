@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kilter_core.errors import ObservationError
 from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.repeats import numbered_rows
 from kilter_core.observations.rows import Observations
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 SAME_ROW = 1e-7  # m or rad: rows closer than this in all that was measured are one row, whatever unit they came in
+ROUNDED_JOINT = 1e-5  # rad or m: readings rounded to a thousandth of a degree, and a little more
+ROUNDED_POINT = 6e-7  # m: coordinates rounded to a micrometre; two visits of a pose are farther apart by their noise
+FEWEST_ROUNDED, SHARE_ROUNDED = 3, 0.05  # fewer near pairs than this are chance between visits of the same poses
 COINCIDENCE = 0.01  # share of the rows of a motion that may be the same: an arm at rest reads the same twice
 
 
@@ -41,17 +46,37 @@ def rows_beyond_chance(rows: Observations, others: Observations) -> Ints:
 def shared_rows(rows: Observations, others: Observations) -> Ints:
     """Return indices of ``others`` whose joints and measured values are all in a row of ``rows`` too; each content once.
 
-    Compared are the columns that both measured: a copy without one of its columns is still a copy.
+    Compared are the columns that both measured: a copy without one of its columns is still a copy, and so are copies
+    rounded to a micrometre and a thousandth of a degree, where they are more than chance makes of repeated poses.
     """
     pairs = list(zip(_measured_columns(rows), _measured_columns(others), strict=True))
     both = [(one, two) for one, two in pairs if one is not None and two is not None]
-    if rows.q.shape[1] != others.q.shape[1] or not both or any(a.shape[1] != b.shape[1] for a, b in both):
+    if (
+        not len(rows)
+        or rows.q.shape[1] != others.q.shape[1]
+        or not both
+        or any(a.shape[1] != b.shape[1] for a, b in both)
+    ):
         return np.zeros(0, dtype=np.int64)
-    known = {row.tobytes() for row in _lattice([rows.q, *(one for one, _ in both)])}
-    first: dict[bytes, int] = {}
-    for k, row in enumerate(_lattice([others.q, *(two for _, two in both)])):
-        first.setdefault(row.tobytes(), k)
-    return np.array(sorted(k for row, k in first.items() if row in known), dtype=np.int64)
+    known = _without_gaps([rows.q, *(one for one, _ in both)])
+    asked = _without_gaps([others.q, *(two for _, two in both)])
+    known, first = known[_distinct(known)], _distinct(asked)
+    exact = first[_is_near(known, asked[first], np.full(known.shape[1], SAME_ROW))]
+    points = (rows.position, rows.markers)
+    if all(v is None for v in points):
+        return exact
+    n = rows.q.shape[1]
+    rounding = np.r_[np.full(n, ROUNDED_JOINT), np.full(known.shape[1] - n, ROUNDED_POINT)]
+    rounded = first[_is_near(known, asked[first], rounding)]
+    return rounded if len(rounded) > max(FEWEST_ROUNDED - 1, SHARE_ROUNDED * len(first)) else exact
+
+
+def _is_near(known: Floats, asked: Floats, tolerance: Floats) -> Bools:
+    """Which rows (M, c) lie within a tolerance (c,) of one of the known ones (N, c), in every column."""
+    distance, _ = cKDTree(known / tolerance, balanced_tree=False).query(
+        asked / tolerance, p=np.inf, distance_upper_bound=1.0
+    )
+    return np.asarray(np.isfinite(distance))
 
 
 def _measured_columns(rows: Observations) -> list[Floats | None]:
@@ -61,7 +86,12 @@ def _measured_columns(rows: Observations) -> list[Floats | None]:
     return [None if v is None else np.asarray(v.reshape(len(rows), -1), dtype=np.float64) for v in values]
 
 
-def _lattice(columns: list[Floats]) -> Ints:
-    """Values (N, c) in steps of ``SAME_ROW``; what was not measured is a step of its own."""
-    whole = np.nan_to_num(np.hstack(columns), nan=1e3)
-    return np.ascontiguousarray(np.round(whole / SAME_ROW).astype(np.int64))
+def _without_gaps(columns: list[Floats]) -> Floats:
+    """Values (N, c), in which what was not measured has a value of its own."""
+    return np.nan_to_num(np.hstack(columns), nan=1e3)
+
+
+def _distinct(values: Floats) -> Ints:
+    """Return the first row of each content, ascending."""
+    _, first = np.unique(numbered_rows(np.round(values / SAME_ROW).astype(np.int64)), return_index=True)
+    return np.sort(first)

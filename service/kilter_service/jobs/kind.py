@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from kilter_core.errors import ObservationError
 from kilter_service.contract.units import Asked
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.settings import Queue
@@ -69,7 +70,7 @@ class JobInput:
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``), ``made_from`` the campaigns it was made from. Only for kinds
     with ``history``: ``driven (N, n)`` joint readings of all the robot's campaigns, and ``origin``, the result of the job
-    that made the version. Only for kinds with ``against_fit``: ``fit``, what the version was fitted to. ``fleet`` are
+    that made the version. ``fit``: what the version was fitted to. ``fleet`` are
     versions of other robots of the type, one of each, where the option ``prior`` asks for them.
     """
 
@@ -100,6 +101,20 @@ class JobInput:
         if self.calibration is None or campaign in self.made_from:
             return self.calibration
         return self.calibration.for_another_campaign(self.campaigns[campaign])
+
+    def refuse_rows_of_start(self) -> None:
+        """Refuse campaigns that are to judge a fit where the version it starts from was fitted to their rows.
+
+        Raises:
+            ObservationError: ``rows_shared``, with the campaign.
+
+        """
+        for campaign in self.fit.shared:
+            raise ObservationError(
+                f"The start {self.version_id} was fitted to rows of campaign {self.names.get(campaign, campaign)}, so they "
+                "cannot judge what continues it. Name other rows for validation or confirmation, or no start.",
+                code="rows_shared", campaign=campaign,
+            )  # fmt: skip
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:

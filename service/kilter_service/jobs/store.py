@@ -252,13 +252,21 @@ def input_of(
         certificates=campaigns.certificates(session, (*request.campaigns, *request.held, *request.confirmation)),
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
-        fit=fit_of(session, named, request.campaigns) if kind.against_fit and named is not None else FitOfVersion(),
+        fit=FitOfVersion() if named is None else _fit(session, named, kind, request),
         confirmation=rows_of(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),
         made_from=frozenset() if named is None else versions.made_from(session, named),
         fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
+
+
+def _fit(session: Session, version: str, kind: JobKind, request: JobRequest) -> FitOfVersion:
+    """Return what a job's version was fitted to: against the rows that are judged, or those that judge what continues it."""
+    if kind.against_fit:
+        return fit_of(session, version, request.campaigns)
+    judging = [*request.held, *request.confirmation]
+    return fit_of(session, version, judging) if judging else FitOfVersion()
 
 
 def _unstated(session: Session, request: JobRequest) -> tuple[str, ...]:

@@ -145,6 +145,7 @@ def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | No
 
 def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:
     """Rows to search, what to hold out, and the confirmation, poses and sessions numbered apart."""
+    job.refuse_rows_of_start()
     held = job.validation if isinstance(job.validation, dict) else {}
     given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
     parts = iter(numbered(map(_as_session, given) if job.options.refit else given))

@@ -128,6 +128,7 @@ def _named(job: JobInput) -> list[tuple[str, Observations]]:
 
 def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | float | core_identify.Folds | None]:
     """Rows to fit or to split, and what validates, poses and sessions numbered apart."""
+    job.refuse_rows_of_start()
     parts = numbered(setups.marked(_named(job)))
     if isinstance(job.validation, dict):
         train, held = parts[: len(job.campaigns)], parts[len(job.campaigns) :]

@@ -114,7 +114,7 @@ def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:
 
 
 def _own(version: Active, campaigns: Campaigns) -> ErrorsToday | None:
-    """What the job of a version said of it: of rows it held out, else of those it was fitted to."""
+    """What the job of a version said of it: of rows it held out, else of those its line was fitted to."""
     metrics = as_written(Metrics, version.metrics)
     held = metrics.validation is not None and metrics.validation.identified is not None
     errors = metrics.validation if held else metrics.train
@@ -124,8 +124,15 @@ def _own(version: Active, campaigns: Campaigns) -> ErrorsToday | None:
     uses = {one["use"] for one in named}
     wanted = "validation" if held and "validation" in uses else "train"
     used = [one["id"] for one in named if one["use"] == wanted]
+    fitted = wanted == "validation" and any(c in campaigns and campaigns[c].hashes & version.fitted for c in used)
     return _errors(
-        version, "held_out" if held else "fitted", version.job_id, version.created_at, used, campaigns, errors
+        version,
+        "held_out" if held and not fitted else "fitted",
+        version.job_id,
+        version.created_at,
+        used,
+        campaigns,
+        errors,
     )
 
 
