@@ -79,6 +79,7 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     assert "What the arm has" not in page_of_few
 
 
+@pytest.mark.timeout(900)  # a minute of computing, which waits where others compute too
 def test_views_of_a_joint_that_gravity_pulls_one_way_are_asked_for_until_they_are_there(
     kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]
 ) -> None:
@@ -109,6 +110,7 @@ def test_views_of_a_joint_that_gravity_pulls_one_way_are_asked_for_until_they_ar
     assert any("joint 2 (shoulder_lift): no backlash seen" in line for line in document["lines"])
 
 
+@pytest.mark.timeout(900)  # a minute of computing, which waits where others compute too
 def test_from_views_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]) -> None:
     rows, rig = written(tmp_path, "views", seen)
     document = command.json("kit", "so101", rows, "--cameras", rig, "--calibration", calibration(tmp_path))

@@ -91,6 +91,7 @@ def number(pattern: str, lines: list[str]) -> float:
     return float(found[1])
 
 
+@pytest.mark.timeout(900)  # a minute of computing, which waits where others compute too
 def test_from_a_board_to_a_corrected_grasp(kilter: Kilter, command: Command, tmp_path: Path) -> None:
     command("board", "--columns", 5, "--rows", 4, "--square-mm", 15, "-o", tmp_path / "board.pdf")
     photographer = Photographer(tmp_path)
