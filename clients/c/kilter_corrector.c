@@ -49,7 +49,7 @@ enum {
     COLUMNS = 48, INFO = 12, REMOVED = 4, LEFT = 8, LEFT_TURN = 11, NOMINAL = 0, IDENTIFIED = 12, KIND = 24, JOINT = 25,
     RATIO = 26, PRIMARY = 27, MASS = 28, COM = 29, INERTIA = 32, CARRIED = 38, LOWER = 0, UPPER = 1, DQ = 2, XI = 3,
     TILT = 9, TILT_SOFT = 10, TILT_SHARE = 11, PLAY = 12, PLAY_SOFT = 13, REVERSAL = 14, COMPLIANCE = 15, RATE = 16,
-    LARGEST = 17, SPEED = 18, RADIAL = 19, TWISTED = 20, HARDENING = 21, SIDED = 22, CHANGE = 23, SPURT = 24,
+    LARGEST = 17, SPEED = 18, RADIAL = 19, TWISTED = 20, HARDENING = 21, SIDED = 22, CHANGE = 23, SPURT = 24, FREE = 27,
     TILT_OWN = 25, PLAY_OWN = 26, CURVED = 0, SHAPE = 1, DRIVER = 2, AMPLITUDE_A = 3, AMPLITUDE_B = 4, FACTOR = 5,
     EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, BENDING = 0, BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40,
     ROOTED = 41, WAY = 42, OF_AXIS = 43, BASE_FRAME = 0, FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25,
@@ -1492,7 +1492,8 @@ enum {
 #define GUESS_STEP 10.0
 #define WAY_STEP 1e-06
 
-/* Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame). */
+/* Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame). A
+ * joint that is left as it is has no column, so that no step moves it. */
 static void jacobian(rows P, matrix W, int S, tuple12 T, int n, int m, int oj, int rows)
 {
     int r = 0;
@@ -1508,7 +1509,7 @@ static void jacobian(rows P, matrix W, int S, tuple12 T, int n, int m, int oj, i
     double v2 = 0.0;
     for (int k = 0; k < m; k++) {
         int j = oj + (int)P.at[k][JOINT];
-        double ratio = P.at[k][RATIO];
+        double ratio = P.at[k][RATIO] * P.at[j][FREE];
         double z0 = W[k][LINE];
         double z1 = W[k][LINE + 1];
         double z2 = W[k][LINE + 2];

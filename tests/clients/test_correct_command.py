@@ -127,10 +127,16 @@ def test_what_a_correction_leaves_is_said_and_strict_cares(kilter: Kilter, tmp_p
     wide = ["--option", 'limits={"max_joint_deg": 7.5}']
     assert run(["identify", "short", "-c", "monday", "--level", "2", "--base", "fixed", "--tool", "fixed", *wide]) == 0
     stored = kilter.versions.get("latest", robot="short")
-    assert stored["limits"] == {"max_joint_deg": 7.5, "max_position_mm": 5.0, "at_limit": "saturate"}
+    assert stored["limits"] == {"max_joint_deg": 7.5, "max_position_mm": 5.0, "at_limit": "saturate", "held_joints": []}
     assert stored["details"]["workspace"]["sentence"].endswith("limits 7.5 deg and 5 mm, as asked for.")
     counts = stored["details"]["workspace"]
     assert counts["ok"] + counts["damped"] + counts["limited"] + sum(counts["refused"].values()) == 500
+    assert run([*given, "--hold", "2"]) == 0
+    held = list(csv.DictReader(out.read_text().splitlines()))
+    np.testing.assert_array_equal([float(row["q2_deg"]) for row in held], path[:, 1])
+    assert float(held[0]["left_mm"]) > 0.05 > float(rows[0]["left_mm"])  # two joints do not place a tip
+    assert run([*given, "--hold", "4"]) == 1
+    assert "joint 4 is to be held, of 3" in capsys.readouterr().err
     out.unlink()
     assert run([*given, "--strict"]) == 1
     said = capsys.readouterr().err

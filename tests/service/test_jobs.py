@@ -69,7 +69,9 @@ def test_identify_evaluate_and_follow(
     assert [(c["id"], c["use"], c["rows"]) for c in version["campaigns"]] == [
         (campaign, "train", 60), (other, "validation", 40),
     ]  # fmt: skip
-    assert version["limits"] == {"max_joint_deg": 2.5, "max_position_mm": 5.0, "at_limit": "saturate"}
+    assert version["limits"] == {
+        "max_joint_deg": 2.5, "max_position_mm": 5.0, "at_limit": "saturate", "held_joints": [],
+    }  # fmt: skip
     names = version["covariance"]["names"]
     assert {row["name"] for row in version["parameters"]} == set(names)
     assert len(version["covariance"]["matrix"]) == len(names)

@@ -3,12 +3,22 @@ function [q, info] = correct(robot, q_deg, varargin)
 %   q = kilter.correct('arm', q_deg)
 %   [q, info] = kilter.correct('arm', q_deg, 't_s', t, 'payload_kg', 2, 'version', 'ver_7c')
 %   [q, info] = kilter.correct('arm', q_deg, 'task', 'pose', 'strict', true)
+%   q = kilter.correct('arm', q_deg, 'hold', [1 2])   % joints 1 and 2 stay as they are, such as a rail
 %   Q has NaN where a row could not be corrected; INFO.status says why, INFO.error_mm (N, 3) is the tool error removed,
 %   INFO.left_mm (N, 1) what is left of it. The status is OK where that is within what is stated, else DAMPED or LIMITED.
 %   'strict' makes any other status than OK an error.
 [given, ~] = kilter.internal.options(varargin);
 path = ['/v1/robots/' kilter.internal.quote(robot) '/correct'];
 sign = '?';
+held = [];
+if isfield(given, 'hold')
+    held = given.hold;
+    given = rmfield(given, 'hold');
+end
+for joint = reshape(held, 1, [])
+    path = [path sign 'hold=' int2str(joint)]; %#ok<AGROW>
+    sign = '&';
+end
 for name = {'version', 'task', 'at_limit', 'strict'}
     if isfield(given, name{1})
         value = given.(name{1});

@@ -60,7 +60,8 @@ class CorrectionOptions:
     exceed a limit, the rotation is given up. "axis" (point and direction of the tool's z) and "pose" hold all their rows alike;
     ``orientation_weight_m`` is what a radian of the tool counts in metres there.
     Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``at_limit`` "saturate" goes as
-    far as they allow and says what is left, "refuse" refuses the row. ``change_rad_s``, ``change_m_s`` and, of the
+    far as they allow and says what is left, "refuse" refuses the row. ``held_joints`` (from 0) stay as they are wanted, as a
+    rail or a positioner that other axes follow. ``change_rad_s``, ``change_m_s`` and, of the
     acceleration, ``change_rad_s2``, ``change_m_s2`` bound how fast the whole correction changes along a stream, joint by
     joint: what drives need beside the path. ``rate_rad_s`` and ``rate_m_s`` bound the part of the effects with a sign
     (clearance, backlash), and changes of version; ``least_softening_nm`` softens their sign where the effect itself does
@@ -92,6 +93,7 @@ class CorrectionOptions:
     change_rad_s2: float = math.radians(250.0)
     change_m_s2: float = 1.25
     at_limit: Literal["saturate", "refuse"] = "saturate"
+    held_joints: tuple[int, ...] = ()
     speed_rad_s: float = 4.0 * math.pi
     speed_m_s: float = 5.0
     ramp_s: float = 1.0
@@ -299,6 +301,10 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     robot = calibration.robot
     n = robot.n_joints
     task = options.task if options.task != "auto" else "position"
+    beyond = [j + 1 for j in options.held_joints if not 0 <= j < n]
+    if beyond or n <= len(set(options.held_joints)):
+        which = f"joint {beyond[0]} is to be held, of {n}" if beyond else "every joint is held"
+        raise OptionError(f"{which}: name joints from 1 to {n}, and leave one to correct with.", option="held_joints")
     rows, first = _ROWS[task]
     if first > max(n, 3):
         message = f"task {task!r} holds {first} rows, the robot has {n} joints: give position."
@@ -345,8 +351,9 @@ def _with_more(robot: Robot, masses: tuple[tuple[float, ...], ...]) -> Robot:
 
 
 def _with_limits(rows: Floats, robot: Robot, options: CorrectionOptions) -> Floats:
-    for row, joint in zip(rows, robot.joints, strict=True):
+    for number, (row, joint) in enumerate(zip(rows, robot.joints, strict=True)):
         revolute = joint.kind == "revolute"
+        row[layout.FREE] = float(number not in options.held_joints)
         row[layout.LOWER], row[layout.UPPER] = joint.lower, joint.upper
         row[layout.RATE] = options.rate_rad_s if revolute else options.rate_m_s
         row[layout.LARGEST] = options.largest_rad if revolute else options.largest_m

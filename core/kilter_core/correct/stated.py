@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionProgram
 from kilter_core.types import Floats
@@ -16,6 +18,8 @@ TASKS = {3: "position", 5: "axis", 6: "pose"}  # by the number of rows that come
 class Stated:
     """Task and limits of a program; of each joint (n,) the largest correction, its most rate and its most acceleration.
 
+    ``held_joints`` (from 0) are those that it leaves as they are wanted.
+
     Units rad or m, per second and per second squared; ``farthest_m`` is the largest correction of the tool point.
     """
 
@@ -25,6 +29,7 @@ class Stated:
     farthest_m: float
     rate: Floats
     acceleration: Floats
+    held_joints: tuple[int, ...]
 
 
 def stated(program: CorrectionProgram) -> Stated:
@@ -37,4 +42,5 @@ def stated(program: CorrectionProgram) -> Stated:
         farthest_m=float(scalars[layout.FARTHEST]),
         rate=joints[:, layout.CHANGE].copy(),
         acceleration=joints[:, layout.SPURT].copy(),
+        held_joints=tuple(np.flatnonzero(joints[:, layout.FREE] == 0.0).tolist()),
     )

@@ -33,6 +33,9 @@ class CorrectionLimits(Strict):
         description="A correction that would be larger: `saturate` goes as far as the limit and says what is left, "
         "`refuse` refuses the setpoint.",
     )
+    held_joints: Annotated[list[Annotated[int, Field(ge=1, le=64)]], Field(max_length=64)] = Field(
+        [], description="Joints, from 1, that the correction leaves as they are: a rail, or a positioner."
+    )
 
 
 class UsedCampaign(Stored):

@@ -10,6 +10,7 @@ from typing import IO, Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from pydantic import Field
 
 from kilter_core.errors import OptionError
 from kilter_service.correction import service
@@ -60,6 +61,14 @@ AtLimit = Annotated[
         description="Where the correction exceeds the version's limits: hold it there, as by default, or refuse the row."
     ),
 ]
+Hold = Annotated[
+    list[Annotated[int, Field(ge=1, le=64)]] | None,
+    Query(
+        max_length=64,
+        description="Joint, from 1, that the correction leaves as it is: a rail, or a positioner. Once for each joint; "
+        "default: those of the version's limits.",
+    ),
+]
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
 ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, left_mm, u95_x_mm, flags, status"
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
@@ -81,6 +90,7 @@ async def correct(
     task: Task = None,
     strict: Strictly = False,
     at_limit: AtLimit = None,
+    hold: Hold = None,
     payload_kg: Payload = None,
     payload_com_mm: Centre = None,
 ) -> Response:
@@ -98,7 +108,7 @@ async def correct(
         path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
-        wanted = service.Wanted(version, format, task, strict, at_limit)
+        wanted = service.Wanted(version, format, task, strict, at_limit, None if hold is None else tuple(hold))
         file, left_out, notes = await compute(
             request, _corrected, database, robot, path, media, wanted, settings.temperature_c, carried
         )

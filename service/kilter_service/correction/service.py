@@ -41,7 +41,9 @@ NOTHING_STATED = load.Carried()
 
 
 class Wanted(NamedTuple):
-    """How to correct: ``version`` None is the active one, ``task`` and ``at_limit`` None the default of the core.
+    """How to correct: ``version`` None is the active one, ``task`` None the default of the core.
+
+    ``at_limit`` and ``hold``, joints from 1, None what the limits of the version say.
 
     ``form`` "ros2-yaml" is another format than the one sent.
     ``strict``: a row that is not corrected to within what is stated is an error.
@@ -52,6 +54,7 @@ class Wanted(NamedTuple):
     task: Literal["position", "pose"] | None = None
     strict: bool = False
     at_limit: Literal["saturate", "refuse"] | None = None
+    hold: tuple[int, ...] | None = None
 
 
 AS_ALWAYS = Wanted()
@@ -151,4 +154,4 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    return row, options_of(CorrectionLimits(**row.limits), temperature_c, wanted.task, wanted.at_limit)
+    return row, options_of(CorrectionLimits(**row.limits), temperature_c, wanted.task, wanted.at_limit, wanted.hold)

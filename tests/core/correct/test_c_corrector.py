@@ -181,6 +181,10 @@ def test_limits_refusals_and_ramps_are_those_of_the_kernels(library: ctypes.CDLL
         assert bool((rows.status == layout.TOO_LARGE).any()) is (at_limit == "refuse")
 
 
+def test_joints_are_held_as_the_kernels_do(library: ctypes.CDLL) -> None:
+    assert compare(library, program_of("ur10", "clearance_tilt", held_joints=(0, 4))) < SAME_RAD
+
+
 def test_a_change_of_version_is_ramped_as_the_kernels_do(library: ctypes.CDLL) -> None:
     before, after = program_of("ur10", seed=1), program_of("ur10", "axial_compliance", seed=2)
     ours, track = Corrector(library, blob_of(before)), Track(before)

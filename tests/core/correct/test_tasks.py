@@ -194,6 +194,28 @@ def test_a_version_of_nonsense_gives_no_numbers_that_an_arm_could_follow(length:
         assert np.isnan(correct_trajectory(wild, Observations(q)).q).all()
 
 
+@pytest.mark.parametrize("held", [(0,), (0, 3)])
+@pytest.mark.parametrize("name", ["seven", "ur"])
+def test_held_joints_stay_and_the_others_hold_the_point(name: str, held: tuple[int, ...]) -> None:
+    arm = twin(name)
+    q = arm.poses(200)
+    rows, off, _ = corrected(arm, q, held_joints=held, largest_rad=math.radians(3.0))
+    np.testing.assert_array_equal(rows.q[:, held], q[:, held])
+    assert np.mean(off < 1e-6) > 0.9  # elsewhere the other joints cannot, and say so
+    assert not ((off > 2e-6) & (rows.flags & TOLD == 0)).any()
+    done = correct_trajectory(
+        arm.calibration, Observations(q, t=np.arange(200) * 60.0), CorrectionOptions(held_joints=held)
+    )
+    np.testing.assert_array_equal(done.q[:, held], q[:, held])
+
+
+def test_joints_that_cannot_be_held_are_refused() -> None:
+    arm = twin("ur")
+    for held, said in (((6,), "joint 7 is to be held, of 6"), (tuple(range(6)), "every joint is held")):
+        with pytest.raises(OptionError, match=said):
+            compile_program(arm.calibration, CorrectionOptions(held_joints=held))
+
+
 def test_options_that_cannot_be_are_refused() -> None:
     with pytest.raises(OptionError, match="at_limit"):
         CorrectionOptions(at_limit="stop")  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ from kilter_core.correct.kernels.layout import (
     DYNAMIC,
     ERROR,
     FIRST,
+    FREE,
     GUESSED,
     HANGING,
     HANGING_SIDED,
@@ -70,14 +71,17 @@ WAYPOINTS, WAY_STEP = 16, 1e-6
 
 @compiled(**EXACT)
 def _jacobian(P, W, S, T, n, m, oj, rows):
-    """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame)."""
+    """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame).
+
+    A joint that is left as it is has no column, so that no step moves it.
+    """
     for i in range(n):
         for r in range(6):
             W[oj + i, COLUMN + r] = 0.0
     weight = P[S, WEIGHT + 3]
     for k in range(m):
         j = oj + int(P[k, JOINT])
-        ratio = P[k, RATIO]
+        ratio = P[k, RATIO] * P[j, FREE]
         z0, z1, z2 = W[k, LINE], W[k, LINE + 1], W[k, LINE + 2]
         if P[k, KIND] == 0.0:
             v0, v1, v2 = cross(z0, z1, z2, T[9] - W[k, LINE + 3], T[10] - W[k, LINE + 4], T[11] - W[k, LINE + 5])

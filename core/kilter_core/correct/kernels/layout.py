@@ -27,6 +27,7 @@ CARRIED = 38  # of the load on an axis that follows a joint by a linkage: what o
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22
 CHANGE, SPURT = 23, 24  # most rate and acceleration of the correction
+FREE = 27  # 1, and 0 of a joint that the correction leaves as it is
 TILT_OWN, PLAY_OWN = 25, 26  # half-widths of the signs as the version has them, before the correction softens them
 # curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``: to its command where ``MOVED`` is 0, else to
 # that component of the twist behind it, from 1

@@ -53,6 +53,7 @@ class Active:
         return {
             "task": found.task,
             "at_limit": found.at_limit,
+            "held_joints": [joint + 1 for joint in found.held_joints],
             "rate_deg_s": most(found.rate, "revolute", to_deg),
             "rate_mm_s": most(found.rate, "prismatic", to_mm),
             "acceleration_deg_s2": most(found.acceleration, "revolute", to_deg),

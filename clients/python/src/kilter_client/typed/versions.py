@@ -19,6 +19,8 @@ class CorrectionLimits(Record):
 
     at_limit: str
     """A correction that would be larger: `saturate` goes as far as the limit and says what is left, `refuse` refuses the setpoint."""
+    held_joints: tuple[int, ...]
+    """Joints, from 1, that the correction leaves as they are: a rail, or a positioner."""
     max_joint_deg: float
     """Largest correction of a joint, degrees, above 0 to 30."""
     max_position_mm: float

@@ -133,6 +133,7 @@ def correct(
     task: str | None = None,
     strict: bool = False,
     at_limit: str | None = None,
+    hold: Sequence[int] | None = None,
 ) -> Steps[Corrected]:
     """Correct a trajectory with the active version, or with ``version``.
 
@@ -149,6 +150,7 @@ def correct(
         payload_com_mm: its centre in the tool frame, mm.
         task: ``"position"`` holds the position first, as by default; ``"pose"`` position and orientation alike.
         at_limit: ``"saturate"`` holds a correction at the version's limits, as by default; ``"refuse"`` refuses the row.
+        hold: joints, from 1, that the correction leaves as they are, such as a rail; default: those of the version.
         strict: refuse the trajectory unless every row is corrected to within what is stated.
 
     Raises:
@@ -160,7 +162,7 @@ def correct(
     chosen = None if not version else reference("version", version)
     answer = yield from calls.correct(
         reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
-        task=task, strict=strict, at_limit=at_limit,
+        task=task, strict=strict, at_limit=at_limit, hold=hold,
     )  # fmt: skip
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]

@@ -53,6 +53,10 @@ AskedAtLimit = Annotated[
     AtLimit | None,
     typer.Option(help="Where the correction exceeds the version's limits: hold it there (default), or refuse the row."),
 ]
+Hold = Annotated[
+    list[int] | None,
+    typer.Option(min=1, help="Joint, from 1, left as it is: a rail or positioner. Repeat it for more."),
+]
 Strict = Annotated[
     bool, typer.Option("--strict", help="Exit code 1, and write nothing, unless the status of every row is OK.")
 ]
@@ -84,6 +88,7 @@ def correct(
     ] = None,
     task: AskedTask = None,
     at_limit: AskedAtLimit = None,
+    hold: Hold = None,
     strict: Strict = False,
     as_json: Json = False,
 ) -> None:
@@ -101,7 +106,7 @@ def correct(
         used = version or kilter.robots.get(robot).get("active_version")
         content = kilter.correct(
             robot, trajectory, version=used, form=form, payload_kg=payload_kg, payload_com_mm=centre,
-            task=task and task.value, strict=strict, at_limit=at_limit and at_limit.value,
+            task=task and task.value, strict=strict, at_limit=at_limit and at_limit.value, hold=hold,
         )  # fmt: skip
         found = None if used is None else kilter.versions.get(used, robot=robot)
         frames = {} if found is None else frames_of(found)

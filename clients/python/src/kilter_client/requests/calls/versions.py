@@ -99,6 +99,7 @@ def correct(
     task: str | None = None,
     strict: bool = False,
     at_limit: str | None = None,
+    hold: Sequence[int] | None = None,
 ) -> Steps[Answer]:
     """Correct a trajectory; ``strict`` refuses it unless every row is corrected to within what is stated."""
     chosen = None if not version else (yield from id_of("version", version, robot))
@@ -108,6 +109,7 @@ def correct(
         "task": task or None,
         "strict": strict or None,
         "at_limit": at_limit or None,
+        "hold": list(hold) if hold else None,
         "payload_kg": payload_kg,
         "payload_com_mm": None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm),
     }
