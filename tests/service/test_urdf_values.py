@@ -124,3 +124,34 @@ def test_joints_that_hold_nothing_matter_only_within_the_chain(kind: str) -> Non
     ]
     with pytest.raises(RobotError, match=f"joint root is '{kind}' and lies between 'l6' and 'l3'"):
         chain_document(text, "l6", "l3", "r")
+
+
+def tip_of(text: str) -> np.ndarray:
+    model = RobotModel(robot_from_document(chain_document(text, "l0", "l3", "r").document))
+    q = np.array([[0.4, -0.7, 1.1]])
+    return model.predict(Observations(q), model.values0()).position[0]
+
+
+def test_a_quaternion_says_an_origin_as_well_as_angles_do() -> None:
+    yaw, pitch, roll = 0.3, float(np.pi / 2), -0.2
+    turned = Rotation.from_euler("ZYX", [yaw, pitch, roll])
+    origin = '<origin xyz="0.1 0 0.3"/>'
+    ways = [f'rpy="{roll!r} {pitch!r} {yaw!r}"', f'quat_xyzw="{" ".join(map(str, turned.as_quat()))}"']
+    plain = arm(joint(1), joint(2), joint(3))
+    texts = [plain.replace(origin, f'<origin xyz="0.1 0 0.3" {way}/>') for way in (*ways, " ".join(ways))]
+    found = [tip_of(text) for text in texts]
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-12)
+    assert np.linalg.norm(found[0] - tip_of(plain)) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ('quat_xyzw="0 0 0 0.5"', "joint j1: quat_xyzw is no unit quaternion"),
+        ('quat_xyzw="0 0 1"', "joint j1: quat_xyzw='0 0 1' is not 4 numbers"),
+        ('quat_xyzw="0 0 0 1" rpy="0 0 0.1"', "joint j1: rpy and quat_xyzw are two rotations"),
+    ],
+)
+def test_a_quaternion_that_cannot_be_is_refused(given: str, said: str) -> None:
+    with pytest.raises(RobotError, match=said):
+        tip_of(arm(joint(1), joint(2), joint(3)).replace('<origin xyz="0.1 0 0.3"/>', f"<origin {given}/>"))

@@ -18,6 +18,7 @@ def set_origin(joint: Element, T: Floats) -> None:
     origin = SubElement(joint, "origin") if origin is None else origin
     xyz, rpy = transforms.xyz_rpy_from_pose(T)
     origin.set("xyz", numbers(xyz))
+    origin.attrib.pop("quat_xyzw", None)
     origin.set("rpy", numbers(away_from_the_cut(rpy)))
 
 

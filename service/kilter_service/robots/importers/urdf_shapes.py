@@ -13,7 +13,7 @@ from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.robots.importers.urdf import chain_document
 from kilter_service.robots.importers.urdf_masses import hanging
-from kilter_service.robots.importers.urdf_tree import numbers, parse
+from kilter_service.robots.importers.urdf_tree import numbers, parse, rpy_of
 from kilter_service.robots.importers.xml_text import read_xml
 
 if TYPE_CHECKING:
@@ -85,9 +85,7 @@ def _of(link: Element) -> Iterator[Shape]:
     place = f"link {link.get('name')}"
     for visual in link.findall("visual"):
         origin, geometry = visual.find("origin"), visual.find("geometry")
-        pose = transforms.pose_from_xyz_rpy(
-            numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place)
-        )
+        pose = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), rpy_of(origin, place))
         for one in [] if geometry is None else geometry:
             if one.tag == "mesh":
                 file = one.get("filename") or ""

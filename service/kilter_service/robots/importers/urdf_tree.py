@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kilter_core.errors import RobotError
 from kilter_core.types import Floats
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+ROUNDED = 1e-4  # of a quaternion's length, or rad: numbers of a file with four digits
 FREE = ("floating", "planar")  # they hold nothing: what hangs on them is not of the arm
 
 
@@ -274,13 +276,34 @@ def numbers(element: Element | None, attribute: str, default: tuple[float, ...],
     return values
 
 
+def rpy_of(origin: Element | None, place: str) -> Floats:
+    """Roll, pitch, yaw (3,) rad of an origin, which may have a unit quaternion ``quat_xyzw`` instead.
+
+    Raises:
+        RobotError: the quaternion is none, or another rotation is given beside it.
+
+    """
+    rpy = numbers(origin, "rpy", (0, 0, 0), place)
+    if origin is None or origin.get("quat_xyzw") is None:
+        return rpy
+    quaternion = numbers(origin, "quat_xyzw", (0, 0, 0, 1), place)
+    if abs(np.linalg.norm(quaternion) - 1.0) > ROUNDED:
+        raise RobotError(f"{place}: quat_xyzw is no unit quaternion: its length is not 1.", field="urdf", place=place)
+    rotation = Rotation.from_quat(quaternion)
+    if origin.get("rpy") is not None and (rotation.inv() * Rotation.from_euler("xyz", rpy)).magnitude() > ROUNDED:
+        raise RobotError(f"{place}: rpy and quat_xyzw are two rotations: leave one out.", field="urdf", place=place)
+    T = np.eye(4)
+    T[:3, :3] = rotation.as_matrix()
+    return transforms.xyz_rpy_from_pose(T)[1]
+
+
 def _body(link: Element) -> Body:
     place = f"link {link.get('name')}"
     inertial = link.find("inertial")
     if inertial is None:
         return Body()
     origin, tensor = inertial.find("origin"), inertial.find("inertia")
-    T = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place))
+    T = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), rpy_of(origin, place))
     six = [float(numbers(tensor, f"i{pair}", (0,), place)[0]) for pair in ("xx", "yy", "zz", "xy", "xz", "yz")]
     mass = float(numbers(inertial.find("mass"), "value", (0,), place)[0])
     return Body(mass, T[:3, 3], T[:3, :3] @ symmetric(six) @ T[:3, :3].T)
@@ -312,7 +335,7 @@ def _joint(element: Element) -> UrdfJoint:
         parent=str(parent.get("link")),
         child=str(child.get("link")),
         xyz=numbers(origin, "xyz", (0, 0, 0), place),
-        rpy=numbers(origin, "rpy", (0, 0, 0), place),
+        rpy=rpy_of(origin, place),
         axis=_axis(element, place) if kind in MOVING else np.array([1.0, 0.0, 0.0]),
         lower=_limit(limit, "lower", place) if bounded else -math.inf,
         upper=_limit(limit, "upper", place) if bounded else math.inf,
