@@ -19,6 +19,7 @@ from kilter_files import prepare
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
+from kilter_service.jobs.inputs.laws_of_time import with_clock_warnings
 from kilter_service.jobs.registry import kind_of
 from kilter_service.robots import store as robots
 
@@ -59,8 +60,17 @@ def tool_points(q: Floats) -> Floats:
 class Cell:
     """A cell whose base is knocked once, and whose tracker writes dates and clocks."""
 
-    def __init__(self, client: httpx.Client, database: Database, folder: Path, knock: datetime, name: str) -> None:
+    def __init__(
+        self,
+        client: httpx.Client,
+        database: Database,
+        folder: Path,
+        knock: datetime,
+        name: str,
+        drift_mm_h: float = 0.0,
+    ) -> None:
         self.client, self.database, self.folder, self.knock, self.name = client, database, folder, knock, name
+        self.drift_m_s = drift_mm_h * 1e-3 / 3600.0
         client.post("/v1/robots", json={**preset_document("ur10"), "name": name}).raise_for_status()
 
     def send(self, begin: datetime, end: datetime, rows: int, seed: int, stamps: str = STAMPS, more: str = "") -> str:
@@ -71,6 +81,8 @@ class Cell:
         moved = np.array([time >= self.knock for time in times])[:, None]
         points = tool_points(q)
         points = points + moved * (np.array([3e-4, -2e-4, 1e-4]) + np.cross([0.0, 1e-4, 2e-4], points))
+        since = np.array([(time - begin).total_seconds() for time in times])[:, None]
+        points = points + since * self.drift_m_s * np.array([0.0, 1.0, 0.0])
         points = points + NOISE_MM * 1e-3 * rng.normal(size=points.shape)
         file, column_map = self.folder / f"{seed}.csv", self.folder / f"{seed}.toml"
         lines = [f"Time,{','.join(f'A{k}' for k in range(1, 7))},X,Y,Z"]
@@ -93,7 +105,8 @@ class Cell:
         job = TypeAdapter[Any](NewJob).validate_python(body)
         with self.database.transaction() as session:
             made = jobs.add(session, robots.get(session, self.name).id, job)
-            output = kind_of(kind).run(jobs.load(session, made), lambda fraction, stage: None)
+            loaded = jobs.load(session, made)
+            output = with_clock_warnings(kind_of(kind).run(loaded, lambda fraction, stage: None), loaded)
             jobs.succeed(session, made, output.result, output.version)
             result = jobs.get(session, made).result
         assert result is not None
@@ -101,6 +114,9 @@ class Cell:
 
 
 DAY = datetime(2026, 10, 27)
+OPTIONS = {
+    "effects": ["base_step", "drift", "backlash"], "next_poses": 0, "bootstraps": 299, "resamples": 10, "permutations": 3,
+}  # fmt: skip
 
 
 def at(hour: int, minute: int, day: int = 0) -> datetime:
@@ -111,14 +127,42 @@ def at(hour: int, minute: int, day: int = 0) -> datetime:
 def test_held_out_rows_of_the_same_day_come_after_the_knock(
     client: httpx.Client, database: Database, tmp_path: Path
 ) -> None:
-    cell = Cell(client, database, tmp_path, at(11, 40), "arm")
+    cell = Cell(client, database, tmp_path, at(11, 0), "arm")
     fit, held = cell.send(at(9, 1), at(12, 32), 90, 2), cell.send(at(12, 34), at(13, 25), 29, 3)
-    options = {"effects": ["base_step", "drift", "backlash"], "next_poses": 0, "bootstraps": 299, "resamples": 10,
-               "permutations": 3}  # fmt: skip
-    found = cell.compute("gap", [fit], validation=[held], options=options)
+    found = cell.compute("gap", [fit], validation=[held], options=OPTIONS)
     codes = {one["code"] for one in found["warnings"]}
     assert "moved_once" in codes
     assert not codes & {"set_up_elsewhere", "worse_than_geometry", "clock_unknown"}
     error = cell.compute("evaluate", [held], options={"version": found["version_id"]})["metrics"][held]
     assert error["identified"]["rms_mm"] < 1.2 * NOISE_MM * 3**0.5  # 0.48 mm by a version that takes them as before it
     assert error["within_u95"] > 0.9
+    dated = client.get(f"/v1/campaigns/{held}").json()["measured_at"]
+    assert datetime.fromisoformat(dated).replace(tzinfo=None) == at(13, 25)
+
+
+def test_clocks_without_a_date_do_not_place_a_knock_in_other_rows(
+    client: httpx.Client, database: Database, tmp_path: Path
+) -> None:
+    cell = Cell(client, database, tmp_path, at(11, 0), "undated")
+    fit = cell.send(at(9, 1), at(12, 32), 90, 2, stamps="%H:%M:%S.%f")
+    held = cell.send(at(12, 34), at(13, 25), 29, 3, stamps="%H:%M:%S.%f")
+    found = cell.compute("gap", [fit], validation=[held], options=OPTIONS)
+    (said,) = (one["message"] for one in found["warnings"] if one["code"] == "clock_unknown")
+    assert said == (
+        "3.csv: Nothing says when these rows were measured, as against those of the fit. Counted as having happened before "
+        "them: base step. Give both files time stamps with a date."
+    )
+    assert found["gap"]["validation_after_mm"] < 1.2 * NOISE_MM * 3**0.5
+    answer = cell.compute("evaluate", [held], options={"version": found["version_id"]})
+    assert [one["code"] for one in answer["warnings"]] == ["clock_unknown"]
+    assert answer["metrics"][held]["identified"]["rms_mm"] < 1.2 * NOISE_MM * 3**0.5
+
+
+def test_a_drift_is_not_carried_to_another_day(client: httpx.Client, database: Database, tmp_path: Path) -> None:
+    cell = Cell(client, database, tmp_path, at(0, 0), "drifting", drift_mm_h=0.2)
+    fit, later = cell.send(at(9, 1), at(12, 32), 60, 2), cell.send(at(9, 0, day=6), at(9, 10, day=6), 20, 3)
+    made = cell.compute("identify", [fit], validation=[later], options={"effects": [{"id": "drift"}]})
+    (said,) = (one["message"] for one in made["warnings"] if one["code"] == "law_of_another_day")
+    assert said == "3.csv: These rows were measured on another day than those of the fit. Not applied to them: drift."
+    assert made["metrics"]["train"]["identified"]["rms_mm"] < 1.2 * NOISE_MM * 3**0.5
+    assert made["metrics"]["validation"]["identified"]["rms_mm"] < 0.3  # 29 mm where the drift goes on for six days

@@ -10,10 +10,11 @@ from pathlib import Path
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
+from kilter_files.ground.session_names import number_of_session
 from kilter_files.ground.time_stamps import seconds_of, stamps_of, times_of_rows
 from kilter_files.ground.units import TIMESTAMP, converter, unit_of
 from kilter_files.maps.columns import Column
-from kilter_files.maps.nests import by_name, told
+from kilter_files.maps.nests import told
 from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source, lines_of
 from kilter_files.tables.table import Table
@@ -64,7 +65,7 @@ def _convert(column: Column, source: Source) -> list[float]:
         return times_of_rows(seconds_of(stamps)) if stamps else []
     names = _session_names(column, source)
     if names is not None:
-        return by_name(names)[0]
+        return [float(number_of_session(name)) if name.strip() else math.nan for name in names]
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
     values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
@@ -95,7 +96,8 @@ def _understood(column: Column, source: Source) -> str:
     turned = f" x {column.scale:g}" if column.scale != 1 else ""
     shifted = f" {column.offset:+g}" if column.offset else ""
     names = _session_names(column, source)
-    numbered = "" if names is None else f": {told(by_name(names)[1])}"
+    called = {name: number_of_session(name) for name in dict.fromkeys(filter(str.strip, names or ()))}
+    numbered = f": {told(called)}" if called else ""
     unit = f" [{column.unit}]" if column.unit else ""
     return f"{column.target} from {column.source!r}{turned}{shifted}{unit}{numbered}"
 

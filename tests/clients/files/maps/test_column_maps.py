@@ -541,10 +541,10 @@ BY_SESSION = NESTS.replace('[markers]\nfrom = "nest"\n', 'session = { from = "ne
 
 @pytest.mark.parametrize(
     ("cells", "sessions"),
-    [("BAC", [2, 1, 3]), (["early", "", "late"], None), ("979", [9, 7, 9]), (["9", "A", "9"], None)],
+    [("BAC", [5198513, 9254475, 3565863]), (["early", "", "late"], None), ("979", [9, 7, 9]), (["9", "A", "9"], None)],
 )
 def test_sessions_may_have_names(tmp_path: Path, cells: Sequence[str], sessions: list[int] | None) -> None:
-    """A nest or a day: names are numbered in their order, numbers stay; an empty cell, or a name among numbers, is refused."""
+    """A nest or a day: a name has one number in every file. Empty cells and names among numbers are refused."""
     lines = [f"{k},{cell},{k},2,3" for k, cell in enumerate(cells)]
     text = "\n".join(["A1,nest,x,y,z", *lines]) + "\n"
     if sessions is None:
@@ -553,5 +553,5 @@ def test_sessions_may_have_names(tmp_path: Path, cells: Sequence[str], sessions:
         return
     assert [row["session"] for row in mapped(tmp_path, text, BY_SESSION)] == sessions
     notes = prepare(tmp_path / "lab.csv", column_map=tmp_path / "map.toml").notes
-    told = "session from 'nest'" + (": 1 is 'A', 2 is 'B', 3 is 'C'" if "A" in cells else "")
+    told = "session from 'nest'" + (": 5198513 is 'B', 9254475 is 'A', 3565863 is 'C'" if "A" in cells else "")
     assert told in notes
