@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def test_ipa_series_a_has_time(shared_data: Path) -> None:
     got = columns(prepared)
     assert prepared.rows == 11911
     assert prepared.warnings == ()
-    assert got["t_s"].min() == 0
+    assert got["t_s"].min() == datetime(2020, 7, 14, 16, 39, 4, tzinfo=UTC).timestamp()
     # 2020-07-14 16:39:04 to the second row at 16:39:24
     assert got["t_s"][1] - got["t_s"][0] == 20
 

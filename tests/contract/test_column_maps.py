@@ -77,7 +77,7 @@ def test_every_key_is_documented_and_no_other(monkeypatch: pytest.MonkeyPatch, t
         assert documented(before) == keys[place], before
     assert keys["join.file"] == keys["file"]
     assert keys["join.columns.x_mm"] == keys["columns.q1_deg"]
-    assert keys["columns.q*"] == keys["columns.q1_deg"] - {"value"}
+    assert keys["columns.q*"] == keys["columns.q1_deg"] - {"value", "date_format"}
     last = PAGE.partition("## At the top\n")[2].split(" are all")[0]
     assert set(re.findall(r"`(\w+)`", last)) == keys[""]
 

@@ -5,6 +5,7 @@ import io
 import json
 import socket
 import time
+from dataclasses import replace
 from typing import Any
 
 import httpx
@@ -17,8 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_files.ground.session_names import number_of_session
 from kilter_service.campaigns import store
 from kilter_service.ground.db import Database
+from kilter_service.jobs.inputs.setups import Setups
 from kilter_service.robots import store as robots
 
 pytestmark = pytest.mark.both_databases
@@ -289,6 +292,21 @@ def test_poses_of_two_campaigns_keep_apart() -> None:
     assert joined.pose_id.tolist() == [0, 0, 1, 2, 2, 3]
     assert joined.session is not None
     assert joined.session.tolist() == [0, 0, 0, 1, 1, 1]
+
+
+def test_sessions_of_one_name_are_one_in_all_campaigns() -> None:
+    morning, afternoon = number_of_session("morning"), number_of_session("afternoon")
+    parts = [
+        Observations(q=np.zeros((2, 2)), session=np.array(codes))
+        for codes in ([afternoon, morning], [morning, morning], [1, 2], [2, 1])
+    ]
+    joined = [part.session.tolist() for part in store.numbered(parts) if part.session is not None]
+    assert joined == [[0, 1], [1, 1], [2, 3], [5, 4]]
+    assert morning != afternoon
+    marked = Setups(("base",), {}).marked(
+        [(str(k), replace(p, position=np.zeros((2, 3)))) for k, p in enumerate(parts)]
+    )
+    assert [set(part.setup.tolist()) for part in marked if part.setup is not None] == [{1, 2}, {2}, {3, 4}, {5, 6}]
 
 
 def test_many_rows_are_stored_in_chunks_and_come_back_exactly(

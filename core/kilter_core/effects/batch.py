@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.loads.slopes import LoadSlopes
 from kilter_core.observations import Conditions
+from kilter_core.observations.clock import on_shared_clock
 from kilter_core.types import Floats
 
 WRENCH = (0, 1, 2, 3, 4, 5)
@@ -71,9 +72,17 @@ class Batch(Conditions):
         return replace(self, **own, slopes=None if self.slopes is None else self.slopes.part(rows))
 
     def before(self, at_s: float | None, at_row: int | None) -> Floats:
-        """1 in the rows (N,) measured before an event, 0 in the others and where a row does not say: the last state holds."""
+        """1 in the rows (N,) measured before an event, 0 in the others and where a row does not say: the last state holds.
+
+        Rows on another clock do not say.
+        """
         key, mark = (self.row, at_row) if at_s is None else (self.t, at_s)
-        return np.zeros(len(self)) if key is None or mark is None else (key < mark).astype(np.float64)
+        if key is None or mark is None:
+            return np.zeros(len(self))
+        before = key < mark
+        if at_s is not None:
+            before &= on_shared_clock(key) == bool(on_shared_clock(np.array(at_s)))
+        return before.astype(np.float64)
 
     @property
     def moment(self) -> Floats:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Local, linear
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_time import LawOfTime
 from kilter_core.effects.physical import STATION, Separator
-from kilter_core.errors import OptionError
-from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class Drift(Effect):
+class Drift(LawOfTime):
     """The base frame moves at constant rates: a twist of six rates times t − t0, in its own axes.
 
     ``t0_s`` is when the base is where the geometry says; without it the first row's time, once rows are known.
@@ -29,21 +27,10 @@ class Drift(Effect):
     physical = STATION
     separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "ISO 9283, drift of pose characteristics; Barfoot, State Estimation for Robotics, 7.1"
-    needs = frozenset({"t"})
     stage = "base"
     aliases = ("thermal_growth", "session_shift")
     remedy = "revisit a reference pose during the campaign, and visit the others in random order"
     at_joints = False
-
-    t0_s: float | None = option(
-        None, "When the base was where the geometry says, s on the clock of the rows; null: the earliest row."
-    )
-
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
-        """Start the drift at the earliest row."""
-        if self.t0_s is not None or rows is None or rows.t is None or not len(rows):
-            return self
-        return replace(self, t0_s=float(np.min(rows.t)))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates along x, y, z, m/s, then about them, rad/s."""
@@ -56,8 +43,5 @@ class Drift(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the rates."""
-        t = np.asarray(self.column(batch, "t"), dtype=np.float64)
-        if self.t0_s is None:
-            raise OptionError("drift needs t0_s: give the time in s at which the geometry holds.", effect=self.id)
-        moved = np.eye(6)[:, None, :] * (t - self.t0_s)[:, None]
+        moved = np.eye(6)[:, None, :] * self.elapsed(batch)[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

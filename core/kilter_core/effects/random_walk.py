@@ -16,6 +16,7 @@ from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
+from kilter_core.observations.clock import on_shared_clock, reached
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -68,7 +69,9 @@ class RandomWalk(Effect):
         """Put the knots where the rows are."""
         if self.knots_s or rows is None or rows.t is None or not np.ptp(rows.t) > 0.0:
             return self
-        knots = np.unique(np.quantile(rows.t, np.linspace(0.0, 1.0, self.pieces + 1)))
+        shared = on_shared_clock(rows.t)
+        own = rows.t[shared] if shared.any() else rows.t
+        knots = np.unique(np.quantile(own, np.linspace(0.0, 1.0, self.pieces + 1)))
         return replace(self, knots_s=tuple(float(t) for t in knots))
 
     @property
@@ -100,7 +103,9 @@ class RandomWalk(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the steps."""
+        first, last = self.knots_s[0], self.knots_s[-1]
         t = np.asarray(self.column(batch, "t"), dtype=np.float64)
+        t = np.where(reached(t, first, last), t, first)
         done = [np.clip((t - begin) / (end - begin), 0.0, 1.0) for begin, end in pairwise(self.knots_s)]
         moved = [axis * part[:, None] for part in done for axis in np.eye(6)[:3]]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

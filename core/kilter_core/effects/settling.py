@@ -9,8 +9,9 @@ from typing import Any, Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, TWIST, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, TWIST, Derivative, Local, linear, option
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_time import LawOfTime, span_of_clock
 from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -22,7 +23,7 @@ SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look the same
 
 
 @dataclass(frozen=True)
-class Settling(Effect):
+class Settling(LawOfTime):
     """The base frame moves by a twist times 1 − exp(−(t − t0)/τ), in its own axes.
 
     ``tau_s`` is τ, a fifth of the rows' time when not given; a gap job tries several. ``t0_s`` is when the base is
@@ -34,14 +35,12 @@ class Settling(Effect):
     physical = STATION
     separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "ISO 230-3, thermal distortion after start-up: first-order response; ISO 9283, drift"
-    needs = frozenset({"t"})
     stage = "base"
     aliases = ("drift", "random_walk", "zero_drift", "session_shift")
     remedy = "revisit a reference pose often at the beginning, and let robot and instrument warm up first"
     at_joints = False
 
     tau_s: float | None = option(None, "Time constant, s, above 0; null: a fifth of the rows' time.", above=0.0)
-    t0_s: float | None = option(None, "When it began, s on the clock of the rows; null: the earliest row.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,11 +56,11 @@ class Settling(Effect):
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Start at the earliest row, with a time constant in proportion to the rows' time."""
-        if rows is None or rows.t is None or not len(rows) or None not in (self.tau_s, self.t0_s):
-            return self
-        first, span = float(np.min(rows.t)), float(np.ptp(rows.t))
-        tau = self.tau_s if self.tau_s is not None else time_constants(span, (USUAL,))[0]
-        return replace(self, tau_s=tau, t0_s=first if self.t0_s is None else self.t0_s)
+        law = super().on(robot, rows)
+        if law.tau_s is not None or rows is None or rows.t is None or not len(rows):
+            return law
+        first, last = span_of_clock(rows.t)
+        return replace(law, tau_s=time_constants(last - first, (USUAL,))[0])
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """What is left to settle at t0 along x, y, z, m, and about them, rad; named with τ, for a model may have several.
@@ -81,12 +80,9 @@ class Settling(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the amounts."""
-        t = np.asarray(self.column(batch, "t"), dtype=np.float64)
-        if self.t0_s is None or self.tau_s is None:
-            raise OptionError(
-                "settling needs t0_s and tau_s: give when it began, and its time constant.", effect=self.id
-            )
-        settled = -np.expm1(-np.maximum(t - self.t0_s, 0.0) / self.tau_s)
+        if self.tau_s is None:
+            raise OptionError("settling needs tau_s: give its time constant in s.", effect=self.id)
+        settled = -np.expm1(-np.maximum(self.elapsed(batch), 0.0) / self.tau_s)
         moved = np.eye(6)[:, None, :] * settled[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
 

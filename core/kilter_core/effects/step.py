@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -12,8 +11,6 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Effect, option
 from kilter_core.effects.physical import Separator
 from kilter_core.observations import Observations
-
-SINCE_1970_S = 1e8  # no campaign lasts three years: such a time is of the clock that all computers share
 
 
 @dataclass(frozen=True)
@@ -39,18 +36,3 @@ class Step(Effect):
         if rows.t is not None:
             return replace(self, at_s=float(np.median(rows.t)))
         return self if rows.row is None else replace(self, at_row=int(np.median(rows.row)))
-
-
-def happened_before(rows: Observations, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The effects in rows of a campaign that they were not placed in: a step has happened before all of them.
-
-    Rows and seconds of a campaign count from its own beginning, so they say nothing of another one. Times that count from
-    1970 are one clock, and place it there too.
-    """
-    shared = rows.t is not None and len(rows) > 0 and float(rows.t[0]) > SINCE_1970_S
-    return tuple(
-        replace(e, at_s=None, at_row=0)
-        if isinstance(e, Step) and not (shared and e.at_s is not None and e.at_s > SINCE_1970_S)
-        else e
-        for e in effects
-    )

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import Effect, Local, option
+from kilter_core.effects.base import Local
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_time import LawOfTime
 from kilter_core.effects.physical import JOINT_ZERO, Separator
-from kilter_core.errors import OptionError
-from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class ZeroDrift(Effect):
+class ZeroDrift(LawOfTime):
     """dq = r (t − t0) per joint.
 
     ``t0_s`` is when the zero is that of the geometry; without it the first row's time, once rows are known. At a joint
@@ -30,17 +28,8 @@ class ZeroDrift(Effect):
     physical = JOINT_ZERO
     separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "Yin et al. 2014, joint by joint warm-up: which parameters move; ISO 9283, drift of pose characteristics"
-    needs = frozenset({"t"})
     aliases = ("drift", "zero_thermal", "settling")
     remedy = "revisit poses during the campaign that move this joint's zero differently from the base, in random order"
-
-    t0_s: float | None = option(None, "When the zeros were right, s on the clock of the rows; null: the earliest row.")
-
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
-        """Start at the earliest row."""
-        if self.t0_s is not None or rows is None or rows.t is None or not len(rows):
-            return self
-        return replace(self, t0_s=float(np.min(rows.t)))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rate r per joint, rad/s."""
@@ -48,9 +37,4 @@ class ZeroDrift(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by the rate."""
-        t = np.asarray(self.column(batch, "t"), dtype=np.float64)
-        if self.t0_s is None:
-            raise OptionError(
-                "zero_drift needs t0_s: give the time in s at which the zeros were right.", effect=self.id
-            )
-        return self.joint_angle(batch, values, np.broadcast_to((t - self.t0_s)[:, None], batch.q.shape))
+        return self.joint_angle(batch, values, np.broadcast_to(self.elapsed(batch)[:, None], batch.q.shape))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.effects.other_campaigns import placed_later
 from kilter_core.errors import OptionError
 from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said
 from kilter_core.identify.comparison.model_comparison import PoseErrors, geometry_alone
@@ -302,6 +303,8 @@ def _parted(
             f"validation is {type(validation).__name__}: give observations, a fraction of the poses, Folds, or None.",
             option="validation",
         )
+    if isinstance(validation, Observations):
+        return train, placed_later(validation), options, (None, None)
     if not isinstance(validation, float):
         return train, validation, options, (None, None)
     measurement_for(train, options, begin.marker_points)  # what is wrong with all rows is said of all of them

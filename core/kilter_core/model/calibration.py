@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.arm.loads.chain import LoadChain
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect, effect_from_document
-from kilter_core.effects.step import happened_before
+from kilter_core.effects.other_campaigns import carried_effects
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.prediction import Prediction
 from kilter_core.model.robot_model import RobotModel
@@ -67,8 +67,8 @@ class Calibration:
         return replace(self, model=model, values=values)
 
     def for_another_campaign(self, rows: Observations) -> Calibration:
-        """The same for rows that it was not made from: what happened once, at a row of its own, has happened before them."""
-        return self.with_effects(happened_before(rows, self.model.effects))
+        """The same for rows that it was not made from: laws of time count only where one clock says when they were measured."""
+        return self.with_effects(carried_effects(self.model.effects, rows))
 
     def wanted(self) -> Calibration:
         """The nominal chain in the wanted frames: where the tool should be."""

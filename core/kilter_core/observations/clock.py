@@ -9,9 +9,11 @@ import numpy as np
 
 from kilter_core.types import Bools, Floats, Ints
 
+SINCE_1970_S = 1e8  # no campaign lasts three years: such a time is of the clock that all computers share
 RESTARTS = 0.02  # share of rows at which the time falls, up to which the clock was set back; above, rows are sorted
 PAUSE = 0.5  # of the usual time between poses, above which the arm may have left and come back: halfway to all of it
 RESTING = 10  # rows at rest that say how far joint readings wander there: one in ten is beyond by chance
+CARRIED_S = 43_200.0  # half a day: a law of the morning holds in the afternoon, not on the next day
 LEFT = 0.8  # share of the long pauses that must show a motion before any of them counts as one
 
 
@@ -34,6 +36,17 @@ class Timed(Protocol):
         ...
 
     def __len__(self) -> int: ...
+
+
+def on_shared_clock(t: Floats | Ints) -> Bools:
+    """Return which times count from 1970: those of all campaigns are one clock, others have a beginning of their own."""
+    return np.asarray(t > SINCE_1970_S)
+
+
+def reached(t: Floats, begin_s: float, end_s: float | None) -> Bools:
+    """Return which times are on the clock of a law of time, and within half a day of the rows that it was fitted to."""
+    same: Bools = on_shared_clock(t) == bool(on_shared_clock(np.array(begin_s)))
+    return same if end_s is None else same & (t >= begin_s - CARRIED_S) & (t <= end_s + CARRIED_S)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.rules import RowRules
 from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
+from kilter_service.campaigns.stamps import date_by_stamps, last_stamp
 from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
@@ -127,6 +128,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
             )
         refuse_other_servos(session, campaign_id)
         store.commit(session, campaign_id)
+        date_by_stamps(session, campaign_id)
         session.flush()
         return shown(session, campaign_id)
 
@@ -185,7 +187,10 @@ def upload(
         if known:
             return known
         _same_columns(session, campaign_id, names)
+        before = None if campaign.staged else last_stamp(session, campaign_id)
         store.add_upload(session, campaign_id, sha256, media, names, chunks)
+        if not campaign.staged:
+            date_by_stamps(session, campaign_id, before)
         done = _uploaded(session, campaign_id, sha256, new=True)
         assert done is not None
         said = [*shown(session, campaign_id).warnings, *_remarks(warnings)]

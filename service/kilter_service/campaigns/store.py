@@ -14,6 +14,7 @@ from sqlalchemy import and_, delete, func, or_, select
 
 from kilter_core.errors import ObservationError
 from kilter_files.ground.later import pa
+from kilter_files.ground.session_names import NAMED_SESSIONS
 from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
@@ -262,6 +263,12 @@ def add_upload(
         session.flush()
 
 
+def set_measured_at(session: Session, campaign_id: str, at: datetime | None) -> None:
+    """Store when the last row of a campaign was measured."""
+    session.get_one(CampaignRow, campaign_id).measured_at = at
+    session.flush()
+
+
 def device(session: Session, campaign_id: str) -> str:
     """Return what a campaign was measured with."""
     return whole(session, campaign_id).device
@@ -337,18 +344,25 @@ def driven(session: Session, robot_id: int, robot: Robot, most: int = 20_000) ->
 
 
 def numbered(parts: Iterable[Observations]) -> list[Observations]:
-    """Give the poses and sessions of several campaigns numbers of their own: pose 1 of one is not pose 1 of another."""
-    out, poses, sessions = [], 0, 0
-    for part in parts:
+    """Give the poses and sessions of several campaigns numbers of their own: pose 1 of one is not pose 1 of another.
+
+    Sessions that have names are the same in all of them.
+    """
+    out, poses = [], 0
+    sessions: dict[tuple[int, int], int] = {}
+    for place, part in enumerate(parts):
         changes: dict[str, Any] = {}
         if part.pose_id is not None:
             ids = np.unique(part.pose_id, return_inverse=True)[1].astype(np.int64)
             changes["pose_id"] = ids + poses
             poses += int(ids.max()) + 1
         if part.session is not None:
-            ids = np.unique(part.session, return_inverse=True)[1].astype(np.int64)
-            changes["session"] = ids + sessions
-            sessions += int(ids.max()) + 1
+            codes, first, ids = np.unique(part.session, return_index=True, return_inverse=True)
+            own = np.zeros(len(codes), dtype=np.int64)
+            for k in np.lexsort((codes, np.where(codes < NAMED_SESSIONS, -1, first))):  # names in the order of the rows
+                key = (-1 if codes[k] >= NAMED_SESSIONS else place, int(codes[k]))
+                own[k] = sessions.setdefault(key, len(sessions))
+            changes["session"] = own[ids.reshape(-1)]
         out.append(replace(part, **changes))
     return out
 

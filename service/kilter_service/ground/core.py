@@ -29,7 +29,7 @@ with later(__name__):
     from kilter_core.correct import needs as core_needs
     from kilter_core.correct import program, walker
     from kilter_core.correct import stated as core_stated
-    from kilter_core.effects import registry
+    from kilter_core.effects import other_campaigns, registry
     from kilter_core.evaluate import iso9283
     from kilter_core.evaluate import uncertainty as core_uncertainty
     from kilter_core.evaluate.uncertainty import budget as core_budget

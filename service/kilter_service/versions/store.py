@@ -329,14 +329,11 @@ def trainings(session: Session, version_id: str) -> list[Training]:
 
 
 def made_from(session: Session, version_id: str) -> frozenset[str]:
-    """Return the campaigns that a version, and those that it continues, were made from: their clock is its own.
-
-    A confirmation is of another day, and nothing was made from it: what happened once had happened before it.
-    """
+    """Return the campaigns that a version, and those that it continues, were fitted to: their clock is its own."""
     found: set[str] = set()
     following = session.get(VersionRow, version_id)
     while following is not None:
-        found |= {campaign["id"] for campaign in following.campaigns if campaign["use"] != "confirmation"}
+        found |= {campaign["id"] for campaign in following.campaigns if campaign["use"] == "train"}
         following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
     return frozenset(found)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.effects import BASE, make_effect
-from kilter_core.effects.step import happened_before
+from kilter_core.effects.other_campaigns import carried_effects
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.events import Course, events_of, key_of, moved, numbered, placed
 from kilter_core.gap.search.linear import derivatives
@@ -102,9 +102,9 @@ def test_held_out_rows_of_another_set_up_are_said_to_be():
 def test_times_that_count_from_1970_are_one_clock():
     rows = Observations(q=np.zeros((2, 6)), t=np.array([1.7e9, 1.7e9 + 60.0]))
     step, drift = make_effect("base_step", at_s=1.7e9 + 30.0), make_effect("drift")
-    assert happened_before(rows, (step, drift)) == (step, drift)
+    assert carried_effects((step, drift), rows) == (step, drift)
     own = replace(rows, t=rows.t - 1.7e9)
-    after, same = happened_before(own, (step, drift))
+    after, same = carried_effects((step, drift), own)
     assert (after.at_s, after.at_row, same) == (None, 0, drift)
     local = after.local(RobotModel(robot(), (after,)).batch(replace(own, row=np.array([1, 2]))), np.full(6, 1e-3))
     assert not np.any(local.base)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_files.ground.errors import FileError
+from kilter_files.ground.time_stamps import DATE_FORMATS
 from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
 from kilter_files.maps.section import Section
 
@@ -26,6 +27,7 @@ class Column:
     """One contract column: ``scale * number + offset`` in the source's unit, then converted; or a constant.
 
     ``still_below`` makes a speed a direction: its sign, and the one before where the speed is not above it.
+    ``date_format`` says which of two numbers of a date is the day.
     """
 
     target: str
@@ -35,6 +37,7 @@ class Column:
     offset: float = 0.0
     value: float | None = None
     still_below: float | None = None
+    date_format: str | None = None
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ def _column(columns: Section, target: str) -> Column:
     assert section is not None
     source, value = section.column("from"), section.number("value")
     unit, scale, offset = section.text("unit"), section.number("scale"), section.number("offset")
-    sign, still = section.number("sign"), section.number("still_below")
+    sign, still, dates = section.number("sign"), section.number("still_below"), section.text("date_format")
     section.finish()
     if source == UNKNOWN:
         raise section.error("the draft could not determine which column this is: name it, or delete the line", "from")
@@ -155,7 +158,10 @@ def _column(columns: Section, target: str) -> Column:
     _check_unit(section, target, wanted, unit, value)
     if unit == TIMESTAMP and (scale or sign or offset):
         raise section.error("a time stamp takes no sign, scale or offset: give 'from' and unit = \"timestamp\"")
-    return Column(target, source, unit or wanted, (scale or 1.0) * (sign or 1.0), offset or 0.0, value, still)
+    if dates is not None and (unit != TIMESTAMP or dates.upper() not in DATE_FORMATS):
+        raise section.error(f'one of {", ".join(DATE_FORMATS)}, beside unit = "timestamp"', "date_format")
+    dates = dates and dates.upper()
+    return Column(target, source, unit or wanted, (scale or 1.0) * (sign or 1.0), offset or 0.0, value, still, dates)
 
 
 def _pattern(columns: Section, target: str) -> Pattern:

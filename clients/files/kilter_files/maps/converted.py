@@ -10,14 +10,16 @@ from pathlib import Path
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
-from kilter_files.ground.time_stamps import seconds_of, stamps_of
+from kilter_files.ground.session_names import number_of_session
+from kilter_files.ground.time_stamps import seconds_of, stamps_of, times_of_rows
 from kilter_files.ground.units import TIMESTAMP, converter, unit_of
 from kilter_files.maps.columns import Column
-from kilter_files.maps.nests import by_name, told
+from kilter_files.maps.nests import told
 from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source, lines_of
 from kilter_files.tables.table import Table
 
+TIME, SET_BACK = "t_s", 0.02  # share of rows at which a clock goes back, above which rows are sorted by something else
 SESSION, NUMBER = "session", re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
@@ -35,18 +37,35 @@ def converted(source: Source, columns: Sequence[Column], orientation: Orientatio
     table = _table(source, measured, bare)
     table.columns |= {c.target: [c.value] * len(table) for c in columns if c.value is not None}
     table.notes += [_understood(column, source) for column in columns]
+    table.warnings += _clock_set_back(columns, table)
     return table
+
+
+def _clock_set_back(columns: Sequence[Column], table: Table) -> list[str]:
+    """Name the row at which a clock goes back; rows that are sorted by something else go back often, and are not named."""
+    if not any(column.target == TIME and column.unit == TIMESTAMP for column in columns):
+        return []
+    t = table.columns[TIME]
+    falls = [row for row in range(1, len(t)) if t[row] < t[row - 1]]
+    if not falls or len(falls) > max(1.0, SET_BACK * len(t)):
+        return []
+    line, back = table.lines[falls[0]], t[falls[0] - 1] - t[falls[0]]
+    more = f" and in {len(falls) - 1} more rows" if len(falls) > 1 else ""
+    return [
+        f"the clock goes back by {back:.3g} s at line {line}{more}: laws of time cannot be told there. Was it set? Upload "
+        "the rows before and after it as two files"
+    ]
 
 
 def _convert(column: Column, source: Source) -> list[float]:
     assert column.source is not None
     if column.unit == TIMESTAMP:
         texts = source.texts(column.source)
-        seconds = seconds_of(stamps_of(texts, source.lines, source.path, column.source))
-        return [t - seconds[0] for t in seconds]
+        stamps = stamps_of(texts, source.lines, source.path, column.source, column.date_format)
+        return times_of_rows(seconds_of(stamps)) if stamps else []
     names = _session_names(column, source)
     if names is not None:
-        return by_name(names)[0]
+        return [float(number_of_session(name)) if name.strip() else math.nan for name in names]
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
     values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
@@ -77,7 +96,8 @@ def _understood(column: Column, source: Source) -> str:
     turned = f" x {column.scale:g}" if column.scale != 1 else ""
     shifted = f" {column.offset:+g}" if column.offset else ""
     names = _session_names(column, source)
-    numbered = "" if names is None else f": {told(by_name(names)[1])}"
+    called = {name: number_of_session(name) for name in dict.fromkeys(filter(str.strip, names or ()))}
+    numbered = f": {told(called)}" if called else ""
     unit = f" [{column.unit}]" if column.unit else ""
     return f"{column.target} from {column.source!r}{turned}{shifted}{unit}{numbered}"
 

@@ -186,7 +186,7 @@ def _levels(problem: LinearizedProblem, rows: Observations, r: Floats) -> Iterat
     for name, values, unit in (
         ("load", rows.payload_kg, " kg"),
         ("temperature", rows.temperature_c, " °C"),
-        ("time", rows.t, " s"),
+        ("time since the first row", None if rows.t is None else rows.t - rows.t.min(), " s"),
     ):
         if values is not None and np.ptp(values) > 0.0:
             for level, mask in _ranges(values, unit):

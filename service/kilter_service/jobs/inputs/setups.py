@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_files.ground.session_names import NAMED_SESSIONS
+
 if TYPE_CHECKING:
     from kilter_core.observations import Observations
 
@@ -34,9 +36,17 @@ class Setups:
             return replace(rows, setup=np.full(len(rows), ALL_OTHERS, dtype=np.int64))
         sessions = np.zeros(len(rows), dtype=np.int64) if rows.session is None else rows.session
         found, place = np.unique(sessions, return_inverse=True)
-        first = len(self.known) + 1
-        self.known += [(campaign, None if len(found) == 1 else int(number)) for number in found]
-        return replace(rows, setup=(first + place.reshape(-1)).astype(np.int64))
+        codes = [self._numbered(campaign, int(number), len(found) == 1) for number in found]
+        return replace(rows, setup=np.array(codes, dtype=np.int64)[place.reshape(-1)])
+
+    def _numbered(self, campaign: str, session: int, alone: bool) -> int:
+        """The number of a set-up; a session that has a name is one set-up in all campaigns."""
+        own = (campaign, None if alone and session < NAMED_SESSIONS else session)
+        same = (k for k, (_, known) in enumerate(self.known, 1) if known == session and session >= NAMED_SESSIONS)
+        number = next(same, len(self.known) + 1)
+        if number > len(self.known):
+            self.known.append(own)
+        return number
 
     def _has_own_frame(self, campaign: str) -> bool:
         if self.own is not None:

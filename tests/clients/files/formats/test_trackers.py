@@ -111,7 +111,7 @@ def test_time_stamps_with_and_without_a_spreadsheets_apostrophe(tmp_path: Path, 
     assert table.columns["t_s"] == [0, 1, 2, 3]
     assert table.columns["x_mm"] == [100, 101, 102, 103]
     path.write_text("\n".join(["Name;Time;X [mm];Y [mm];Z [mm]", rows[0], "P9;soon;1;2;3"]) + "\n")
-    with pytest.raises(FileError, match=r"line 3, column 'Time': 'soon' is not a time stamp. Write it as 12:00:01.5"):
+    with pytest.raises(FileError, match=r"line 3, column 'Time': 'soon' is not a time stamp such as 12:00:01.5"):
         read_tracker(path)
 
 

@@ -457,18 +457,66 @@ def test_lists_that_are_refused(tmp_path: Path, cell: str, source: str, words: s
         (["'12:00:01.5", "'12:00:02.25"], [0, 0.75]),
         (["23:59:59,5", "00:00:01,5"], [0, 2]),
         (["11:59:59 PM", "12:00:01 AM"], [0, 2]),
-        (["2026-11-22T12:00:00Z", "2026-11-22T14:00:01+02:00"], [0, 1]),
-        (["22.11.2026 23:59:59", "23.11.2026 00:00:00,5"], [0, 1.5]),
     ],
 )
-def test_time_stamps(tmp_path: Path, stamps: list[str], seconds: list[float]) -> None:
+def test_clocks_without_a_date_count_from_the_first_row(
+    tmp_path: Path, stamps: list[str], seconds: list[float]
+) -> None:
+    assert stamped(tmp_path, stamps) == pytest.approx(seconds, abs=1e-6)
+
+
+def stamped(tmp_path: Path, stamps: list[str], more: str = "") -> list[float]:
     text = "j;Time\n" + "".join(f"{k};{stamp}\n" for k, stamp in enumerate(stamps))
     columns = '[file]\ndelimiter = ";"\n[columns]\nq1_deg = { from = "j", unit = "deg" }\n'
-    columns += 't_s = { from = "Time", unit = "timestamp" }\n'
-    assert [row["t_s"] for row in mapped(tmp_path, text, columns)] == pytest.approx(seconds, abs=1e-6)
+    columns += f't_s = {{ from = "Time", unit = "timestamp"{more} }}\n'
+    return [row["t_s"] for row in mapped(tmp_path, text, columns)]
 
 
-@pytest.mark.parametrize("stamp", ["11/12/2026 12:00", "12:61:00", "31.02.2026 10:00", "noon"])
+@pytest.mark.parametrize(
+    ("stamps", "began", "more"),
+    [
+        (["2026-11-22T12:00:00Z", "2026-11-22T14:00:01.5+02:00"], datetime.datetime(2026, 11, 22, 12), ""),
+        (["22.11.2026 23:59:59", "23.11.2026 00:00:00,5"], datetime.datetime(2026, 11, 22, 23, 59, 59), ""),
+        (["10/27/2026 11:59:59 PM", "10/28/2026 12:00:00.5 AM"], datetime.datetime(2026, 10, 27, 23, 59, 59), ""),
+        (["5/3/2026 9:01:00", "5/3/2026 9:01:01.5"], datetime.datetime(2026, 5, 3, 9, 1), "MM/DD/YYYY"),
+        (["5/3/26 9:01:00", "5/3/26 9:01:01.5"], datetime.datetime(2026, 3, 5, 9, 1), "dd/mm/yyyy"),
+        (["30-04-2026 23:59:59", "01-05-2026 00:00:00.5"], datetime.datetime(2026, 4, 30, 23, 59, 59), ""),
+    ],
+)  # the month cannot be 30, so the first of May is not the fifth of January
+def test_stamps_with_a_date_count_from_1970(
+    tmp_path: Path, stamps: list[str], began: datetime.datetime, more: str
+) -> None:
+    seconds = stamped(tmp_path, stamps, more and f', date_format = "{more}"')
+    first = began.replace(tzinfo=datetime.UTC).timestamp()
+    assert seconds == pytest.approx([first, first + 1.5], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "more", "said"),
+    [
+        (["5/3/2026 9:01"], "", r"line 2, .*'5/3/2026 9:01' may be day/month or month/day. In the column map add"),
+        (["10/27/2026 9:01", "27/10/2026 9:02"], "", r"line 3, .* has day and month in another order than other rows"),
+        (["10/27/2026 9:01"], "DD/MM/YYYY", r"line 2, .* has day and month in another order than 'date_format'"),
+        (["5/3/2026 9:01"], "D/M", r"t_s.date_format: one of MM/DD/YYYY, DD/MM/YYYY"),
+        (["2026-11-22 9:01", "9:02"], "", r"line 3, .*'9:02' has no date, unlike the rows before"),
+    ],
+)
+def test_dates_that_cannot_be_read_name_the_row(tmp_path: Path, stamps: list[str], more: str, said: str) -> None:
+    with pytest.raises(FileError, match=said):
+        stamped(tmp_path, stamps, more and f', date_format = "{more}"')
+
+
+def test_a_clock_that_goes_back_is_named_by_its_row(tmp_path: Path) -> None:
+    stamps = [f"2026-10-25 02:{minute:02d}:00" for minute in (50, 55, 1, 6)]
+    text = "j,Time\n" + "".join(f"{k},{stamp}\n" for k, stamp in enumerate(stamps))
+    (tmp_path / "lab.csv").write_text(text)
+    columns = '[columns]\nq1_deg = { from = "j", unit = "deg" }\nt_s = { from = "Time", unit = "timestamp" }\n'
+    read = prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "map.toml", columns))
+    (said,) = [text for text in read.warnings if "clock" in text]
+    assert "goes back by 3.24e+03 s at line 4" in said
+
+
+@pytest.mark.parametrize("stamp", ["11/31/2026 12:00", "12:61:00", "31.02.2026 10:00", "noon"])
 def test_time_stamps_that_are_refused(tmp_path: Path, stamp: str) -> None:
     columns = '[columns]\nq1_deg = { from = "j", unit = "deg" }\nt_s = { from = "t", unit = "timestamp" }\n'
     with pytest.raises(FileError, match=r"line 2, column 't': .* is not a time stamp such as 12:00:01.5"):
@@ -493,10 +541,10 @@ BY_SESSION = NESTS.replace('[markers]\nfrom = "nest"\n', 'session = { from = "ne
 
 @pytest.mark.parametrize(
     ("cells", "sessions"),
-    [("BAC", [2, 1, 3]), (["early", "", "late"], None), ("979", [9, 7, 9]), (["9", "A", "9"], None)],
+    [("BAC", [5198513, 9254475, 3565863]), (["early", "", "late"], None), ("979", [9, 7, 9]), (["9", "A", "9"], None)],
 )
 def test_sessions_may_have_names(tmp_path: Path, cells: Sequence[str], sessions: list[int] | None) -> None:
-    """A nest or a day: names are numbered in their order, numbers stay; an empty cell, or a name among numbers, is refused."""
+    """A nest or a day: a name has one number in every file. Empty cells and names among numbers are refused."""
     lines = [f"{k},{cell},{k},2,3" for k, cell in enumerate(cells)]
     text = "\n".join(["A1,nest,x,y,z", *lines]) + "\n"
     if sessions is None:
@@ -505,5 +553,5 @@ def test_sessions_may_have_names(tmp_path: Path, cells: Sequence[str], sessions:
         return
     assert [row["session"] for row in mapped(tmp_path, text, BY_SESSION)] == sessions
     notes = prepare(tmp_path / "lab.csv", column_map=tmp_path / "map.toml").notes
-    told = "session from 'nest'" + (": 1 is 'A', 2 is 'B', 3 is 'C'" if "A" in cells else "")
+    told = "session from 'nest'" + (": 5198513 is 'B', 9254475 is 'A', 3565863 is 'C'" if "A" in cells else "")
     assert told in notes

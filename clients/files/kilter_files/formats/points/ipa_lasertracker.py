@@ -98,10 +98,8 @@ def _time(source: TextSource, table: Table) -> None:
             "spreadsheet). The order of the rows is the order in time"
         )
         return
-    times = [datetime.strptime(text, "%Y%m%d%H%M%S").replace(tzinfo=UTC).timestamp() for text in stamps]
-    start = min(times)
-    table.columns["t_s"] = [time - start for time in times]
-    table.notes.append("t_s from Timestamp, seconds since the earliest row")
+    table.columns["t_s"] = [datetime.strptime(text, "%Y%m%d%H%M%S").replace(tzinfo=UTC).timestamp() for text in stamps]
+    table.notes.append("t_s from Timestamp, seconds since 1970")
 
 
 def _goals(source: TextSource, table: Table) -> None:

@@ -19,6 +19,7 @@ from kilter_files.ground.later import np
 from kilter_files.ground.orientation import from_euler, is_sequence
 from kilter_files.ground.text_blocks import blocks, count_rows, line_of, lines_of
 from kilter_files.ground.text_layout import TextLayout, sniff
+from kilter_files.ground.time_stamps import times_of_rows
 from kilter_files.ground.units import SIZES, converter
 from kilter_files.tables.table import Table
 
@@ -170,11 +171,11 @@ def _joints_and_more(export: _Export, values: dict[str, Floats]) -> None:
     if "temperature" in values:
         export.columns["temperature_c"] = values["temperature"]
     if "t" in values:
-        t = (values["t"] - values["t"][0]) * SIZES["time"].get(_unit(export, "t", "s"), 1.0)
-        if np.isnan(t).any() or (np.diff(t) < 0).any() or not 0 < t[-1] < LONGEST_S:
+        t = values["t"] * SIZES["time"].get(_unit(export, "t", "s"), 1.0)
+        if np.isnan(t).any() or (np.diff(t) < 0).any() or not 0 < t[-1] - t[0] < LONGEST_S:
             export.warnings.append(f"{_name(export, 't')!r} left out: it is not a time in seconds that goes on")
         else:
-            export.columns["t_s"] = t
+            export.columns["t_s"] = np.asarray(times_of_rows(t.tolist()), dtype=np.float64)
 
 
 def _joints_beside(export: _Export, joints: Mapping[str, Floats] | None) -> None:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.faults import fault
 from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import lines_of
 from kilter_files.ground.text_layout import TextLayout
-from kilter_files.ground.time_stamps import seconds_of, stamp_of
+from kilter_files.ground.time_stamps import seconds_of, stamp_of, stamps_of
 
 
 def stamped_times(path: Path, layout: TextLayout, means: Mapping[str, int], rows: int) -> Floats | None:
@@ -30,10 +29,8 @@ def stamped_times(path: Path, layout: TextLayout, means: Mapping[str, int], rows
     first = next((text for _, text in texts if text), "")
     if parse_number(first, layout.decimal) is not None or stamp_of(first) is None:
         return None
-    found = [(line, text, stamp_of(text)) for line, text in texts if text]
-    for line, text, stamp in found:
-        if stamp is None:
-            remedy = "Write it as 12:00:01.5 or 2026-11-22 12:00:01.5, or take the column out."
-            raise fault(path, f"{text[:40]!r} is not a time stamp", remedy, line=line, column=layout.names[column])
-    seconds = iter(seconds_of([stamp for _, _, stamp in found if stamp is not None]))
+    told = [(line, text) for line, text in texts if text]
+    lines = [line for line, _ in told]
+    stamps = stamps_of([text for _, text in told], lines, path, layout.names[column])
+    seconds = iter(seconds_of(stamps))
     return np.array([next(seconds) if text else np.nan for _, text in texts])

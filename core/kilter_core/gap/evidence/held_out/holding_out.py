@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kilter_core.effects.other_campaigns import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.holdout import split
 from kilter_core.measurement import Measurement
@@ -65,7 +66,7 @@ def parted(
     if isinstance(validation, Observations):
         refuse_shared_rows(rows, validation, "validation")
         _refuse_other_contacts(rows, validation)
-        return rows, validation
+        return rows, placed_later(validation)
     inside, outside = held_out(rows, validation, seed)
     return (rows, None) if not len(outside) else (rows.select(inside), rows.select(outside))
 

@@ -1,0 +1,87 @@
+"""What a campaign takes over of laws of time that were fitted to another one, and how to say so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.effects.base import Effect
+from kilter_core.effects.law_of_time import LawOfTime
+from kilter_core.effects.random_walk import RandomWalk
+from kilter_core.effects.step import Step
+from kilter_core.observations import Observations
+from kilter_core.observations.clock import on_shared_clock, reached
+
+LATER_S = 1e7  # behind all that a campaign saw
+LATER_ROWS = 10**9
+CLOCK_UNKNOWN, ANOTHER_DAY = "clock_unknown", "law_of_another_day"
+
+
+def carried_effects(effects: Sequence[Effect], rows: Observations) -> tuple[Effect, ...]:
+    """Return the effects in rows of a campaign that they were not fitted to.
+
+    Times since 1970 are one clock: it places a step there, and says which rows a law reaches. On any other clock a step has
+    happened before all rows, and no law is applied.
+    """
+    shared = rows.t is not None and len(rows) > 0 and bool(on_shared_clock(rows.t).all())
+    return tuple(one for effect in effects for one in _carried(effect, shared))
+
+
+def placed_later(rows: Observations) -> Observations:
+    """Return rows that a job holds out of other campaigns: those whose clock or count is their own, after all it fits."""
+    t = None if rows.t is None else np.where(on_shared_clock(rows.t), rows.t, rows.t + LATER_S)
+    return replace(rows, t=t, row=None if rows.row is None else rows.row + LATER_ROWS)
+
+
+def _carried(effect: Effect, shared: bool) -> tuple[Effect, ...]:
+    span = law_span(effect)
+    if shared and span is not None and on_shared_clock(np.array(span[0])):
+        return (effect,)
+    if isinstance(effect, Step):
+        return (replace(effect, at_s=None, at_row=0),)
+    return (effect,) if span is None else ()
+
+
+def law_span(effect: Effect) -> tuple[float, float | None] | None:
+    """Return when a law of time begins and ends, s; None of an effect that follows no time, or where nobody said when."""
+    if isinstance(effect, RandomWalk) and effect.knots_s:
+        return effect.knots_s[0], effect.knots_s[-1]
+    if isinstance(effect, LawOfTime) and effect.t0_s is not None:
+        return effect.t0_s, effect.until_s
+    if isinstance(effect, Step) and effect.at_s is not None:
+        return effect.at_s, None
+    return None
+
+
+def carried_warnings(effects: Sequence[Effect], rows: Observations) -> list[dict[str, Any]]:
+    """Say which laws of time the rows of another campaign do without, and why."""
+    spans = {effect: span for effect in effects if (span := law_span(effect)) is not None}
+    known = rows.t is not None and len(rows) > 0 and bool(on_shared_clock(rows.t).all())
+    unknown = [e for e, span in spans.items() if not (known and on_shared_clock(np.array(span[0])))]
+    other = [
+        e for e, span in spans.items() if e not in unknown and rows.t is not None and not reached(rows.t, *span).all()
+    ]
+    out = []
+    if unknown:
+        said = "Nothing says when these rows were measured, as against those of the fit. " + _described(unknown)
+        remedy = "Give both files time stamps with a date."
+        out.append({"code": CLOCK_UNKNOWN, "effects": [e.id for e in unknown], "message": f"{said} {remedy}"})
+    if other:
+        said = "These rows were measured on another day than those of the fit. " + _described(other)
+        out.append({"code": ANOTHER_DAY, "effects": [e.id for e in other], "message": said})
+    return out
+
+
+def _described(effects: Sequence[Effect]) -> str:
+    """What becomes of the laws, in a sentence for each kind."""
+    laws = _names([e for e in effects if not isinstance(e, Step)])
+    steps = _names([e for e in effects if isinstance(e, Step)])
+    said = [f"Not applied to them: {laws}."] if laws else []
+    return " ".join([*said, f"Counted as having happened before them: {steps}."] if steps else said)
+
+
+def _names(effects: Sequence[Effect]) -> str:
+    return ", ".join(dict.fromkeys(e.id.replace("_", " ") for e in effects))

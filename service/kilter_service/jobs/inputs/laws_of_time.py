@@ -1,0 +1,37 @@
+"""What a job says of laws of time that campaigns do without: they hold on the clock that they were fitted on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.ground.core import core_model, other_campaigns
+from kilter_service.jobs.kind import JobInput, JobOutput
+
+if TYPE_CHECKING:
+    from kilter_core.observations import Observations
+
+
+def with_clock_warnings(output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version which laws of time were not applied to which campaigns: those held out, or all of a check."""
+    held = {c: rows for c, rows in job.rows_by_campaign.items() if c not in job.campaigns}
+    if output.version is not None and held:
+        made = core_model.Calibration.from_document(job.robot, output.version.calibration)
+        return output.warned(*clock_remarks(made, held, job.names))
+    if job.calibration is None:
+        return output
+    rows = {c: rows for c, rows in job.campaigns.items() if c not in job.made_from}
+    return output.warned(*clock_remarks(job.calibration, rows, job.names))
+
+
+def clock_remarks(
+    calibration: core_model.Calibration, rows: dict[str, Observations], names: dict[str, str]
+) -> list[dict[str, Any]]:
+    """Return which laws of a version each campaign does without, the campaigns of one reason together."""
+    found: dict[str, dict[str, Any]] = {}
+    for campaign, seen in rows.items():
+        for one in other_campaigns.carried_warnings(calibration.model.effects, seen):
+            found.setdefault(one["message"], {**one, "campaigns": []})["campaigns"].append(campaign)
+    return [
+        {**one, "message": f"{', '.join(names.get(c, c) for c in one['campaigns'])}: {one['message']}"}
+        for one in found.values()
+    ]
