@@ -16,6 +16,7 @@ from kilter_service.campaigns.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.ground.core import units
 from kilter_service.ground.tables.columns import Column
+from kilter_service.robots.reach import longest_reach
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -82,14 +83,14 @@ class RowRules:
         """
         found = self._belonging.found()
         self._check_units(next((one for one in found.warnings if one["code"] == "rows_astray"), None))
-        if not found.explains_limits:  # another unit, sign or zero explains limits better than wrong rows
-            self._limits.finish()
+        # Another unit, sign or zero explains limits better than wrong rows.
+        beyond = () if found.explains_limits else self._limits.finish()
         if found.refusal is not None:
             raise found.refusal
-        return found.warnings
+        return (*found.warnings, *beyond)
 
     def _check_units(self, astray: Mapping[str, Any] | None) -> None:
-        reach = self._reach()
+        reach = longest_reach(self.robot)
         spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
         if not spreads or not reach > 0 or not self._sample:
             return
@@ -205,12 +206,6 @@ class RowRules:
 
     def _lengths(self) -> Iterable[Column]:
         return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.quantity.startswith("marker_"))
-
-    def _reach(self) -> float:
-        """Return how far the tool point can be from the base (m): all lengths of the arm in a row."""
-        lengths = sum(abs(e.value) for e in self.robot.chain.elements if not e.axis.rotates)
-        strokes = [max(abs(j.lower), abs(j.upper)) for j in self.robot.joints if j.kind == "prismatic"]
-        return float(lengths + sum(strokes) + np.linalg.norm(self.robot.T_tool[:3, 3]))
 
     def _check_unit(self, column: Column) -> None:
         """Refuse points that fit the robot in another unit only."""
