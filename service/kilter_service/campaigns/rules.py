@@ -12,6 +12,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.joint_limits import JointLimits
+from kilter_service.campaigns.payload_size import PayloadSize
 from kilter_service.campaigns.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.ground.core import units
@@ -44,6 +45,7 @@ class RowRules:
         self.rows = 0
         self._beside = _beside(columns)
         self._limits = JointLimits()
+        self._payload = PayloadSize(robot)
         self._belonging = Belonging(columns, robot)
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
@@ -87,7 +89,7 @@ class RowRules:
         beyond = () if found.explains_limits else self._limits.finish()
         if found.refusal is not None:
             raise found.refusal
-        return (*found.warnings, *beyond)
+        return (*found.warnings, *beyond, *self._payload.warnings())
 
     def _check_units(self, astray: Mapping[str, Any] | None) -> None:
         reach = longest_reach(self.robot)
@@ -114,6 +116,8 @@ class RowRules:
             self._refuse(np.abs(cells) > 1, column.name, "is not -1, 0 or 1", cells)
         if column.quantity in ("payload", "load_kg"):
             self._refuse(cells < 0, column.name, "is negative", cells)
+        if column.quantity == "payload":
+            self._payload.take(column, cells)
         if column.quantity in ("sx", "sy", "sz"):
             self._check_position(column)
             self._refuse(cells <= 0, column.name, "is not a standard deviation: it must be above 0", cells)
