@@ -168,7 +168,7 @@ BAD: list[tuple[str, str, int | None, str | None]] = [
     (change("y_mm", 3, float("nan")), "Row 3, column 'y_mm' is nan", 3, "y_mm"),
     (change("y_mm", 2, "inf"), "Row 2, column 'y_mm'", 2, "y_mm"),
     (change("y_mm", 2, None), "Row 2, column 'y_mm' is empty: only markers", 2, "y_mm"),
-    (change("q2_deg", 4, 121.0), "Row 4, column 'q2_deg' is outside the limits -120 to 120 of joint 'j2'", 4, "q2_deg"),
+    (change("q2_deg", 4, 131.0), "Row 4, column 'q2_deg' is outside the limits -120 to 120 of joint 'j2'", 4, "q2_deg"),
     (change("dir1", 2, 2), "Column 'dir2' is missing", None, "dir2"),
     (change("session", 2, 0.5), "Row 2, column 'session' is not a whole number", 2, "session"),
     (change("payload_kg", 5, -1), "Row 5, column 'payload_kg' is negative", 5, "payload_kg"),
@@ -375,12 +375,25 @@ def test_readings_a_hair_beyond_a_limit_are_taken(shared_client: httpx.Client, s
     """Limits of a URDF are rounded: 0.3 deg beyond counts as inside."""
     taken = moved(q2_deg={2: 120.29, 9: -120.29})
     assert send(shared_client, shared_campaign, taken).status_code == 201
-    refused = send(shared_client, shared_campaign, moved(q2_deg={2: 120.31}))
-    assert (refused.status_code, refused.json()["context"]["row"]) == (400, 2)
+
+
+def test_readings_some_degrees_beyond_a_limit_are_taken_and_named(
+    shared_client: httpx.Client, shared_campaign: str
+) -> None:
+    answer = send(shared_client, shared_campaign, moved(q2_deg={2: 120.31, 9: -129.9}))
+    assert answer.status_code == 201
+    (said,) = [one for one in answer.json()["warnings"] if one["code"] == "beyond_limits"]
+    assert said["rows"] == [2, 9]
+    assert "column 'q2_deg' (limits -120 to 120 of joint 'j2') row 2, 9, by up to 9.9 deg" in said["message"]
+    rows = shared_client.get(f"/v1/campaigns/{shared_campaign}/suspicious").json()
+    named = {one["row"]: one["why"] for one in rows["found"]}
+    assert "joint j2 is 9.9 deg outside its limits" in named[9]
+    refused = send(shared_client, shared_campaign, moved(q2_deg={2: 120.31, 9: -131.0}))
+    assert (refused.status_code, refused.json()["context"]["rows"]) == (400, [2, 9])
 
 
 def test_all_readings_beyond_their_limits_are_listed_at_once(shared_client: httpx.Client, shared_campaign: str) -> None:
-    many = {row: 121.0 + 0.1 * row for row in range(20, 31)}
+    many = {row: 131.0 + 0.1 * row for row in range(20, 31)}
     answer = send(shared_client, shared_campaign, moved(q2_deg=many, q1_deg={7: 200.0}))
     assert answer.status_code == 400
     problem = answer.json()
@@ -391,13 +404,13 @@ def test_all_readings_beyond_their_limits_are_listed_at_once(shared_client: http
     assert said.startswith("12 readings are outside the limits of their joints: column 'q1_deg' (limits ")
     assert "row 7, by up to " in said
     assert "column 'q2_deg' (limits -120 to 120 of joint 'j2') row 20, 21, 22, 23, 24, 25, 26, 27 and 3 more" in said
-    assert "by up to 4 deg. Correct the rows or the robot." in said
+    assert "by up to 14 deg. Correct the rows or the robot." in said
 
 
 def test_rows_in_later_pieces_have_their_numbers(shared_client: httpx.Client, shared_campaign: str) -> None:
     rows = 9000
     table = {name: np.tile(values, rows // 5) for name, values in columns().items()}
-    table["q2_deg"][[3, 8500]] = 125.0
+    table["q2_deg"][[3, 8500]] = 135.0
     stream = io.BytesIO()
     parquet.write_table(pa.table(table), stream, row_group_size=1000)
     answer = send(shared_client, shared_campaign, stream.getvalue(), "application/vnd.apache.parquet")

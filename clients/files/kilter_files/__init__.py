@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -110,14 +110,16 @@ def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
     return inspection.inspect(Path(path), reader.Hints(**said))
 
 
-def draft(path: Path | str) -> Draft:
+def draft(path: Path | str, robot: Sequence[str] = ()) -> Draft:
     """Draft a column map for a file: what names and ranges tell, and marks where they do not.
+
+    ``robot`` are the joints of the arm, from base to tool; sliding ones end in ``:m``.
 
     Raises:
         FileError: no table of numbers is found in it.
 
     """
-    return drafts.draft(Path(path))
+    return drafts.draft(Path(path), robot)
 
 
 def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | None = None) -> JointLog:

@@ -1,10 +1,10 @@
-"""Readings outside the limits of their joints: collected over a whole upload and refused all at once."""
+"""Readings outside the limits of their joints: collected over a whole upload, then named or refused all at once."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
 # Many URDFs round limits to two decimals of a radian (2.09 for 120 deg), and to a mm for a prismatic joint.
 TOLERANCE = {"deg": math.radians(0.3), "mm": 0.5e-3}
+# Arms move some degrees beyond what their drawing states; a wrong unit, sign or joint goes further in some row.
+DOUBTFUL = {"deg": math.radians(10.0), "mm": 20e-3}
 MOST_ROWS = 1000  # that are named one by one in the error's context
 SHOWN = 8
+BEYOND_LIMITS = "beyond_limits"
 
 
 @dataclass
@@ -47,6 +50,11 @@ class _Outside:
         self.rows += (rows[: MOST_ROWS - len(self.rows)] + first).tolist()
         self.worst = max(self.worst, float(beyond[rows].max()))
 
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether all are so near that the limits may be wrong, and not the rows."""
+        return self.worst <= DOUBTFUL[self.unit]
+
     def limits(self) -> str:
         low, high = self.joint.lower / self.column.factor, self.joint.upper / self.column.factor
         return f"{low:.6g} to {high:.6g} of joint {self.joint.name!r}"
@@ -68,19 +76,24 @@ class JointLimits:
         """Look at the next readings of a joint; ``first`` is the number of the first row."""
         self._found.setdefault(column.name, _Outside(column, joint)).take(first, cells)
 
-    def finish(self) -> None:
-        """Refuse what was found.
+    def finish(self) -> tuple[dict[str, Any], ...]:
+        """Return a warning about readings a little outside the limits; refuse others.
 
         Raises:
-            ObservationError: readings outside the limits; all columns and rows are named.
+            ObservationError: readings far outside the limits; all columns and rows are named.
 
         """
         found = [one for one in self._found.values() if one.count]
         if not found:
-            return
+            return ()
+        rows = sorted({row for one in found for row in one.rows})[:MOST_ROWS]
+        listed = "; ".join(one.said() for one in found)
+        if all(one.is_doubtful for one in found):
+            what = f"Readings are a little outside the limits of their joints: {listed}. "
+            what += "They count. Correct the limits of the robot, or leave these rows out."
+            return ({"code": BEYOND_LIMITS, "message": what, "rows": rows},)
         first = min(found, key=lambda one: one.rows[0])
         count = sum(one.count for one in found)
-        rows = sorted({row for one in found for row in one.rows})
         remedy = "correct the row or the robot" if count == 1 else "correct the rows or the robot"
         radians = [f"{one.column.name[:-3]}deg" for one in found if one.column.name.endswith("_rad")]
         if radians:
@@ -89,8 +102,7 @@ class JointLimits:
             what = f"Row {rows[0]}, column {first.column.name!r} is outside the limits {first.limits()}: {remedy} "
             what += f"({first.reading:.9g})."
         else:
-            listed = "; ".join(one.said() for one in found)
             what = (
                 f"{count} readings are outside the limits of their joints: {listed}. {remedy[0].upper()}{remedy[1:]}."
             )
-        raise ObservationError(what, row=rows[0], column=first.column.name, rows=rows[:MOST_ROWS])
+        raise ObservationError(what, row=rows[0], column=first.column.name, rows=rows)

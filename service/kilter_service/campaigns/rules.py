@@ -12,10 +12,12 @@ from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.joint_limits import JointLimits
+from kilter_service.campaigns.payload_size import PayloadSize
 from kilter_service.campaigns.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.ground.core import units
 from kilter_service.ground.tables.columns import Column
+from kilter_service.robots.reach import longest_reach
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -43,6 +45,7 @@ class RowRules:
         self.rows = 0
         self._beside = _beside(columns)
         self._limits = JointLimits()
+        self._payload = PayloadSize(robot)
         self._belonging = Belonging(columns, robot)
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
@@ -82,14 +85,14 @@ class RowRules:
         """
         found = self._belonging.found()
         self._check_units(next((one for one in found.warnings if one["code"] == "rows_astray"), None))
-        if not found.explains_limits:  # another unit, sign or zero explains limits better than wrong rows
-            self._limits.finish()
+        # Another unit, sign or zero explains limits better than wrong rows.
+        beyond = () if found.explains_limits else self._limits.finish()
         if found.refusal is not None:
             raise found.refusal
-        return found.warnings
+        return (*found.warnings, *beyond, *self._payload.warnings())
 
     def _check_units(self, astray: Mapping[str, Any] | None) -> None:
-        reach = self._reach()
+        reach = longest_reach(self.robot)
         spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
         if not spreads or not reach > 0 or not self._sample:
             return
@@ -113,6 +116,8 @@ class RowRules:
             self._refuse(np.abs(cells) > 1, column.name, "is not -1, 0 or 1", cells)
         if column.quantity in ("payload", "load_kg"):
             self._refuse(cells < 0, column.name, "is negative", cells)
+        if column.quantity == "payload":
+            self._payload.take(column, cells)
         if column.quantity in ("sx", "sy", "sz"):
             self._check_position(column)
             self._refuse(cells <= 0, column.name, "is not a standard deviation: it must be above 0", cells)
@@ -205,12 +210,6 @@ class RowRules:
 
     def _lengths(self) -> Iterable[Column]:
         return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.quantity.startswith("marker_"))
-
-    def _reach(self) -> float:
-        """Return how far the tool point can be from the base (m): all lengths of the arm in a row."""
-        lengths = sum(abs(e.value) for e in self.robot.chain.elements if not e.axis.rotates)
-        strokes = [max(abs(j.lower), abs(j.upper)) for j in self.robot.joints if j.kind == "prismatic"]
-        return float(lengths + sum(strokes) + np.linalg.norm(self.robot.T_tool[:3, 3]))
 
     def _check_unit(self, column: Column) -> None:
         """Refuse points that fit the robot in another unit only."""

@@ -13,6 +13,7 @@ from kilter_core.errors import ObservationError
 from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
+from kilter_service.campaigns.payload_size import payload_warning
 from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.rules import RowRules
 from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
@@ -260,7 +261,8 @@ def checked_chunks(
     for number, table in enumerate(reading.tables(path, media, Names.stated(conditions))):
         rules.check(table)
         chunks.append(write_chunk(table, path.with_name(f"chunk-{number}")))
-    return chunks, rules.finish()
+    stated = payload_warning(robot, float((conditions or {}).get("payload_kg") or 0.0), "The payload of the campaign")
+    return chunks, (*rules.finish(), *([stated] if stated else ()))
 
 
 def shown(session: Session, campaign_id: str) -> Campaign:

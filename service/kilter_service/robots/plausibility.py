@@ -11,6 +11,7 @@ import numpy as np
 from kilter_service.ground.core import core_conventions
 from kilter_service.ground.wire import to_deg, to_mm, to_rad
 from kilter_service.robots.drives import unsaid_drives
+from kilter_service.robots.likely_payload import heaviest_likely_payload
 
 if TYPE_CHECKING:
     from kilter_core.arm.conversions import Screws
@@ -94,6 +95,9 @@ def _loads(robot: Robot, reach_m: float) -> Iterator[str]:
         yield f"Gravity is {g:.4g} m/s2: on Earth it is 9.81."
     if not robot.has_masses:
         yield "No link has a mass: effects that follow the load cannot be identified without."
+    most, why = heaviest_likely_payload(robot)
+    if robot.load is not None and robot.load.mass > most:
+        yield f"load.payload_kg is {robot.load.mass:.6g}, but {why}: if it is in grams, divide it by 1000."
     for k, link in enumerate(robot.links):
         away = float(np.linalg.norm(link.com))
         if link.mass > 0 and away > max(reach_m, SMALL_M):

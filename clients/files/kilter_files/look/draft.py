@@ -58,14 +58,14 @@ class Draft:
         return {"open": self.open, "guessed": self.guessed, "used": self.used, "unused": self.unused}
 
 
-def draft(path: Path) -> Draft:
-    """Draft a column map for a file.
+def draft(path: Path, robot: Sequence[str] = ()) -> Draft:
+    """Draft a column map for a file; ``robot`` are the joints of the arm, sliding ones with ``:m`` at the end.
 
     Raises:
         FileError: no table of numbers is found in it.
 
     """
-    found = understand(path)
+    found = understand(path, robot)
     columns, turn, axes = found.columns, found.turn, found.axes
     lines = [_file(found.shape), "[columns]", *(_line(columns, entry) for entry in found.entries)]
     patterns = [pattern for pattern in found.other_joints if not any(_matches(pattern, name) for name in found.taken)]

@@ -10,7 +10,7 @@ from typing import Any
 from kilter_files.look.summary import Columns, in_shown_unit
 from kilter_files.tables.table import CSV_TYPE, Prepared
 
-LIMIT_TOLERANCE = {"deg": 0.3, "mm": 0.5}  # the server's, see docs/reference/columns.md
+LIMIT_TOLERANCE = {"deg": 10.0, "mm": 20.0}  # the server's, which warns about less: see docs/reference/columns.md
 JOINT = re.compile(r"q(\d+)_(?:deg|rad|mm|m)")
 NAMES = ("camera", "board")  # a cell may hold a name for its number
 SEEN = re.compile(r"(?:m\d+[xyz]|tip[xyz])_(?:mm|m)|s?[uv]\d+_px|tilt\d+[xyz]_(?:deg|rad)")  # in some rows only

@@ -37,7 +37,7 @@ def keep_rows(source: Source, table: Table, keep: tuple[Keep, ...], drop_missing
         place = f"{source.path}, {_at(source, table.lines[row])}"
         raise FileError(
             f"{place}: {name} is missing. Fill the cell, or set drop_missing = true under "
-            f"[rows] to leave such rows out ({len(empty)} of {len(kept)}).{getattr(source, 'empty_hint', '')}",
+            f"[rows] to leave such rows out ({len(empty)} of {len(kept)}).",
             file=str(source.path),
             line=table.lines[row],
             column=name,

@@ -7,6 +7,7 @@ from pathlib import Path
 from kilter_files.ground.archives import unpacked_bytes
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.later import need
+from kilter_files.ground.workbook_formulas import REMEDY, describe_cells, formulas_without_value
 from kilter_files.robots.sheet import Sheet
 
 MAX_BYTES = 20_000_000  # unpacked: a table of a robot is a few kilobytes
@@ -28,8 +29,11 @@ def read_workbook(path: Path) -> Sheet:
         sheet = book.worksheets[0]
         found = list(enumerate(sheet.iter_rows(values_only=True, max_row=MAX_ROWS), 1))
         book.close()
+        uncomputed = formulas_without_value(openpyxl, path, 0, MAX_ROWS)
     except Exception as error:  # of a damaged workbook openpyxl, zipfile, zlib and the XML parser each raise their own
         raise FileError(f"{path}: is not a workbook that can be read ({error}).", file=str(path)) from error
+    if uncomputed:
+        raise FileError(f"{path}: {describe_cells(uncomputed)}. {REMEDY}", file=str(path), line=uncomputed[0][0])
     rows = [(line, [_text(cell) for cell in cells]) for line, cells in found]
     return _sheet(path, [(line, cells) for line, cells in rows if any(cells)])
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ def main() -> None:
     confine()
     asked = json.loads(Path("asked.json").read_text(encoding="utf-8"))
     try:
-        found = understood(Path(asked["file"]), asked["read_as"])
+        found = understood(Path(asked["file"]), asked["read_as"], asked.get("joints", ()))
     except MemoryError:
         raise
     except Exception as error:
@@ -63,7 +63,7 @@ def _refusal(error: Exception, name: str) -> str:
     )
 
 
-def understood(path: Path, read_as: str) -> Document:
+def understood(path: Path, read_as: str, joints: Sequence[str] = ()) -> Document:
     """Read a file through its map, by its device, as it is, or with a map that is drafted now."""
     chosen = Path("map.toml")
     if read_as == "map" and chosen.exists():
@@ -79,7 +79,7 @@ def understood(path: Path, read_as: str) -> Document:
     if alone is not None:
         return seen | {"refusal": f"{path.name}: {alone}"}
     try:
-        return seen | _described(path) | _drafted(path, chosen)
+        return seen | _described(path) | _drafted(path, chosen, joints)
     except FileError:
         if seen["kind"] == UNKNOWN and seen["remarks"]:  # a reader that knows the file has said what is wrong with it
             raise FileError(seen["remarks"][0]) from None
@@ -157,9 +157,9 @@ def _mapped(path: Path, chosen: Path) -> Document:
     return {"map": chosen.read_text(encoding="utf-8")} | _kept(prepare(path, None, chosen), "column map")
 
 
-def _drafted(path: Path, chosen: Path) -> Document:
+def _drafted(path: Path, chosen: Path, joints: Sequence[str]) -> Document:
     """A drafted map, and what it makes of the file where nothing in it is open."""
-    found = draft(path)
+    found = draft(path, joints)
     chosen.write_text(found.text, encoding="utf-8")
     said: Document = {"map": found.text, "open": found.open, "guessed": found.guessed, "unused": found.unused}
     if found.open:

@@ -14,6 +14,7 @@ from kilter_service.ground.processes.sandbox import Ended, Limits
 from kilter_service.ground.tables.columns import has
 from kilter_service.page.drop import rig
 from kilter_service.page.drop.drafts import Draft
+from kilter_service.robots import service as robots
 
 CHILD = "kilter_service.page.drop.child"
 LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
@@ -31,16 +32,21 @@ def read(database: Database, draft: Draft) -> None:
     """Read a draft as it says; what is wrong with it is kept as its refusal."""
     with draft.turn:
         draft.facts, draft.refusal, draft.pixels = None, "", False
-        draft.understood = NOTHING | _understood(draft)
+        draft.understood = NOTHING | _understood(draft, _joints(database, draft.robot))
         draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
         if "sha256" in draft.understood and not draft.refusal:
             _look(database, draft)
 
 
-def _understood(draft: Draft) -> dict[str, Any]:
+def _joints(database: Database, robot: str) -> list[str]:
+    """Return the robot's joint names; those that slide end in ``:m``, as the readers of files take them."""
+    return [one.name + (":m" if one.kind == "prismatic" else "") for one in robots.get(database, robot).joints]
+
+
+def _understood(draft: Draft, joints: list[str]) -> dict[str, Any]:
     for name in WRITTEN:
         (draft.folder / name).unlink(missing_ok=True)
-    asked = json.dumps({"file": draft.name, "read_as": draft.read_as})
+    asked = json.dumps({"file": draft.name, "read_as": draft.read_as, "joints": joints})
     (draft.folder / "asked.json").write_text(asked, encoding="utf-8")
     ended = sandbox.run(CHILD, draft.folder, [], LIMITS)
     said = draft.folder / "understood.json"

@@ -6,6 +6,7 @@ import json
 import math
 import re
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from kilter_files.formats.programs.reading import read_program
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import LogHints
 from kilter_files.look.inspection import inspect
+from tests.clients.answered import document
 from tests.clients.files.simulated import arm, wander, write_n3d
 from tests.clients.files.test_fuzz import EDITS, edited
 
@@ -36,9 +38,9 @@ ARM = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
 def write_bag(
     folder: Path, messages: list[tuple[str, float, dict[str, float]]], storage: str = "mcap", packed: str = "",
-    stamped: bool = True,
+    stamped: bool = True, behind_s: Sequence[float] = (),
 ) -> Path:  # fmt: skip
-    """Write messages (topic, time, position by joint) and return the bag's folder."""
+    """Write messages (topic, time, position by joint), stamped ``behind_s`` earlier, and return the bag's folder."""
     kinds = STORE.types
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     writer = Writer(folder, version=9, storage_plugin=plugin)
@@ -48,9 +50,10 @@ def write_bag(
         topics = {
             topic: writer.add_connection(topic, STATE, typestore=STORE) for topic in sorted({m[0] for m in messages})
         }
-        for topic, t, joints in messages:
+        for k, (topic, t, joints) in enumerate(messages):
             ns = 1_700_000_000_000_000_000 + round(t * 1e9)
-            stamp = kinds["builtin_interfaces/msg/Time"](*(divmod(ns, 10**9) if stamped else (0, 0)))
+            sent = ns - round(behind_s[k] * 1e9) if behind_s else ns
+            stamp = kinds["builtin_interfaces/msg/Time"](*(divmod(sent, 10**9) if stamped else (0, 0)))
             header = kinds["std_msgs/msg/Header"](stamp, "")
             state = kinds[STATE](header, list(joints), np.array(list(joints.values())), np.zeros(0), np.zeros(0))
             writer.write(topics[topic], ns, STORE.serialize_cdr(state, STATE))
@@ -113,6 +116,34 @@ def test_a_gripper_on_the_same_topic_and_repeated_messages(tmp_path: Path) -> No
     assert any("30 messages left out: they repeat" in text for text in log.warnings)
 
 
+def test_messages_of_one_stamp_are_averaged_and_counted(tmp_path: Path) -> None:
+    stamps = [0.0, 0.1, 0.1, 0.2, 0.3, 0.3, 0.3, 0.4, 0.4]
+    q = [0.0, 0.01, 0.02, 0.02, 0.03, 0.04, 0.05, 0.05, 0.05]
+    path = write_bag(tmp_path / "bag", [("/js", t, {"j1": a, "j2": 0.0}) for t, a in zip(stamps, q, strict=True)])
+    log = read_joint_log(path)
+    np.testing.assert_allclose(log.t_s, [0, 0.1, 0.2, 0.3, 0.4], atol=1e-9)
+    np.testing.assert_allclose(log.q()[:, 0], [0, 0.015, 0.02, 0.04, 0.05], atol=1e-12)
+    assert any("3 messages merged: their stamp is that of the one before" in text for text in log.warnings)
+    assert any("1 messages left out: they repeat" in text for text in log.warnings)
+
+
+def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
+    rows = [("/js", k / 10, {"j1": k / 100}) for k in range(6)]
+    path = write_bag(tmp_path / "bag", rows, behind_s=[0, 0, 0, 5, 5, 5])
+    with pytest.raises(FileError, match=r"message 4: its clock goes back: two recordings, or two publishers. Split"):
+        read_joint_log(path)
+
+
+def test_inspect_takes_the_order_that_its_refusal_asks_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [("/js", k / 10, {"b": k / 100, "a": 0.0} if k % 2 else {"finger": 0.1}) for k in range(1, 30)]
+    path = write_bag(tmp_path / "bag", rows)
+    assert run(["inspect", str(path)]) == 1
+    assert "(--joint-order a,b,c)" in capsys.readouterr().err
+    found = document(capsys, "inspect", path, "--joint-order", "a,b")
+    assert (found["kind"], found["rows"]) == ("joint-log", 15)
+    assert [c["name"] for c in found["columns"]][:2] == ["q1_rad", "q2_rad"]
+
+
 def test_without_stamps_the_time_of_writing_counts(tmp_path: Path) -> None:
     t = np.arange(20) / 50
     path = write_bag(tmp_path / "bag", by_alphabet(wander(t), t), "db3", stamped=False)
@@ -124,7 +155,8 @@ def test_without_stamps_the_time_of_writing_counts(tmp_path: Path) -> None:
     [
         ([("/a", 0.0, {"j1": 1.0}), ("/b", 0.0, {"j1": 1.0})], LogHints(), "joint states come from /a, /b. Choose one"),
         ([("/a", 0.0, {"j1": 1.0})], LogHints("/c"), "no topic '/c' .* Those with joint states are /a"),
-        ([("/a", 0.1, {"j1": 1.0}), ("/a", 0.1, {"j1": 2.0})], LogHints(), "message 2: its clock goes back"),
+        ([("/a", 0.1, {"j1": 1.0}), ("/a", 0.1, {"j1": 2.0})], LogHints(), "message 2: 2 messages have one stamp .* 1 rad"),
+        ([("/a", 0.1, {"j1": k / 20}) for k in range(4)], LogHints(), "message 2: 4 messages have one stamp .* 0.15 rad"),
         ([("/a", 0.0, {"j1": 1.0}), ("/a", 0.1, {"j1": float("nan")})], LogHints(), "message 2: the position of 'j1' is no"),
         ([("/a", 0.0, {"j1": 1.0}), ("/a", 0.1, {"j1": 90.0})], LogHints(), "message 2, column 'q1_rad': 90 rad is more"),
         ([("/a", 0.0, {})], LogHints(), "no message of /a holds a joint"),

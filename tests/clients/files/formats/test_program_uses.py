@@ -194,13 +194,13 @@ KRL = f"""
 P|XP1={{{SIX},E1 0.0}}
 P|XG[1, 2]={{{SIX},E1 0.0}}
 L|XG[2,2]={{{SIX},E1 0.0}}
-L|XI[1]={{{SIX},E1 0.0}}
+P|XI[1]={{{SIX},E1 0.0}}
 J|XK[1,1]={{A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}}
 .|PTP $AXIS_ACT
 .|LIN XG[ 1,2 ] C_DIS
 L|LIN XG[1,3]
-L|LIN XI[1]
-L|LIN XI[k]
+.|LIN XI[1]
+.|LIN XI[k]
 .|PTP XK[1,1]
 J|XJ={{A3 90,A2 -90,A1 0,A4 0,A5 0,A6 0,E1 0}}
 L|PTP {{A1 10}}

@@ -268,10 +268,10 @@ end
     ("name", "text", "left", "taken"),
     [
         ("a.mod", RAPID_POSES, {
-            2: "tool tX is not in this program", 3: "an external axis", 4: "the program changes it", 5: "a computed index",
-            6: "not a unit quaternion", 7: "tool t2 stands still", 10: "left", 11: "left", 12: "left", 14: "left",
-            15: "no target of this file", 17: "left", 18: "left", 19: "left",
-        }, [16, 20]),
+            2: "tool tX is not in this program", 3: "an external axis", 4: "the program changes it",
+            6: "not a unit quaternion", 7: "tool t2 stands still", 10: "left", 11: "left", 12: "left",
+            17: "left", 18: "left", 19: "left",
+        }, [5, 5, 16, 20]),
         ("a.ls", FANUC_POSES, {
             3: "moves beside it", 4: "left", 5: "left", 6: "no position of this file", 8: "have an offset",
             9: "UT : 1 is not in this program", 10: "not taught", 11: "an external axis",

@@ -121,6 +121,52 @@ def c3d_bytes(points: np.ndarray, rate: float, scale: float, order: str, unit: s
     return head.ljust(512, b"\0") + parameters + data + b"\0" * (-len(data) % 512)
 
 
+@pytest.mark.parametrize(
+    ("labels", "groups", "left"),
+    [
+        (["M1", "M2", "LKneeAngles", "Top"], {"ANGLES": ["LKneeAngles"]}, ["LKneeAngles of POINT:ANGLES"]),
+        (
+            ["Ann:M1", "Ann:LHipMoment", "Ann:LHipPower", "Ann:M2"],
+            {"MOMENTS": ["LHipMoment"], "POWERS": ["Ann:LHipPower"]},
+            ["Ann:LHipMoment of POINT:MOMENTS", "Ann:LHipPower of POINT:POWERS"],
+        ),
+        (["Force", "M1", "M2", "M3"], {"FORCES": ["GRF1"], "SCALARS2": ["Force"]}, ["Force of POINT:SCALARS"]),
+        (["M1", "M2", "M3", "Centre"], {"MODELED_MARKERS": ["Centre"], "ANGLES": [""]}, []),
+    ],
+)
+def test_c3d_points_that_are_angles_or_forces_are_no_markers(
+    tmp_path: Path, labels: list[str], groups: dict[str, list[str]], left: list[str]
+) -> None:
+    made = ezc3d.c3d()
+    points = np.ones((4, 4, 10)) * np.arange(1.0, 5)[None, :, None]
+    made["parameters"]["POINT"]["LABELS"]["value"] = labels
+    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    made["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    for name, listed in groups.items():
+        made.add_parameter("POINT", name, listed)
+    made["data"]["points"] = points
+    made.write(str(tmp_path / "made.c3d"))
+    found = open_recording(tmp_path / "made.c3d")
+    out = {text.split(" of ")[0] for text in left}
+    kept = [k for k, label in enumerate(labels) if label not in out]
+    assert found.markers == tuple(labels[k] for k in kept)
+    np.testing.assert_array_equal(found.whole().points_mm[0, :, 0], np.array([1.0, 2, 3, 4])[kept])
+    assert [w for w in found.warnings if "not markers" in w] == (
+        [f"{'; '.join(left)}: left out, for these are not markers"] if left else []
+    )
+
+
+def test_c3d_of_nothing_but_angles_is_refused(tmp_path: Path) -> None:
+    made = ezc3d.c3d()
+    made["parameters"]["POINT"]["LABELS"]["value"] = ["LKneeAngles"]
+    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    made.add_parameter("POINT", "ANGLES", ["LKneeAngles"])
+    made["data"]["points"] = np.ones((4, 1, 10))
+    made.write(str(tmp_path / "angles.c3d"))
+    with pytest.raises(FileError, match=r"holds only LKneeAngles of POINT:ANGLES and no markers. Export the traject"):
+        open_recording(tmp_path / "angles.c3d")
+
+
 def test_more_than_65535_frames_written_by_a_library(tmp_path: Path) -> None:
     made = ezc3d.c3d()
     points = np.ones((4, 1, 66_000))

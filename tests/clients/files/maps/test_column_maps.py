@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import datetime
 import io
+import re
 import sys
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -361,7 +363,8 @@ def test_a_sheet_of_a_workbook_with_spaces_and_umlauts(tmp_path: Path) -> None:
     ("cells", "change", "words"),
     [
         ([1, "1,5", 1, 1, 1], ("", ""), r"'Messung 1', cell B3, column 'Gelenk 2': '1,5' is not a number.*set 'decimal'"),
-        ([1, None, 1, 1, 1], ("", ""), r"sheet 'Messung 1', row 3: q2_deg is missing.*A formula that was never computed"),
+        ([1, None, 1, 1, 1], ("", ""), r"sheet 'Messung 1', row 3: q2_deg is missing"),
+        ([1, "=A3*2", 1, 1, 1], ("", ""), r"sheet 'Messung 1': cell B3 holds a formula without a computed value. Open the"),
         ([1, "#DIV/0!", 1, 1, 1], ("", ""), r"sheet 'Messung 1', cell B3 holds the error #DIV/0!. Correct the formula"),
         ([1, 2, 1, 1, 1], ('"Messung 1"', '"Messung"'), r"no sheet 'Messung' \(did .* Its sheets are 'Übersicht', 'Messung 1'"),
         ([1, 2, 1, 1, 1], ('"Messung 1"', "0"), r"sheet 'Übersicht' holds no rows. Choose another with 'sheet'"),
@@ -374,6 +377,39 @@ def test_cells_and_sheets_that_are_refused(
     path = workbook(tmp_path / "a.xlsx", [["title"], HEAD, [*cells, "12:00:00"]])
     with pytest.raises(FileError, match=words):
         prepare(path, column_map=write(tmp_path / "map.toml", SHEET.replace(*change)))
+
+
+def test_formulas_without_values_are_named_with_their_cells(tmp_path: Path) -> None:
+    """A script saves formulas without values: where one is needed nothing is read; elsewhere it does no harm."""
+    rows = [[k, f"=A{k + 2}", 100.1, k, 7, datetime.time(12, 0, k), f"=D{k + 2}*2"] for k in range(1, 9)]
+    path = workbook(tmp_path / "a.xlsx", [["title"], [*HEAD, "Fehler"], *rows])
+    text = SHEET + "[rows]\ndrop_missing = true\n"
+    with pytest.raises(FileError, match=r"cells B3, B4, B5, B6, B7 and 3 more hold formulas without computed values"):
+        prepare(path, column_map=write(tmp_path / "m.toml", text))
+    for row in rows:
+        row[1] = row[0]
+    path = workbook(tmp_path / "b.xlsx", [["title"], [*HEAD, "Fehler"], *rows])
+    assert prepare(path, column_map=write(tmp_path / "m.toml", text)).lines == tuple(range(3, 11))
+    path = workbook(tmp_path / "c.xlsx", [["title"], [*HEAD[:-1], '="Zeit"'], *rows])
+    with pytest.raises(FileError, match=r"cell F2 holds a formula without a computed value"):
+        prepare(path, column_map=write(tmp_path / "m.toml", text))
+
+
+def test_a_formula_that_was_computed_to_an_empty_text_is_an_empty_cell(tmp_path: Path) -> None:
+    rows = [["title"], HEAD, [1, 2, 1, 1, 1, "12:00"], [1, '=""', 1, 1, 1, "12:01"]]
+    path = workbook(tmp_path / "a.xlsx", rows)
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    sheet = parts["xl/worksheets/sheet2.xml"]
+    parts["xl/worksheets/sheet2.xml"] = re.sub(
+        rb'<c r="B4"><f>', b'<c r="B4" t="str"><f>', sheet
+    )  # as programs store it
+    assert parts["xl/worksheets/sheet2.xml"] != sheet
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    text = SHEET + "[rows]\ndrop_missing = true\n"
+    assert prepare(path, column_map=write(tmp_path / "m.toml", text)).lines == (3,)
 
 
 def test_the_remedies_of_workbooks_work(tmp_path: Path) -> None:

@@ -370,3 +370,10 @@ def test_where_a_urdf_leaves_a_choice_its_links_are_listed(tmp_path: Path) -> No
     path.write_text("<robot xmlns:xacro='http://www.ros.org/wiki/xacro'><link name=</robot>")
     with pytest.raises(FileError, match="is not XML"):
         read_robot(path, Described(name="arm"))
+
+
+def test_formulas_without_values_are_named_and_never_read_as_empty(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xlsx"
+    path.write_bytes(workbook([["theta_offset_deg", "d_mm"], [0, 1], ["=90*2", 1]]))
+    said = refused(path, convention="dh")
+    assert "cell A3 holds a formula without a computed value. Open the workbook" in said

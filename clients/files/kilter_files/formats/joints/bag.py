@@ -22,6 +22,7 @@ COMPRESSED = re.compile(r"^\s*compression_mode:\s*['\"]?([A-Za-z]+)", re.M)
 FILES = re.compile(r"^\s*relative_file_paths:\s*\n((?:\s*-\s*.+\n)+)", re.M)
 MOST_METADATA = 4 << 20
 ROS1 = b"#ROSBAG V2.0"
+APART = 0.1  # rad or m between two messages of one stamp: no arm is that fast
 AGAIN = "Record it again, or look at it with `ros2 bag info`."
 
 
@@ -78,9 +79,12 @@ def read_bag(path: Path, topic: str | None = None, wanted: Sequence[str] = (), l
     if not kept.numbers:
         what = f"no message of {chosen} holds {', '.join(wanted) or 'a joint'}"
         raise fault(path, what, "Choose another topic (--topic) or other joints (--joint-order).")
-    twice = kept.leave_out_repeats()
+    twice, merged = kept.merge_equal_times()
     warnings = [f"{kept.left} messages left out: they do not hold {', '.join(kept.names)}"] if kept.left else []
     warnings += [f"{twice} messages left out: they repeat the one before"] if twice else []
+    warnings += (
+        [f"{merged} messages merged: their stamp is that of the one before, their joints averaged"] if merged else []
+    )
     notes = (f"joints from {chosen}, {len(kept.numbers)} messages; speeds and efforts are left out",)
     return BagJoints(
         chosen, kept.names, kept.t_s, kept.positions, tuple(kept.numbers), notes, tuple(warnings), kept.times[0]
@@ -236,20 +240,34 @@ class _Kept:
         """Positions (n, joints)."""
         return np.array(self.values).reshape(-1, len(self.names))
 
-    def leave_out_repeats(self) -> int:
-        """Leave out messages that say the same again, and count them; refuse a clock that goes back."""
-        step, positions = np.diff(np.array(self.times, dtype=np.int64)), self.positions
+    def merge_equal_times(self) -> tuple[int, int]:
+        """Leave out messages that say the same again and average others of one stamp; count both.
+
+        Raises:
+            FileError: the clock goes back, or one stamp has joints that no motion explains.
+
+        """
+        times, positions = np.array(self.times, dtype=np.int64), self.positions
+        step = np.diff(times)
+        if (step < 0).any():
+            what = "its clock goes back: two recordings, or two publishers"
+            number = self.numbers[int(np.argmax(step < 0)) + 1]
+            raise fault(self.path, what, "Split the bag there (`ros2 bag convert`).", message=number)
         again = np.concatenate([[False], (step == 0) & (positions[1:] == positions[:-1]).all(axis=1)])
-        self.values = array("d", positions[~again].ravel().tolist())
-        self.times = array("q", np.array(self.times, dtype=np.int64)[~again].tolist())
-        self.numbers = [number for number, same in zip(self.numbers, again, strict=True) if not same]
-        back = np.flatnonzero(np.diff(np.array(self.times, dtype=np.int64)) <= 0)
-        if len(back):
-            what = "its clock goes back or stops: two recordings, or two publishers"
-            raise fault(
-                self.path, what, "Split the bag there (`ros2 bag convert`).", message=self.numbers[int(back[0]) + 1]
-            )
-        return int(again.sum())
+        times, positions = times[~again], positions[~again]
+        first = np.flatnonzero(np.diff(times, prepend=times[0] - 1))
+        counts = np.diff(first, append=len(times))
+        apart = np.maximum.reduceat(positions, first) - np.minimum.reduceat(positions, first)
+        if (far := apart.max(axis=1) > APART).any():
+            k = int(np.argmax(far))
+            what = f"{counts[k]} messages have one stamp and joints up to {apart[k].max():.2g} rad or m apart"
+            number = int(np.array(self.numbers)[~again][first[k] + 1])
+            remedy = "Record one publisher, with a clock that runs."
+            raise fault(self.path, what, remedy, message=number)
+        self.values = array("d", (np.add.reduceat(positions, first) / counts[:, None]).ravel().tolist())
+        self.times = array("q", times[first].tolist())
+        self.numbers = np.array(self.numbers)[~again][first].tolist()
+        return int(again.sum()), len(times) - len(first)
 
 
 def _mixed(path: Path, number: int, names: Sequence[str], other: Sequence[str]) -> Exception:

@@ -24,8 +24,8 @@ def describe_bag(path: Path, hints: LogHints) -> Document:
     if hints.topic is None and len(states) != 1:
         what = f"joint states come from {', '.join(states)}: choose with --topic" if states else "no joint states"
         return {"kind": "bag", "topics": listed, "warnings": [what]}
-    joints = read_bag(path, hints.topic)
-    if not hints.order and by_name(joints.names) is None:
+    joints = None if hints.order else read_bag(path, hints.topic)
+    if joints is not None and by_name(joints.names) is None:
         columns = [column(n, "rad or m", joints.positions[:, k]) for k, n in enumerate(joints.names)]
         warnings = ["the names do not tell which joint is the first: give --joint-order", *joints.warnings]
         timing = _timing(joints.t_s)

@@ -38,6 +38,9 @@ AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
 GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
+ANY_ELEMENT = re.compile(
+    r"[ \t]*(\w{1,64})\[[^\]\r\n]{1,60}\][ \t]*(?=\r|\n|$|[A-Za-z])"
+)  # the program computes which
 WHERE_IT_STANDS = re.compile(
     r"[ \t]*\$(?:AXIS|POS)_ACT[ \t]*(?:C_\w{1,9}[ \t]*){0,2}", re.I
 )  # the start of most programs
@@ -160,6 +163,8 @@ def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFr
         known.last = None
         return
     first = GOAL.match(match[2])
+    if first is None and _go_to_elements(program, match, known, frames):
+        return
     goals = [first]
     comma = COMMA.match(match[2], first.end()) if first is not None and "CIRC" in match[1].upper() else None
     if comma is not None:
@@ -194,16 +199,45 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
     elif isinstance(target, JointTarget):
         program.moves.append(target)
     else:
-        straight = "PTP" not in match[1].upper()
         joined = known.last is not None and frames.way.joined(known.last[0], match.start())
         near = known.last[1] if known.last is not None and joined else None
-        target.uses.append(Use(*frames.at(match.start()), near, straight))
-        if straight and not frames.keeps_orientation(match.start()):
-            target.problem = target.problem or "its orientation is not kept ($ORI_TYPE)"
-        program.moves_to_poses.append((line_at(program.text, match.start()), said, target))
+        _use(program, match, target, near, frames)
     sure = not isinstance(target, JointTarget) or goal is None or _is_sure(known, frames, key(goal[1]), match.start())
     known.last = None if target is None or not sure else (match.start(), target)
     program.visits += [] if target is None else [target]
+
+
+def _go_to_elements(program: Program, match: re.Match[str], known: _Known, frames: KrlFrames) -> bool:
+    """Take a motion to an element that the program computes as one to each element; whether there are any."""
+    array = ANY_ELEMENT.match(match[2])
+    name = array[1].upper() if array is not None else ""
+    poses = [pose for one, pose in known.poses.items() if one.partition("[")[0] == name]
+    joints = [one for key_of, values in known.joints.items() if key_of.partition("[")[0] == name for _, one in values]
+    if not poses and not joints:
+        return False
+    known.moved.add(name)
+    program.moves += [None] if joints else []
+    for pose in poses:
+        _use(program, match, pose, None, frames)
+    known.last = None
+    program.visits += [*joints, *poses]
+    return True
+
+
+def _use(
+    program: Program,
+    match: re.Match[str],
+    pose: PoseTarget,
+    near: JointTarget | PoseTarget | None,
+    frames: KrlFrames,
+) -> None:
+    """Note a motion to a pose."""
+    straight = "PTP" not in match[1].upper()
+    pose.uses.append(Use(*frames.at(match.start()), near, straight))
+    if straight and not frames.keeps_orientation(match.start()):
+        pose.problem = pose.problem or "its orientation is not kept ($ORI_TYPE)"
+    what = f"{match[1]} {match[2].strip()[:40]}"
+    program.moves_to_poses.append((line_at(program.text, match.start()), what, pose))
 
 
 def _joints_of(known: _Known, name: str, at: int) -> JointTarget | None:

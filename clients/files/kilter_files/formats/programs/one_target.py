@@ -91,13 +91,15 @@ class Configuration(Protocol):
 class Use:
     """A move to a target. A frame that is not known is the reason why.
 
-    ``near`` is the target before it, where that is known; ``straight`` says that the move keeps the branch.
+    ``near`` is the target before it, where that is known; ``straight`` says that the move keeps the branch. ``follows`` says
+    why the controller takes the posture next to that and not the stated one; empty: it takes the stated one.
     """
 
     base: tuple[Frame, ...] | str
     tool: Frame | str
     near: JointTarget | PoseTarget | None = None
     straight: bool = False
+    follows: str = ""
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,11 @@ class PoseTarget:
         if self.computed is not None:
             return self.computed.place[0]
         return self.spans[0][0] if self.spans else self.whole[0]
+
+    @property
+    def stated(self) -> Configuration | None:
+        """The configuration, where it counts in some move; see ``Use.follows``."""
+        return self.configuration if not all(use.follows for use in self.uses) or not self.uses else None
 
     def why_left(self) -> str:
         """Say what of this target is not known; empty: all that the program can say."""

@@ -7,7 +7,8 @@ and holds every frame in memory.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from kilter_files.tables.recording import Block, Recording, frames_per_block
 FULL = 0xFFFF  # a 16-bit counter that ran out
 HEAD_BYTES = 256 * SECTOR * 2  # header and the largest parameter section
 FASTEST_HZ = 1e6
+# Groups of labels that are not places: three angles, a force (the C3D user guide, POINT:TYPE_GROUPS).
+NO_PLACES = re.compile(r"POINT:((?:ANGLE|FORCE|MOMENT|POWER|SCALAR|REACTION)S)\d*")
 
 
 @dataclass(frozen=True)
@@ -60,13 +63,15 @@ def read_c3d(path: Path, allow_cut: bool = False) -> Recording:
     notes: list[str] = []
     warnings: list[str] = []
     layout = _layout(path, header, parameters, allow_cut, notes, warnings)
+    labels = _labels(parameters, layout.points)
+    kept = _markers(path, parameters, labels, warnings)
     return Recording(
         path,
         "c3d",
-        _labels(parameters, layout.points),
+        tuple(labels[i] for i in kept),
         layout.rate_hz,
         layout.frames,
-        lambda: _blocks(path, layout),
+        lambda: _blocks(path, layout, kept),
         tuple(notes),
         tuple(warnings),
         layout.unit,
@@ -169,7 +174,29 @@ def _labels(parameters: Mapping[str, Value], points: int) -> tuple[str, ...]:
     return tuple(said[i] if i < len(said) and said[i] else f"Point_{i + 1}" for i in range(points))
 
 
-def _blocks(path: Path, layout: Layout) -> Iterator[Block]:
+def _markers(path: Path, parameters: Mapping[str, Value], labels: Sequence[str], warnings: list[str]) -> list[int]:
+    """Return the indices of the points that are places, and say which of the others the file lists as what."""
+    groups: dict[str, list[str]] = {}
+    for name, values in parameters.items():
+        if found := NO_PLACES.fullmatch(name):
+            listed = {str(value) for value in values if value}
+            groups.setdefault(found[1], []).extend(
+                label for label in labels if label in listed or label.rpartition(":")[2] in listed
+            )
+    others = {label for names in groups.values() for label in names}
+    kept = [i for i, label in enumerate(labels) if label not in others]
+    if not kept:
+        raise fault(path, f"holds only {_listed(groups)} and no markers", "Export the trajectories of the markers too.")
+    if others:
+        warnings.append(f"{_listed(groups)}: left out, for these are not markers")
+    return kept
+
+
+def _listed(groups: Mapping[str, Sequence[str]]) -> str:
+    return "; ".join(f"{', '.join(names)} of POINT:{group}" for group, names in groups.items() if names)
+
+
+def _blocks(path: Path, layout: Layout, kept: Sequence[int]) -> Iterator[Block]:
     step = frames_per_block(max(layout.points, layout.words // 4))
     with path.open("rb") as stream:
         stream.seek(layout.start)
@@ -178,7 +205,7 @@ def _blocks(path: Path, layout: Layout) -> Iterator[Block]:
             raw = np.fromfile(stream, layout.dtype, count * layout.words)
             if len(raw) < count * layout.words:
                 raise fault(path, "became shorter while it was read", BROKEN, frame=first + 1)
-            four = raw.reshape(count, layout.words)[:, : 4 * layout.points].reshape(count, layout.points, 4)
+            four = raw.reshape(count, layout.words)[:, : 4 * layout.points].reshape(count, layout.points, 4)[:, kept]
             points = four[..., :3].astype(np.float64)
             if layout.to_mm != 1.0:
                 points *= layout.to_mm

@@ -14,6 +14,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import need
 from kilter_files.ground.names import did_you_mean
+from kilter_files.ground.workbook_formulas import REMEDY, Cell, describe_cells, formulas_without_value, letters
 from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource, header_names
 
@@ -28,11 +29,26 @@ class XlsxSource(TextSource):
     """A read sheet: its cells as text, with the decimal sign of the layout."""
 
     sheet: str = ""
-    empty_hint = " A formula that was never computed is an empty cell: open the workbook and save it."
+    uncomputed: Sequence[Cell] = ()  # cells of formulas that have no value
 
     def at(self, line: int) -> str:
         """Say where a row is: the sheet and its row."""
         return f"sheet {self.sheet!r}, row {line}"
+
+    def texts(self, name: str | int) -> list[str]:
+        """Return the cells of a column.
+
+        Raises:
+            FileError: no such column, or formulas in it that have no value.
+
+        """
+        if self.uncomputed and self.has(name):
+            _refuse_uncomputed(self.path, self.sheet, self.uncomputed, self.column_number(name))
+        return super().texts(name)
+
+    def column_number(self, name: str | int) -> int:
+        """Return the number of a column in the sheet, from 1."""
+        return (name if isinstance(name, int) else self.names.index(name)) + 1
 
     def place(self, row: int, name: str | int) -> str:
         """Say where a cell is: sheet, cell and column."""
@@ -49,9 +65,10 @@ def read_xlsx(path: Path, layout: Layout) -> XlsxSource:
         MissingPackageError: openpyxl is not installed.
 
     """
-    title, rows = _rows(path, layout)
+    title, rows, uncomputed = _rows(path, layout)
     width = max((len(cells) for _, cells in rows), default=0)
-    rows = [(number, cells + [""] * (width - len(cells))) for number, cells in rows if any(cells)]
+    kept = {number for number, _ in uncomputed}
+    rows = [(number, cells + [""] * (width - len(cells))) for number, cells in rows if any(cells) or number in kept]
     rows = [row for row in rows if not (layout.comment and row[1][0].startswith(layout.comment))]
     if len(rows) < (2 if layout.header else 1):
         raise fault(
@@ -59,9 +76,12 @@ def read_xlsx(path: Path, layout: Layout) -> XlsxSource:
         )
     names = [str(i) for i in range(width)]
     if layout.header:
+        _refuse_uncomputed(path, title, [cell for cell in uncomputed if cell[0] == rows[0][0]])
         names = header_names(path, rows[0][1])
         rows = rows[2:] if layout.units_row else rows[1:]
-    return XlsxSource(path, layout, names, [cells for _, cells in rows], [number for number, _ in rows], sheet=title)
+    numbers = [number for number, _ in rows]
+    below = [cell for cell in uncomputed if cell[0] in set(numbers)]
+    return XlsxSource(path, layout, names, [cells for _, cells in rows], numbers, sheet=title, uncomputed=below)
 
 
 def sheet_names(path: Path) -> list[str]:
@@ -75,17 +95,14 @@ def sheet_names(path: Path) -> list[str]:
     return _opened(path, lambda book: [str(sheet.title) for sheet in book.worksheets])
 
 
-def letters(number: int) -> str:
-    """Return the letters of a column's number from 1: A, B, ..., Z, AA, ..."""
-    out = ""
-    while number:
-        number, rest = divmod(number - 1, 26)
-        out = chr(ord("A") + rest) + out
-    return out
+def _refuse_uncomputed(path: Path, sheet: str, cells: Sequence[Cell], column: int | None = None) -> None:
+    wrong = [cell for cell in cells if column in (None, cell[1])]
+    if wrong:
+        raise fault(path, f"sheet {sheet!r}: {describe_cells(wrong)}", REMEDY, line=wrong[0][0])
 
 
-def _rows(path: Path, layout: Layout) -> tuple[str, list[Row]]:
-    def read(book: Any) -> tuple[str, list[Row]]:
+def _rows(path: Path, layout: Layout) -> tuple[str, list[Row], list[Cell]]:
+    def read(book: Any) -> tuple[str, list[Row], list[Cell]]:
         sheet = _sheet(path, book, layout.sheet)
         found, cells = [], 0
         for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
@@ -96,13 +113,21 @@ def _rows(path: Path, layout: Layout) -> tuple[str, list[Row]]:
                 )
             if number > layout.skip_rows:
                 found.append((number, _texts(path, sheet.title, number, row, layout.decimal)))
-        return str(sheet.title), found
+        uncomputed = []
+        if any("" in cells for _, cells in found):
+            uncomputed = formulas_without_value(openpyxl, path, book.worksheets.index(sheet))
+        return str(sheet.title), found, [cell for cell in uncomputed if cell[0] > layout.skip_rows]
 
+    openpyxl = _openpyxl(path)
     return _opened(path, read)
 
 
+def _openpyxl(path: Path) -> Any:
+    return need(f"{path}: Workbooks (.xlsx) need", "openpyxl")
+
+
 def _opened(path: Path, read: Callable[[Any], Found]) -> Found:
-    openpyxl = need(f"{path}: Workbooks (.xlsx) need", "openpyxl")
+    openpyxl = _openpyxl(path)
     _refuse_large(path)
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)

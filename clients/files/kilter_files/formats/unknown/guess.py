@@ -127,12 +127,12 @@ def joints(columns: Columns) -> tuple[list[Entry], list[str]]:
     equal = [family.pattern for score, family in ranked if score == ranked[0][0] and not _shared(family, best)]
     if equal:
         told = f"could not determine which of these are the arm's joints: {', '.join([best.pattern, *equal])}"
-        return [Entry("q*", UNKNOWN, _angle(columns, best.names)[0], told)], []
+        return [Entry("q*", UNKNOWN, joint_unit(columns, best.names[0], best.names)[0], told)], []
     others = [family.pattern for score, family in ranked[1:] if not set(family.names) & set(best.names)]
     units = {columns.unit(name) for name in best.names}
     if len(units) > 1 or columns.shape.form == "mat":
         return _single_joints(columns, best.names), others
-    unit, remark = _angle(columns, best.names)
+    unit, remark = joint_unit(columns, best.names[0], best.names)
     return [Entry("q*", best.pattern, unit, remark, best.names)], others
 
 
@@ -143,8 +143,7 @@ def _shared(one: Family, other: Family) -> bool:
 def _single_joints(columns: Columns, names: Sequence[str]) -> list[Entry]:
     out = []
     for number, name in enumerate(names, 1):
-        stated = columns.unit(name)
-        unit, remark = (stated, "") if stated else _angle(columns, names)
+        unit, remark = joint_unit(columns, name, names)
         slides = unit in SIZES["length"]
         out.append(Entry(f"q{number}_{'mm' if slides else 'deg'}", name, unit, remark, (name,)))
     return out
@@ -211,9 +210,9 @@ def _is_unit_length(columns: Columns, family: Family) -> bool:
     return all(abs(sum(v * v for v in row) - 1.0) < 1e-2 for row in zip(*parts, strict=True))
 
 
-def _angle(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
-    """Unit of joints, and what it rests on."""
-    stated = columns.unit(names[0])
+def joint_unit(columns: Columns, name: str, names: Sequence[str]) -> tuple[str, str]:
+    """Return the unit of a joint, by itself or by the range of all of them, and what it rests on."""
+    stated = columns.unit(name)
     if stated is not None:
         return stated, ""
     if said := columns.strange(names):
@@ -247,7 +246,7 @@ def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
     if not ranked:
         return [], []
     best = ranked[0]
-    unit, remark = _length(columns, best.names)
+    unit, remark = length_unit(columns, best.names)
     equal = [t.pattern for t in ranked[1:] if _point_score(columns, t) == _point_score(columns, best)]
     if equal:
         told = f"could not determine which of these is the position: {', '.join([best.pattern, *equal])}"
@@ -260,7 +259,7 @@ def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
 
 def placed(columns: Columns, names: Sequence[str]) -> list[Entry]:
     """Return the lines of a position whose columns are known."""
-    return _axes(names, *_length(columns, names))
+    return _axes(names, *length_unit(columns, names))
 
 
 def _axes(names: Sequence[str], unit: str, remark: str) -> list[Entry]:
@@ -282,7 +281,7 @@ def _markers(columns: Columns, found: Sequence[Triple]) -> list[Entry]:
         return []
     pattern = sets[0].pattern
     names = tuple(name for triple in found if triple.pattern in sets[0].names for name in triple.names)
-    unit, remark = _length(columns, names)
+    unit, remark = length_unit(columns, names)
     first = next(triple for triple in found if triple.pattern == sets[0].names[0])
     letters = [name[pattern_at] for name, pattern_at in zip(first.names, [first.pattern.index("@")] * 3, strict=True)]
     return [
@@ -297,7 +296,8 @@ def _point_score(columns: Columns, triple: Triple) -> float:
     return score + (2.0 if MEASURED.search(said) else 0.0) - (2.5 if COMMANDED.search(said) else 0.0)
 
 
-def _length(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
+def length_unit(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
+    """Return the unit of lengths, and what it rests on."""
     stated = columns.unit(names[0])
     if stated in SIZES["length"]:
         return str(stated), ""
@@ -311,13 +311,15 @@ def _length(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
     return UNKNOWN, f"the file states no unit, and values up to {size:.4g} do not decide between mm, m and inch"
 
 
+TIME = re.compile(
+    r"\b(?:time|timestamp|zeit\w*|uhrzeit|datum|date|elapsed|sec|seconds|clock)\b|^t(?: (?:s|ms|us|ns|min|h))?$"
+)
+
+
 def time(columns: Columns, taken: set[str]) -> Entry | None:
     """Return the line of the time."""
     for name in columns.names:
-        said = words_of(name)
-        if name in taken or not re.search(
-            r"\b(?:t|time|timestamp|zeit\w*|uhrzeit|datum|date|elapsed|sec|seconds|clock)\b", said
-        ):
+        if name in taken or not TIME.search(words_of(name)) or columns.strange([name]):
             continue
         numbers = columns.numbers(name)
         if numbers is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -9,7 +10,8 @@ from pathlib import Path
 
 from kilter_files.formats.reader import Head
 from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, placed, points, time
-from kilter_files.formats.unknown.names import triples
+from kilter_files.formats.unknown.names import triples, words_of
+from kilter_files.formats.unknown.robot_joints import robot_joints, unplaced_axes
 from kilter_files.formats.unknown.table_shape import TableShape, shape_of
 from kilter_files.formats.unknown.turns import Turned, turned
 from kilter_files.ground.cell_numbers import parse_number
@@ -65,8 +67,8 @@ def table_of(head: Head) -> Understood | None:
     return found
 
 
-def understand(path: Path) -> Understood:
-    """Find out what the columns of a file are.
+def understand(path: Path, robot: Sequence[str] = ()) -> Understood:
+    """Find out what the columns of a file are; ``robot`` are the joints of the arm, sliding ones with ``:m`` at the end.
 
     Raises:
         FileError: no table of numbers is found in it.
@@ -75,7 +77,7 @@ def understand(path: Path) -> Understood:
     columns = Columns(shape_of(path))
     turn = turned(columns)
     pose = {*turn.names, *turn.place, *turn.rest} if turn else set()
-    axes, others = joints(columns.without(list(pose)))
+    axes, others = _arm(columns.without(list(pose)), robot)
     taken = {name for entry in axes for name in entry.used} | pose
     place, elsewhere = (placed(columns, turn.place), []) if turn and turn.place else points(columns, taken)
     entries = [*axes] or [_unknown_joints(columns.without(list(pose)))]
@@ -85,6 +87,15 @@ def understand(path: Path) -> Understood:
         entries.append(entry)
         taken |= set(entry.used)
     return Understood(columns, tuple(axes), tuple(entries), turn, tuple(others), tuple(elsewhere), frozenset(taken))
+
+
+def _arm(columns: Columns, robot: Sequence[str]) -> tuple[list[Entry], list[str]]:
+    """Lines of the joints, and other columns that might be joints."""
+    found, others = joints(columns)
+    if robot:
+        return robot_joints(columns, robot, found), others
+    beside = unplaced_axes(columns, found)
+    return (found if beside is None else [beside]), others
 
 
 def _unknown_joints(columns: Columns) -> Entry:
@@ -111,7 +122,7 @@ def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
     """Time, temperature, payload and pose numbers."""
     found = [time(columns, taken)]
     for words, make in (
-        (r"temp\w*", _temperature),
+        (r"temp\w*|t", _temperature),
         ("payload|load|last|nutzlast|mass|masse", _payload),
         ("poses?|pose id|punkt|point|messpunkt", _pose),
     ):
@@ -121,11 +132,10 @@ def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
 
 def _temperature(columns: Columns, name: str) -> Entry | None:
     unit = columns.unit(name)
-    return (
-        Entry("temperature_c", name, unit or "C", "" if unit else "the file states no unit", (name,))
-        if unit in (None, "C", "K")
-        else None
-    )
+    called = bool(re.search(r"\btemp|\b(?:deg ?c|celsius|air|room|amb\w*|luft|raum|umgebung)\b", words_of(name)))
+    if unit not in ("C", "K") and not (unit is None and called):
+        return None
+    return Entry("temperature_c", name, unit or "C", "" if unit else "the file states no unit", (name,))
 
 
 def _payload(columns: Columns, name: str) -> Entry | None:

@@ -14,7 +14,7 @@ from kilter_client.requests.steps import Document, Steps
 
 if TYPE_CHECKING:
     from kilter_files.formats.programs.found import Program
-    from kilter_files.formats.programs.one_target import Branch, JointTarget, PoseTarget, Span
+    from kilter_files.formats.programs.one_target import Branch, JointTarget, PoseTarget, Span, Use
     from kilter_files.formats.programs.poses.postures import Found
     from kilter_files.formats.programs.rigid import Rigid
 
@@ -107,14 +107,13 @@ def _chosen(
         known[near] = files_postures.posture_at(joints, reaching.postures) or "the target before it is at a singularity"
     following: dict[PoseTarget, Sequence[Document]] = {}
     for pose, (postures, certain) in zip(poses, found[len(before) :], strict=True):
-        stated = pose.configuration
         if not certain:
             known[id(pose)] = files_postures.NOT_CERTAIN
-        elif stated is not None:
-            known[id(pose)] = files_postures.by_configuration(stated, postures, limits, signs)
+        elif pose.stated is not None and not any(use.follows for use in pose.uses):
+            known[id(pose)] = files_postures.by_configuration(pose.stated, postures, limits, signs)
         else:
             following[pose] = postures
-    _follow(following, known, limits)
+    _follow(following, known, limits, signs)
     joints_deg, left, branches = {}, {}, {}
     for pose in poses:
         one = known[id(pose)]
@@ -129,8 +128,9 @@ def _follow(
     following: Mapping[PoseTarget, Sequence[Document]],
     known: dict[int, Found | str],
     limits: Sequence[tuple[float, float]],
+    signs: Sequence[float],
 ) -> None:
-    """Find the joints of poses without a stated posture: from any move whose start is known, then checked by all moves.
+    """Find the joints of poses that follow others: from any move whose start is known, then checked by all moves.
 
     A path may come back to a pose (approach, work, approach). What one move says holds if each further move confirms it.
     """
@@ -138,39 +138,59 @@ def _follow(
     while again:
         again = False
         for pose, postures in following.items():
-            starts = ((use, known.get(id(use.near))) for use in pose.uses)
-            use, near = next(((use, near) for use, near in starts if near and not isinstance(near, str)), (None, None))
-            if use is not None and near is not None and id(pose) not in known:
-                known[id(pose)] = files_postures.after(near, postures, limits, straight=use.straight)
+            use = next((use for use in pose.uses if _is_told(pose, use, known)), None)
+            if use is not None and id(pose) not in known:
+                known[id(pose)] = _by_use(pose, use, postures, known, limits, signs)
                 again = True
     again = True
     while again:
         again = False
         for pose, postures in following.items():
             if not isinstance(known.get(id(pose)), str):
-                checked = _following(pose, postures, known, limits)
+                checked = _by_all_uses(pose, postures, known, limits, signs)
                 again = again or isinstance(checked, str)
                 known[id(pose)] = checked
 
 
-def _following(
+def _is_told(pose: PoseTarget, use: Use, known: Mapping[int, Found | str]) -> bool:
+    """Say whether a move tells the posture: by what the pose states, or by a start that is known."""
+    stated = pose.configuration is not None and not use.follows
+    return stated or not isinstance(known.get(id(use.near), ""), str)
+
+
+def _by_use(
+    pose: PoseTarget,
+    use: Use,
+    postures: Sequence[Document],
+    known: Mapping[int, Found | str],
+    limits: Sequence[tuple[float, float]],
+    signs: Sequence[float],
+) -> Found | str:
+    """The posture that a controller takes by one move."""
+    if pose.configuration is not None and not use.follows:
+        return files_postures.by_configuration(pose.configuration, postures, limits, signs)
+    near = known.get(id(use.near), BEFORE)
+    if use.near is None:
+        return files_postures.not_followed(use.follows)
+    return BEFORE if isinstance(near, str) else files_postures.after(near, postures, limits, straight=use.straight)
+
+
+def _by_all_uses(
     pose: PoseTarget,
     postures: Sequence[Document],
     known: Mapping[int, Found | str],
     limits: Sequence[tuple[float, float]],
+    signs: Sequence[float],
 ) -> Found | str:
-    """The posture that follows the target before each move to a pose; all moves must come to the same."""
+    """The posture that a controller takes by each move to a pose; all moves must come to the same."""
     chosen: list[Found] = []
     for use in pose.uses:
-        near = known.get(id(use.near), BEFORE) if use.near is not None else files_postures.NOT_STATED
-        if isinstance(near, str):
-            return near if near in (files_postures.NOT_STATED, BEFORE) else BEFORE
-        one = files_postures.after(near, postures, limits, straight=use.straight)
+        one = _by_use(pose, use, postures, known, limits, signs)
         if isinstance(one, str):
             return one
         chosen.append(one)
     apart = max(math.dist(one.joints_deg, chosen[0].joints_deg) for one in chosen)
-    return chosen[0] if apart < SAME_DEG else "moves come to it with different joints"
+    return chosen[0] if apart < SAME_DEG else files_postures.DIFFERENT
 
 
 def not_kept(
@@ -181,7 +201,7 @@ def not_kept(
     found = (yield from robots.inverse(robot, flanges)) if flanges else []
     out: dict[PoseTarget, str] = {}
     for (pose, q), reaching in zip(corrected, found, strict=True):
-        one, stated = files_postures.posture_at(q, reaching.postures), pose.configuration
+        one, stated = files_postures.posture_at(q, reaching.postures), pose.stated
         if one is None:
             out[pose] = "the correction takes it to a singularity"
         elif not (
@@ -215,6 +235,6 @@ def rewritten(
             for k, span in enumerate(pose.spans)
             if moved[k] or (pose.computed is not None and any(moved))
         }
-        new |= dict(pose.configuration.restated(joints.of_program(q))) if pose.configuration is not None else {}
+        new |= dict(pose.stated.restated(joints.of_program(q))) if pose.stated is not None else {}
         out.append(new if pose.computed is None or not new else pose.computed.edits(new))
     return out

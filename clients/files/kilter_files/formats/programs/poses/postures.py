@@ -20,6 +20,7 @@ SINGULAR = "it is at a singularity, where joints cannot be told apart"
 SEVERAL = "several joints reach it, and which it means is not stated"
 NOT_CERTAIN = "joints reach it that may not be all: it is at a singularity, or near one"
 NOT_STATED = "its configuration is not stated, and the target from which the arm comes is not known"
+DIFFERENT = "moves come to it with different joints"
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,17 @@ def after(near: Found, postures: Sequence[Mapping[str, Any]], limits: Limits, *,
     if straight and found.branch.named:
         return found if far < FAR_DEG else "it is too far from the target before it to tell how the arm goes there"
     return found if len(ranked) == 1 or ranked[1][0] > CLEARER * far else SEVERAL
+
+
+def not_followed(follows: str) -> str:
+    """Return why a pose is left that follows another which is not known; ``follows`` is as in ``Use``."""
+    if not follows:
+        return NOT_STATED
+    switched_on = follows.partition(" ")[0]
+    return (
+        f"{follows}, and the target from which the arm comes is not known: write {switched_on} \\On before the move, if its "
+        "confdata is right"
+    )
 
 
 def posture_at(joints_deg: Sequence[float], postures: Sequence[Mapping[str, Any]]) -> Found | None:

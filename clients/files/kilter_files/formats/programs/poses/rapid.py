@@ -32,7 +32,6 @@ OBJECT = re.compile(
 )
 DISPLACED = re.compile(r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I)
 AXIS_LOCKED = re.compile(r"\bSingArea\s*\\\s*LockAxis4\b", re.I)
-CONFIGURATION_OFF = re.compile(r"\bConf([JL])\s*\\\s*Off\b", re.I)
 
 
 def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from kilter_client.cli.files.joint_names import joints_of
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, say
@@ -86,11 +87,15 @@ def inspect(
             dir_okay=False,
         ),
     ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option("--robot", help="With --draft: the arm, whose joints the columns may be named after."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Show what is understood of a file: columns, units, rows, frames, gaps, and what looks wrong. Sends nothing."""
     if draft is not None:
-        emit(_drafted(file, draft), as_json, _show_draft)
+        emit(_drafted(file, draft, robot), as_json, _show_draft)
         return
     check_numpy()
     if preset not in PRESETS:
@@ -105,9 +110,9 @@ def inspect(
         raise typer.Exit(1)
 
 
-def _drafted(file: Path, target: Path) -> dict[str, Any]:
+def _drafted(file: Path, target: Path, robot: str | None) -> dict[str, Any]:
     """Write the draft, never over a file that is there."""
-    found = draft(file)
+    found = draft(file, joints_of(robot))
     found.save(target)
     return {"file": str(file), "draft": str(target)} | found.to_document()
 

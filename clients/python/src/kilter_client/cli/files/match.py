@@ -21,6 +21,7 @@ from kilter_client.cli.files.inspect import (
     Zero,
     check_numpy,
 )
+from kilter_client.cli.files.joint_names import joints_of
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import on_interrupt
@@ -142,15 +143,6 @@ def _body(recording: Recording, tcp: str) -> Body:
     return rigid_body.find_body(
         recording, open_recording(Path(tcp)) if rigid_body.names_a_file(recording, tcp) else tcp
     )
-
-
-def joints_of(robot: str | None) -> list[str]:
-    """Return the joint names of a robot of the server, for logs that name them; prismatic ones end in ``:m``."""
-    if robot is None:
-        return []
-    with Kilter() as kilter:
-        joints = kilter.robots.get(robot)["joints"]
-    return [joint["name"] + (":m" if joint["kind"] == "prismatic" else "") for joint in joints]
 
 
 def _dwells(

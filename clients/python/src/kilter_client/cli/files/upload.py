@@ -11,7 +11,7 @@ from kilter_client.cli.files.calibrated_rows import stated_servos
 from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic
-from kilter_client.cli.files.match import joints_of
+from kilter_client.cli.files.joint_names import joints_of
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.terminal import arguments
