@@ -147,7 +147,7 @@ def test_a_quaternion_says_an_origin_as_well_as_angles_do() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ('quat_xyzw="0 0 0 0.5"', "joint j1: quat_xyzw is no unit quaternion"),
+        ('quat_xyzw="0 0 0 0.5"', "joint j1: quat_xyzw has a length other than 1"),
         ('quat_xyzw="0 0 1"', "joint j1: quat_xyzw='0 0 1' is not 4 numbers"),
         ('quat_xyzw="0 0 0 1" rpy="0 0 0.1"', "joint j1: rpy and quat_xyzw are two rotations"),
     ],

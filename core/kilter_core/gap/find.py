@@ -43,7 +43,7 @@ from kilter_core.gap.evidence.similarity.testability import (
 from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.aside import rows_aside
+from kilter_core.gap.report.aside import agreement_sentence, rows_aside
 from kilter_core.gap.report.effect_curves import effect_curves
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
@@ -216,7 +216,7 @@ class _Run:
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
-            + incomplete_sentence(lacking),
+            + incomplete_sentence(lacking) + agreement_sentence(prepared, self.validation, held.set_aside),
             where=places,
             gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
             predictive=judging.predictive,

@@ -6,12 +6,28 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.gap.search.prepare import Prepared
 from kilter_core.identify.fit.tukey import points_mm, sizes_of
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Ints
+
+
+def agreement_sentence(prepared: Prepared, held: Observations | None, spikes: Ints) -> str:
+    """Say with how many visits a verdict goes, of those searched and held out; empty where none was set aside."""
+    used = prepared.problem.settings.used
+    visits = np.zeros(0, dtype=np.int64) if held is None else held.visits()
+    seen = np.zeros(0, dtype=bool) if held is None else held.tool_seen
+    aside = int(np.sum(~used)) + len(np.unique(visits[spikes]))
+    total = len(used) + len(np.unique(visits[seen]))
+    if not aside:
+        return ""
+    return (
+        f" This is of {total - aside} of {total} visits: {aside} {'was' if aside == 1 else 'were'} set aside as wrong "
+        "readings. Measure their poses again; what errs there again is the arm."
+    )
 
 
 def rows_aside(calibration: Calibration, rows: Observations, which: Ints, sigma: float) -> list[dict[str, Any]]:

@@ -21,6 +21,7 @@ from kilter_core.gap.search.linear.in_space import fit_rms, noise_rms, rms_at, r
 from kilter_core.gap.search.linear.linearized import solved
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.prepare import Prepared, windowed
+from kilter_core.gap.search.rows.wrong_rows import along_one_joint
 from kilter_core.gap.search.sources.rounding import rounding_document
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -185,9 +186,29 @@ class HoldoutEvaluator:
         if self.rows is None:
             return np.ones(len(spike), dtype=bool)
         visit = np.arange(len(spike)) if self.moving else np.unique(self.rows.visits(), return_inverse=True)[1]
+        spike &= ~self._of_the_arm(after, spike, visit)
         if len(np.unique(visit[spike])) > binom.ppf(SPIKES_SURE, visit.max() + 1, share):
             return np.ones(len(spike), dtype=bool)
         return np.asarray(~spike)
+
+    def _of_the_arm(self, after: Floats, spike: Bools, visit: Ints) -> Bools:
+        """Which spikes (N,) are off as one joint moves the tool, together with the visits that the search set aside."""
+        problem, rows = self.search.problem, self.rows
+        settings, none = problem.settings, np.zeros_like(spike)
+        if rows is None or self.moving or not spike.any() or not settings.source.observes_tool:
+            return none
+        aside, first = ~settings.used, np.flatnonzero(spike)[np.unique(visit[spike], return_index=True)[1]]
+        other, values = on_rows(settings.source, rows, self.search, self._fitted(tuple(self.search.columns)))
+        here, there = settings.source.joint_columns(problem.values), other.joint_columns(values)
+        back, size = np.linalg.inv(self._lower()).T, after.shape[1]
+
+        def motion(joint: int) -> Floats:
+            return np.vstack([settings.whitening.residual(here(joint)).reshape(-1, size), there(joint) @ back])
+
+        left = np.vstack([problem.raw.reshape(-1, size)[aside], after[first]])
+        which = np.concatenate([np.flatnonzero(aside), len(aside) + first])
+        found = along_one_joint(left, which, motion, rows.q.shape[1])[int(aside.sum()) :]
+        return np.asarray(spike & np.isin(visit, visit[first[found]]))
 
     @property
     def set_aside(self) -> Ints:

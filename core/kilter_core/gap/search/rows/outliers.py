@@ -18,7 +18,7 @@ from scipy.stats import chi2, f
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on
 from kilter_core.gap.search.linear.projection import Stacked
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.rows.wrong_rows import are_wrong
+from kilter_core.gap.search.rows.wrong_rows import find_wrong
 from kilter_core.identify.fit.robust import bulk_scale, redescended, scale_of
 from kilter_core.types import Bools, Floats
 
@@ -102,7 +102,11 @@ def _far(
     far[used] = beyond(robust.size, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
-    return far if are_wrong(problem, far, whole) else np.zeros_like(far)
+    if not far.any():
+        return far
+    every = np.zeros(len(used))
+    every[used] = robust.weight
+    return find_wrong(problem, far, whole, _left(X, y, every))
 
 
 def _refuted(settings: ProblemSettings, scale: float) -> bool:
@@ -132,6 +136,12 @@ def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
         # A visit that nothing else can predict has no residual of its own: its directions count as nothing.
         out[visits] = np.sum(np.where(free > UNSEEN, z**2 / np.maximum(spread, UNSEEN**2), 0.0), axis=1)
     return out
+
+
+def _left(X: Stacked, y: Floats, weight: Floats) -> Floats:
+    """Error (V, m) of every visit against the weighted fit."""
+    beta, _ = _fit(X, y, weight)
+    return np.concatenate([y[part] - columns @ beta for part, columns in X.each()]).reshape(-1, X.size)
 
 
 def _fit(X: Stacked, y: Floats, weight: Floats) -> tuple[Floats, Floats]:

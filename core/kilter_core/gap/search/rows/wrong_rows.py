@@ -1,6 +1,8 @@
-"""Wrong readings or an unknown effect: far visits are wrong only where nothing about the pose predicts them."""
+"""Wrong readings or an unknown effect: far visits are wrong only where nothing about the pose or the arm predicts them."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.stats import binom
@@ -12,24 +14,29 @@ PREDICTED = 0.01  # chance of wrong readings that seem to follow from the pose
 MOST = 0.4  # share of visits above which it is not known which part is wrong
 FEW = 0.08  # share up to which far visits need no gap between them and the others
 GAP = 1.5  # times the size of nearly all others that nearly all far visits must have
-FEWEST_FAR_VISITS = 3  # far visits from which a pattern can be seen
+FEWEST_FAR_VISITS = 3  # far visits from which a pattern of their conditions can be seen
+FEWEST_ALONG = 2  # far visits from which a joint can be seen that moves as they do
 APART = 0.1  # of the campaign between two visits of a pose that one disturbance does not reach both of
+ALIKE = 0.5  # of the smaller of two errors, up to which they differ and are the same
 DRAWS = 999
 
 
-def are_wrong(problem: LinearizedProblem, far: Bools, size: Floats) -> bool:
-    """Whether the ``far (V,)`` visits, of these sizes (V,), are wrong readings and not structure of the model's error.
+def find_wrong(problem: LinearizedProblem, far: Bools, size: Floats, left: Floats) -> Bools:
+    """Which of the ``far (V,)`` visits, of these sizes (V,), are wrong readings and not structure of the model's error.
 
-    An effect, however large, follows from pose, direction, load or temperature: it affects neighbours, and the same
-    pose again. Wrong readings do neither. More than a few must also be separated from the others by a clear gap.
+    ``left (V, m)`` is the whitened error of each. An effect, however large, follows from pose, direction, load or
+    temperature: it affects neighbours, and the same pose again in the same way, and it moves the tool as a joint does.
+    Wrong readings do none of that. More than a few must also be separated from the others by a clear gap.
     """
-    used = problem.settings.used
+    used, none = problem.settings.used, np.zeros_like(far)
+    far = far & ~_comes_again(problem, far, left)
+    far &= ~_along_one_joint(problem, far, left)
     count = int(far.sum())
     if not count or count > MOST * used.sum():
-        return False
+        return none
     if count > max(2, FEW * used.sum()) and not _stand_apart(size[used & ~far], size[far]):
-        return False
-    return count < FEWEST_FAR_VISITS or not (_again(problem, far) or _follows_from_pose(problem, far))
+        return none
+    return none if count >= FEWEST_FAR_VISITS and _follows_from_pose(problem, far) else far
 
 
 def _stand_apart(others: Floats, far: Floats) -> bool:
@@ -37,15 +44,72 @@ def _stand_apart(others: Floats, far: Floats) -> bool:
     return bool(np.quantile(far, 0.1) > GAP * np.quantile(others, 0.99))
 
 
-def _again(problem: LinearizedProblem, far: Bools) -> bool:
-    """Whether a pose that was far once is far again, long after."""
-    group, place = problem.settings.group, np.arange(len(far))
-    partners = hits = 0
-    for k in np.flatnonzero(far):
-        other = problem.settings.used & (group == group[k]) & (np.abs(place - k) > APART * len(far))
-        partners, hits = partners + int(other.sum()), hits + int((other & far).sum())
-    share = float(far.sum() - 1) / max(float(problem.settings.used.sum() - 1), 1.0)
-    return partners >= FEWEST_FAR_VISITS and float(binom.sf(hits - 1, partners, share)) < PREDICTED
+def _comes_again(problem: LinearizedProblem, far: Bools, left: Floats) -> Bools:
+    """Which far visits (V,) have the same error as another of their pose, long before or after, more than chance has it.
+
+    By chance a visit is far as often as all are, and errs alike as often as far visits of other poses do: readings of one
+    disturbance are all wrong alike.
+    """
+    used, group, out = problem.settings.used, problem.settings.group, np.zeros_like(far)
+    place, k = np.arange(len(far)), np.flatnonzero(far)
+    partner = used & (group == group[k][:, None]) & (np.abs(place - place[k][:, None]) > APART * len(far))
+    alike = _is_alike(left[k])
+    other = group[k] != group[k][:, None]
+    again = alike & partner[:, k]
+    share = (far.sum() - 1) / max(used.sum() - 1, 1) * (np.sum(alike & other) + 1) / (np.sum(other) + 2)
+    pairs = int(np.sum(partner) - np.sum(partner[:, k]) / 2)
+    if binom.sf(int(np.sum(again)) // 2 - 1, pairs, min(1.0, share)) < PREDICTED:
+        out[k] = again.any(axis=1)
+    return out
+
+
+def _is_alike(left: Floats) -> Bools:
+    """Which pairs (K, K) of errors (K, m) are one error, but for noise."""
+    size = np.linalg.norm(left, axis=1)
+    apart = np.linalg.norm(left[:, None] - left, axis=2)
+    return np.asarray(apart < ALIKE * np.minimum(size[:, None], size))
+
+
+def _along_one_joint(problem: LinearizedProblem, far: Bools, left: Floats) -> Bools:
+    """Which far visits (V,) are off in the direction in which one joint, the same for all of them, moves the tool."""
+    out, settings = np.zeros_like(far), problem.settings
+    if not settings.source.observes_tool:
+        return out
+    columns = settings.source.joint_columns(problem.values)
+
+    def motion(joint: int) -> Floats:
+        return settings.whitening.residual(columns(joint)).reshape(left.shape)
+
+    which = np.flatnonzero(far)
+    out[which] = along_one_joint(left[which], which, motion, settings.source.batch.q.shape[1])
+    return out
+
+
+def along_one_joint(left: Floats, which: Ints, motion: Callable[[int], Floats], joints: int) -> Bools:
+    """Which of the errors (K, m) lie in the direction in which one joint, the same for all of these, moves the tool.
+
+    ``motion(joint)`` (V, m) is how it moves the tool in all visits, of which the errors are those of ``which (K,)``. By
+    chance an error lies so near to the motion of its own visit as often as to those of the others: errors that are all
+    alike, or arms that move in one plane, prove nothing. Joints, and how many errors are taken, are as many more chances.
+    """
+    out = np.zeros(len(left), dtype=bool)
+    if len(left) < FEWEST_ALONG or left.shape[1] < 2:
+        return out
+    for joint in range(joints):
+        cosine = _cosines(left, motion(joint))
+        own = cosine[np.arange(len(left)), which]
+        least = np.sort(own)[::-1][FEWEST_ALONG - 1 :]
+        by_chance = np.array([np.mean(cosine >= one) for one in least])
+        as_many = binom.sf(np.arange(FEWEST_ALONG - 1, len(left)), len(left), by_chance)
+        together = least[as_many * joints * len(least) < PREDICTED]
+        out |= own >= together.min(initial=np.inf)
+    return out
+
+
+def _cosines(left: Floats, motion: Floats) -> Floats:
+    """Cosines (K, V), without sign, between errors (K, m) and motions (V, m)."""
+    length = np.linalg.norm(left, axis=1)[:, None] * np.linalg.norm(motion, axis=1)
+    return np.asarray(np.abs(left @ motion.T) / np.where(length > 0.0, length, np.inf))
 
 
 def _follows_from_pose(problem: LinearizedProblem, far: Bools) -> bool:

@@ -1,0 +1,66 @@
+"""An encoder whose readings are off within ten degrees: the few visits there are the arm's error, and no wrong readings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.search.rows.wrong_rows import along_one_joint
+from kilter_core.observations import Observations
+from tests.core.campaigns import table_errors
+from tests.core.correct.twins import ARMS
+
+QUICK = GapOptions(
+    effects=("eccentricity", "encoder_scale"), resamples=10, permutations=10, bootstraps=499, next_poses=0
+)
+BUMP_RAD, WIDE_RAD, NOISE_M = np.radians(0.05), np.radians(10.0), 2e-5
+
+
+def hunted(name: str, seed: int, joint: int | None, wrong: int = 0) -> tuple[dict, set[int], set[int]]:
+    """A search of 68 visits of an arm of Pinocchio's; the rows in the bump, and those that are wrong."""
+    rng, ideal = np.random.default_rng(seed), ARMS[name]
+    real, (lower, upper) = ideal.moved(table_errors(ideal, rng, 2e-4, 4e-4)), ideal.limits
+    poses = rng.uniform(lower, upper, (45, ideal.n))
+    order = np.concatenate([np.arange(45), rng.permutation(45)[:23]])
+    q = poses[order]
+    there = np.zeros(len(q), dtype=bool) if joint is None else np.abs(q[:, joint] - poses[5, joint]) < 0.5 * WIDE_RAD
+    actual = q.copy()
+    if joint is not None:
+        actual[there, joint] += BUMP_RAD
+    points = real.poses(actual)[0] + rng.normal(0.0, NOISE_M, (len(q), 3))
+    spoilt = rng.permutation(len(q))[:wrong]
+    points[spoilt] += 5e-4 * np.array([0.6, -0.5, 0.6])
+    rows = Observations(q, points, t=60.0 * np.arange(len(q)), pose_id=order)
+    report = find_gap(robot_from_document(ideal.document()), rows, QUICK, validation=0.25).to_document()
+    return report, set(np.flatnonzero(there).tolist()), set(spoilt.tolist())
+
+
+@pytest.mark.parametrize(("name", "joint"), [("ur", 2), ("six", 3), ("seven", 3)])
+def test_visits_that_err_as_a_joint_moves_are_not_set_aside(name: str, joint: int) -> None:
+    report, there, _ = hunted(name, 4, joint)
+    aside = {one["row"] for one in (*report["set_aside"], *report["held_aside"])}
+    assert len(there) >= 2
+    assert not there <= aside
+    assert report["verdict"] == "unexplained"
+
+
+def test_wrong_readings_are_set_aside_as_before_and_counted() -> None:
+    report, _, wrong = hunted("six", 1, None, wrong=3)
+    assert wrong <= {one["row"] for one in (*report["set_aside"], *report["held_aside"])}
+    assert report["verdict"] == "no_gap"
+    assert "This is of 65 of 68 visits: 3 were set aside as wrong readings." in report["sentence"]
+
+
+def test_errors_that_are_all_alike_are_along_no_joint() -> None:
+    """A rail moves the tool the same way everywhere: an error along it is as near to it in every visit."""
+    rng = np.random.default_rng(0)
+    found, drawn = [], 300
+    for _ in range(drawn):
+        motion = rng.normal(size=(60, 3))
+        left = np.tile([1.0, 0.0, 0.0], (6, 1)) + 0.05 * rng.normal(size=(6, 3))
+        found.append(along_one_joint(left, rng.permutation(60)[:6], lambda _, m=motion: m, 1).any())
+        rail = np.tile([1.0, 0.0, 0.0], (60, 1))
+        assert not along_one_joint(left, np.arange(6), lambda _, m=rail: m, 1).any()
+    assert np.mean(found) < 0.03
