@@ -49,7 +49,7 @@ def no_repeats_warning(visits: Visits) -> Warning_:
     rows = visits.observations
     again = np.flatnonzero(np.bincount(visits.pose) > 1)
     ways = (
-        ("from another side (dir1 ...)", rows.direction), ("under another load", rows.payload_kg),
+        ("from another side (dir1 ...)", rows.stated_direction), ("under another load", rows.payload_kg),
         ("in another session", rows.session),
     )  # fmt: skip
     own = [np.flatnonzero(visits.pose == k) for k in again]
