@@ -43,7 +43,6 @@ from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepared as start_of
 from kilter_core.identify.fit.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.rows.noise import with_sides_of_repeats
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
@@ -107,7 +106,7 @@ def prepare_data(
         TooFewPosesError: not enough poses for the geometry and a test. ObservationError: nothing measured.
 
     """
-    return _Preparation(start, with_sides_of_repeats(rows), options, progress, budget or Budget()).run()
+    return _Preparation(start, rows, options, progress, budget or Budget()).run()
 
 
 @dataclass

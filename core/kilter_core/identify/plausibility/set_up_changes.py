@@ -21,7 +21,7 @@ from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
 from kilter_core.types import Floats, Ints
 
-CLEARLY = 3.0  # times less that must be left with a set-up for each campaign: loads and drift of an arm take less
+CLEARLY = 2.5  # times less that must be left with a set-up for each campaign: loads and drift of an arm take less
 ALIKE = 1.2  # times what base and tool together leave, up to which one of them explains it
 CHANCE = 1e-9  # of as much from campaigns of one set-up
 MOST_ROWS = 400  # of a campaign that are looked at
