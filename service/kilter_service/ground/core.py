@@ -54,6 +54,7 @@ with later(__name__):
     from kilter_core.model import geometry as core_geometry
     from kilter_core.model import missing_directions as core_missing_directions
     from kilter_core.model import region as core_region
+    from kilter_core.observations import clock as core_clock
     from kilter_core.plan import d_optimal, iso9283_poses
     from kilter_core.plan import inclinometer_poses as core_inclinometer_poses
     from kilter_core.plan import view_poses as core_view_poses
