@@ -415,3 +415,26 @@ def test_rows_in_later_pieces_have_their_numbers(shared_client: httpx.Client, sh
     parquet.write_table(pa.table(table), stream, row_group_size=1000)
     answer = send(shared_client, shared_campaign, stream.getvalue(), "application/vnd.apache.parquet")
     assert answer.json()["context"]["rows"] == [4, 8501]
+
+
+def test_a_clock_that_goes_back_is_named_at_upload(client: httpx.Client, campaign: str) -> None:
+    rows = columns(20)
+    rows["t_s"] = [float(k if k < 12 else k - 5) for k in range(20)]
+    warnings = send(client, campaign, csv_of(rows)).raise_for_status().json()["warnings"]
+    (said,) = [one["message"] for one in warnings if one["code"] == "clock_backwards"]
+    assert said.startswith("The clock runs backwards at row 13: the order of the rows replaces the time.")
+
+
+def test_stamps_with_a_date_date_a_campaign_unless_somebody_did(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=ROBOT)
+    rows = {**columns(5), "t_s": [1.79e9 + k for k in range(5)]}
+    later = {**columns(6), "t_s": [1.79e9 + 100.0 + k for k in range(6)]}
+    stated = {"measured_at": "2026-09-22T12:00:00Z"}
+    for name, said, dates in (
+        ("stamped", {}, ["2026-09-21T14:13:24Z", "2026-09-21T14:15:05Z"]),
+        ("stated", stated, [stated["measured_at"]] * 2),
+    ):
+        made = client.post("/v1/robots/arm/campaigns", json={"name": name, **said}).raise_for_status().json()["id"]
+        for part, date in zip((rows, later), dates, strict=True):
+            send(client, made, csv_of(part)).raise_for_status()
+            assert client.get(f"/v1/campaigns/{made}").json()["measured_at"] == date

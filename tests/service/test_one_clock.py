@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
@@ -166,3 +167,17 @@ def test_a_drift_is_not_carried_to_another_day(client: httpx.Client, database: D
     assert said == "3.csv: These rows were measured on another day than those of the fit. Not applied to them: drift."
     assert made["metrics"]["train"]["identified"]["rms_mm"] < 1.2 * NOISE_MM * 3**0.5
     assert made["metrics"]["validation"]["identified"]["rms_mm"] < 0.3  # 29 mm where the drift goes on for six days
+
+
+@pytest.mark.parametrize("method", ["least_squares", "kalman"])
+def test_a_start_brings_no_drift_of_an_unknown_clock(
+    client: httpx.Client, database: Database, tmp_path: Path, method: str
+) -> None:
+    cell = Cell(client, database, tmp_path, at(0, 0), "continued", drift_mm_h=0.2)
+    fit = cell.send(at(9, 1), at(12, 32), 60, 2, stamps="%H:%M:%S.%f")
+    later = cell.send(at(9, 0), at(9, 5), 30, 3, stamps="%H:%M:%S.%f")
+    start = cell.compute("identify", [fit], options={"effects": [{"id": "drift"}]})["version_id"]
+    made = cell.compute("identify", [later], options={"start": start, "method": method})
+    assert [one["code"] for one in made["warnings"] if one["code"] == "clock_unknown"] == ["clock_unknown"]
+    assert made["metrics"]["train"]["identified"]["rms_mm"] < 2.0 * NOISE_MM * 3**0.5
+    assert not [one for one in made["parameters"] if one["name"].startswith("drift")]

@@ -36,6 +36,21 @@ def test_axes_zero_and_reach(shared_client: httpx.Client) -> None:
     assert "ur10" not in [robot["name"] for robot in listed]
 
 
+def test_a_joint_read_against_the_horizontal_is_no_joint_too_many(shared_client: httpx.Client) -> None:
+    chain = {"name": "ur10", "convention": "chain", "joints": [{"name": "lift"}, {"name": "elbow"}, {"name": "roll"}]}
+    steps = [("Ry", "lift", 1), ("Ry", "lift", -1), ("Ry", "elbow", 1), ("Rx", "roll", 1)]
+    elements = [
+        part
+        for axis, joint, ratio in steps
+        for part in (
+            {"axis": axis, "joint": joint, "ratio": ratio},
+            {"axis": "Tz", "value": 0.0 if ratio < 0 else 300.0},
+        )
+    ]
+    found = check(shared_client, {**chain, "elements": elements})
+    assert not [line for line in found["suspicious"] if "same axis" in line]
+
+
 def test_what_looks_wrong_is_said(shared_client: httpx.Client) -> None:
     rows = preset_document("ur10")["rows"]
     metres = [row | {"d_mm": row["d_mm"] / 1e3, "a_mm": row["a_mm"] / 1e3} for row in rows]

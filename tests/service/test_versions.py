@@ -19,7 +19,7 @@ from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.repeats import last_motion
+from kilter_core.observations.directions import last_motion
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow

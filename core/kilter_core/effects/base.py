@@ -223,6 +223,11 @@ class Effect(ABC):
         """Joints whose values its shape follows, each with how often the shape repeats within one revolution."""
         return tuple((j, 1.0) for j in self.acting(n))
 
+    @property
+    def time_span(self) -> tuple[float, float | None] | None:
+        """When a law of time begins and ends, s; None of an effect that follows no time, or where nobody said when."""
+        return None
+
     def acting(self, n: int) -> tuple[int, ...]:
         """Joints the effect acts on, for an arm of n joints."""
         return tuple(range(n)) if self.joints is None else self.joints

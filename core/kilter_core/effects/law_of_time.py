@@ -42,6 +42,11 @@ class LawOfTime(Effect):
             until_s=end if self.until_s is None else self.until_s,
         )
 
+    @property
+    def time_span(self) -> tuple[float, float | None] | None:
+        """When it begins and ends, s."""
+        return None if self.t0_s is None else (self.t0_s, self.until_s)
+
     def elapsed(self, batch: Batch) -> Floats:
         """Return the time (N,) s since the law began; 0 in rows that it does not reach.
 

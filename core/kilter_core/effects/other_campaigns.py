@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects.base import Effect
-from kilter_core.effects.law_of_time import LawOfTime
-from kilter_core.effects.random_walk import RandomWalk
 from kilter_core.effects.step import Step
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import on_shared_clock, reached
@@ -37,7 +35,7 @@ def placed_later(rows: Observations) -> Observations:
 
 
 def _carried(effect: Effect, shared: bool) -> tuple[Effect, ...]:
-    span = law_span(effect)
+    span = effect.time_span
     if shared and span is not None and on_shared_clock(np.array(span[0])):
         return (effect,)
     if isinstance(effect, Step):
@@ -45,20 +43,9 @@ def _carried(effect: Effect, shared: bool) -> tuple[Effect, ...]:
     return (effect,) if span is None else ()
 
 
-def law_span(effect: Effect) -> tuple[float, float | None] | None:
-    """Return when a law of time begins and ends, s; None of an effect that follows no time, or where nobody said when."""
-    if isinstance(effect, RandomWalk) and effect.knots_s:
-        return effect.knots_s[0], effect.knots_s[-1]
-    if isinstance(effect, LawOfTime) and effect.t0_s is not None:
-        return effect.t0_s, effect.until_s
-    if isinstance(effect, Step) and effect.at_s is not None:
-        return effect.at_s, None
-    return None
-
-
 def carried_warnings(effects: Sequence[Effect], rows: Observations) -> list[dict[str, Any]]:
     """Say which laws of time the rows of another campaign do without, and why."""
-    spans = {effect: span for effect in effects if (span := law_span(effect)) is not None}
+    spans = {effect: span for effect in effects if (span := effect.time_span) is not None}
     known = rows.t is not None and len(rows) > 0 and bool(on_shared_clock(rows.t).all())
     unknown = [e for e, span in spans.items() if not (known and on_shared_clock(np.array(span[0])))]
     other = [

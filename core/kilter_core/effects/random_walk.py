@@ -101,6 +101,11 @@ class RandomWalk(Effect):
             ]
         return tuple(made)
 
+    @property
+    def time_span(self) -> tuple[float, float | None] | None:
+        """First and last knot, s."""
+        return (self.knots_s[0], self.knots_s[-1]) if self.knots_s else None
+
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the steps."""
         first, last = self.knots_s[0], self.knots_s[-1]

@@ -36,3 +36,8 @@ class Step(Effect):
         if rows.t is not None:
             return replace(self, at_s=float(np.median(rows.t)))
         return self if rows.row is None else replace(self, at_row=int(np.median(rows.row)))
+
+    @property
+    def time_span(self) -> tuple[float, float | None] | None:
+        """When it happened, s; it holds for ever."""
+        return None if self.at_s is None else (self.at_s, None)

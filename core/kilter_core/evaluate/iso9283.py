@@ -65,7 +65,8 @@ class Trial:
             )
         turned = None if o.rotation is None else rotation_log(o.rotation @ commanded.rotation.transpose(0, 2, 1))
         none = np.full(len(o), -1, dtype=np.int64)
-        approach = none if o.direction is None else np.unique(o.direction, axis=0, return_inverse=True)[1].reshape(-1)
+        way = o.stated_direction
+        approach = none if way is None else np.unique(way, axis=0, return_inverse=True)[1].reshape(-1)
         series = none if o.session is None else np.unique(o.session, return_inverse=True)[1].reshape(-1)
         off = o.position - commanded.position
         return Trial(commanded.position, off, turned, o.pose_groups(), approach, series, o.t)

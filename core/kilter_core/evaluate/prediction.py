@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from kilter_core.parameters import mm
 from kilter_core.types import Floats, Ints
 
 COVERED = 0.9  # share of coordinates below which 95 % intervals do not hold: poses share errors, so no closer
+MOST_UNKNOWN = 0.25  # share of rows of unknown sides above which the order tells nothing, and all rows count
 MOST_ROWS = 2000  # of a list of poses, evenly chosen
 
 
@@ -34,7 +35,7 @@ def evaluate(
     ``rows`` has the error of each row, measured minus predicted, and the half width of the 95 % interval in which what is
     ``known`` of the calibration expects it, None without; ``within_u95`` is the share of the coordinates that are there.
     Of rows that are views alone ``left_open`` is how far off the tool may be there by what is known, which views hardly
-    show; None of others.
+    show; None of others. Errors leave out rows whose joints with backlash came from a side that nobody knows.
 
     ``refit`` names the frames fitted anew to these observations: [], ["base"] or ["base", "tool"] (the tracker was set
     up anew). ``registration_only`` fits both frames of the nominal robot, whatever ``refit`` says. ``without_effects`` is the
@@ -45,7 +46,9 @@ def evaluate(
 
     """
     anew = new_frames(refit, "refit")
-    measurement = Measurement.of(observations, calibration.marker_points, held=True)
+    unknown = calibration.unknown_sides(observations)
+    counted = ~unknown if unknown.mean() <= MOST_UNKNOWN else np.ones(len(unknown), dtype=bool)
+    measurement = Measurement.of(observations.select(counted), calibration.marker_points, held=True)
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
@@ -65,12 +68,14 @@ def evaluate(
             "within_u95": None, "left_open": left, "rows": none.to_document(),
             "warnings": [*_worse(stages, measurement), *tell_less({"pixels": {"left_open": left}}, shown, "By these views")],
         }  # fmt: skip
-    table = rows_of(stages["identified"], measurement, refit, known)
-    within = table.within
+    whole = Measurement.of(observations, calibration.marker_points, held=True)
+    table = rows_of(stages["identified"], whole, refit, known)
+    judged = replace(table, error=table.error[counted], u95=None if table.u95 is None else table.u95[counted])
     return {
-        "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
-        "within_u95": within, "left_open": None, "rows": table.to_document(),
-        "warnings": _warnings(stages, measurement, refit, table),
+        "n": len(errors["nominal"].points), "left_out": int(np.sum(~counted)),
+        **{name: e.to_document() for name, e in errors.items()},
+        "within_u95": judged.within, "left_open": None, "rows": table.to_document(),
+        "warnings": _warnings(stages, measurement, refit, judged),
     }  # fmt: skip
 
 

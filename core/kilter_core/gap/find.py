@@ -62,7 +62,6 @@ from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.re_evaluated_search import rejudged
 from kilter_core.gap.search.requested import wanted
-from kilter_core.gap.search.rows.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.start_model import beginning
 from kilter_core.identify.comparison.model_comparison import (
@@ -83,6 +82,7 @@ from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.clock import clock_warnings
 from kilter_core.parameters import degrees, metres, reported
 from kilter_core.types import Progress, unheard
 

@@ -164,7 +164,7 @@ def _keys(observations: Observations, seed: int) -> list[Floats]:
     """What a draw goes by (N,) each: the joints; for groups at the same joints what they carried, and when they were."""
     o = observations
     loads = (o.payload_kg, o.payload_com, o.link_mass, o.link_wrench)
-    beside = (o.direction, *loads, o.temperature_c, o.t, o.position, o.base_tilt_x, o.base_tilt_y)
+    beside = (o.stated_direction, *loads, o.temperature_c, o.t, o.position, o.base_tilt_x, o.base_tilt_y)
     columns = [c.reshape(len(o), -1) for c in beside if c is not None]
     return [_hashed(o.q, seed), _hashed(np.hstack([o.q, *columns]), seed)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,8 @@ class Apart:
         place = [one.name for one in parts].index(step.part.name)
         again = replace(parts[place], name=f"{step.part.name} after")
         rig = replace(train.rig, **{f"{column}s": (*parts, again)})
-        rows = replace(train, rig=rig, **{column: np.where(later & (codes == place), len(parts), codes)})
+        moved: dict[str, Any] = {column: np.where(later & (codes == place), len(parts), codes)}
+        rows = replace(train, rig=rig, **moved)
         try:
             measurement = measurement_for(rows, options, begin.marker_points)
             fit = fit_by_method(with_cameras(begin, rows, measurement), measurement, options)

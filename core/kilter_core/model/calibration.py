@@ -17,7 +17,7 @@ from kilter_core.model.prediction import Prediction
 from kilter_core.model.robot_model import RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
-from kilter_core.types import Floats
+from kilter_core.types import Bools, Floats
 
 ARRAYS = ("marker_points", "wanted_base", "wanted_tool")  # of a calibration, beside its values
 
@@ -69,6 +69,15 @@ class Calibration:
     def for_another_campaign(self, rows: Observations) -> Calibration:
         """The same for rows that it was not made from: laws of time count only where one clock says when they were measured."""
         return self.with_effects(carried_effects(self.model.effects, rows))
+
+    def unknown_sides(self, rows: Observations) -> Bools:
+        """Which rows (N,) say too little: the model follows from which side a joint came, and their order does not tell it."""
+        unknown = np.zeros(len(rows), dtype=bool)
+        if rows.directions_derived and rows.direction is not None:
+            for effect in self.model.effects:
+                if "direction" in effect.needs:
+                    unknown |= (rows.direction[:, effect.acting(rows.q.shape[1])] == 0.0).any(axis=1)
+        return unknown
 
     def wanted(self) -> Calibration:
         """The nominal chain in the wanted frames: where the tool should be."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -74,6 +75,19 @@ def clock_of(rows: Timed) -> Clock:
         return Clock(given, False, int(falls[0]))
     backwards = int(falls[0]) if bool(np.all(np.diff(rows.t)[np.diff(session) == 0] <= 0.0)) else None
     return Clock(np.lexsort((rows.t, session)).astype(np.int64), True, backwards)
+
+
+def clock_warnings(rows: Timed) -> Iterator[dict[str, Any]]:
+    """Say where the clock of the rows runs backwards, and what was done instead."""
+    clock = clock_of(rows)
+    if clock.fell is None:
+        return
+    done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
+    yield {
+        "code": "clock_backwards", "row": clock.fell,
+        "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
+        "its own, or upload the rows with one clock.",
+    }  # fmt: skip
 
 
 def came_back(rows: Timed, clock: Clock, condition: Ints) -> Bools:

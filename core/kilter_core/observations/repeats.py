@@ -76,14 +76,6 @@ def group_means(values: Floats, group: Ints) -> Floats:
     return np.asarray(mean.reshape(len(sums), *values.shape[1:]))
 
 
-def last_motion(q: Floats) -> Floats:
-    """Direction {-1, 0, 1} in which each joint moved last, (N, n), for rows that follow one another; 0 before it moves."""
-    step = np.diff(q, axis=0, prepend=q[:1])
-    sign = np.where(np.abs(step) > NEAR, np.sign(step), 0.0)
-    since = np.maximum.accumulate(np.where(sign != 0, np.arange(len(q))[:, None], 0), axis=0)
-    return np.take_along_axis(sign, since, axis=0)
-
-
 def _linked(q: Floats) -> Ints:
     """Components (N,) of the rows linked to their neighbours; rows of one cell of a grid are linked without a search."""
     from kilter_core.observations.kernels import neighbours  # compiled: not at the start of the API process

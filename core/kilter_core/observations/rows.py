@@ -16,6 +16,7 @@ from kilter_core.observations.repeats import group_means, numbered_poses, number
 from kilter_core.observations.rig import Rig
 from kilter_core.types import Floats, Ints
 
+WHOLE = ("rig", "directions_derived")  # fields that have no row for each of the rows
 SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
 INSTRUMENT = ("position", "markers")  # columns by which an instrument says where the tool was
 TOOL = (*INSTRUMENT, "socket", "plane", "bar")  # columns that say where the tool was
@@ -71,6 +72,7 @@ class Observations(Conditions):
     ``pixel_sigma``; ``camera`` and ``board (N,)`` are places in the ``rig``, which describes them, -1 in rows of neither.
     ``pose_weight (N, 6, 6)`` takes what is left of a position (m) and of a rotation vector (rad), in the axes of the
     measurements, to three numbers in m and three in rad that are independent, the three of each equally well known.
+    ``directions_derived`` says that ``direction`` is what the order of the rows tells, and that nobody stated it.
     """
 
     q: Floats
@@ -98,6 +100,7 @@ class Observations(Conditions):
     camera: Ints | None = None
     board: Ints | None = None
     rig: Rig | None = None
+    directions_derived: bool = False
 
     def __post_init__(self) -> None:
         for name, value in self._present().items():
@@ -118,6 +121,8 @@ class Observations(Conditions):
     def concatenate(parts: Sequence[Observations]) -> Observations:
         """Stack campaigns. A column that only some of them have is an error, for a guess would enter the fit.
 
+        Directions that some do not know are 0 there, rows without a session are one; a clock that not all have is left out.
+
         Raises:
             ObservationError: no parts, or parts with different columns.
 
@@ -135,7 +140,7 @@ class Observations(Conditions):
                 part if part.payload_com is not None else replace(part, payload_com=np.zeros((len(part), 3)))
                 for part in parts
             ]
-        parts = _beside(_with_one_rig(parts))
+        parts = _with_same_conditions(_beside(_with_one_rig(parts)))
         names = set(parts[0]._present())
         for part in parts[1:]:
             if set(part._present()) != names:
@@ -148,7 +153,9 @@ class Observations(Conditions):
                     columns=odd,
                 )
         return Observations(
-            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}, rig=parts[0].rig
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names},
+            rig=parts[0].rig,
+            directions_derived=any(part.directions_derived for part in parts),
         )
 
     def carrying(self, payload_kg: float, payload_com: Sequence[float]) -> Observations:
@@ -161,6 +168,11 @@ class Observations(Conditions):
             payload_kg=np.full(len(self), payload_kg),
             payload_com=com if self.payload_com is None else self.payload_com,
         )
+
+    @property
+    def stated_direction(self) -> Floats | None:
+        """The direction (N, n) of the last motion of each joint, where a column states it."""
+        return None if self.directions_derived else self.direction
 
     def under(self) -> dict[str, Any]:
         """The conditions by name, None where they are not known."""
@@ -246,7 +258,7 @@ class Observations(Conditions):
         columns = [self.pose_groups().astype(np.float64)[:, None]]
         contact = (self.socket, self.plane, self.bar, self.camera, self.board)
         loads = (self.payload_kg, self.payload_com, self.link_mass, self.link_wrench)
-        beside = (self.direction, *loads, self.session, self.setup, *contact)
+        beside = (self.stated_direction, *loads, self.session, self.setup, *contact)
         columns += [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
         return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
 
@@ -267,7 +279,9 @@ class Observations(Conditions):
 
     def _present(self) -> dict[str, NDArray[Any]]:
         return {
-            f.name: getattr(self, f.name) for f in fields(self) if f.name != "rig" and getattr(self, f.name) is not None
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in WHOLE and getattr(self, f.name) is not None
         }
 
 
@@ -295,6 +309,19 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
                 for part, other in zip(parts, others, strict=True)
             ]
     return parts
+
+
+def _with_same_conditions(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns of which some do not know from which side joints came, in which session, or when."""
+    if any(part.direction is not None for part in parts):
+        parts = [p if p.direction is not None else replace(p, direction=np.zeros_like(p.q)) for p in parts]
+    if any(part.session is not None for part in parts):
+        free = 1 + max(int(part.session.max()) for part in parts if part.session is not None)
+        parts = [
+            p if p.session is not None else replace(p, session=np.full(len(p), free + k)) for k, p in enumerate(parts)
+        ]
+    lost: dict[str, Any] = {name: None for name in ("t", "row") if any(getattr(part, name) is None for part in parts)}
+    return _with_pose_numbers([replace(part, **lost) for part in parts])
 
 
 def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:

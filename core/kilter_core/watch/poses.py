@@ -19,6 +19,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
+from kilter_core.observations.directions import last_motion
 from kilter_core.observations.neutral import with_neutral_conditions
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats, Ints, Progress
@@ -209,7 +210,7 @@ def _exchanged(shown: _Shown, picked: Ints) -> tuple[Ints, float]:
 
 def _imagined(calibration: Calibration, q: Floats) -> Observations:
     """Rows in which an arm that has not moved, and drives to them in this order, is seen exactly where it is."""
-    rows = Observations(q, direction=np.sign(np.diff(q, axis=0, prepend=q[:1])))
+    rows = Observations(q, direction=last_motion(q))
     load = calibration.robot.load
     rows = rows if load is None else rows.carrying(load.mass, load.com)
     rows = with_neutral_conditions(rows, calibration.model.needs)

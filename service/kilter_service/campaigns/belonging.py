@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
 from kilter_files.ground.later import np, pa
-from kilter_service.ground.core import astray_rows, belonging, compare, core_model
+from kilter_service.ground.core import astray_rows, belonging, compare, core_clock, core_model
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import Column, has
 
@@ -69,8 +69,10 @@ class Belonging:
         if not blocks:
             return Judged()
         index = np.concatenate([np.arange(first, first + block.num_rows) for first, block in blocks])
-        found = judged(self._robot, observations(pa.concat_tables([block for _, block in blocks]), self._columns, {}))
-        return replace(found, warnings=tuple(astray_rows.renumbered(found.warnings, index)))
+        rows = observations(pa.concat_tables([block for _, block in blocks]), self._columns, {})
+        found = judged(self._robot, rows)
+        clock = core_clock.clock_warnings(rows) if self._every == 1 else ()
+        return replace(found, warnings=(*astray_rows.renumbered(found.warnings, index), *clock))
 
 
 def judged(robot: Robot, rows: Observations) -> Judged:

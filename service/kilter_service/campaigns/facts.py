@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations.copies import identical_repeats
-from kilter_core.observations.repeats import last_motion
+from kilter_core.observations.directions import with_directions
 from kilter_files.ground.later import pc
 from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.looking import Rows
@@ -109,7 +109,7 @@ def facts(rows: Rows, known: Judged | None = None) -> Facts:
         repeats=found,
         by_number=seen.pose_id is not None,
         approaches=tuple(_approaches(rows.robot.joints, seen)),
-        stated=seen.direction is not None,
+        stated=seen.stated_direction is not None,
         loads=_loads(seen),
         temperature=_span(seen.temperature_c),
         sessions=1 if seen.session is None else len(np.unique(seen.session)),
@@ -240,7 +240,8 @@ def _joint(joint: Joint, readings: Floats) -> JointFacts:
 
 
 def _approaches(joints: tuple[Joint, ...], seen: Observations) -> Iterator[Approach]:
-    signs = seen.direction if seen.direction is not None else last_motion(seen.q)
+    found = with_directions(seen).direction
+    signs = np.zeros_like(seen.q) if found is None else found
     for k, joint in enumerate(joints):
         up, down = int((signs[:, k] > 0).sum()), int((signs[:, k] < 0).sum())
         yield Approach(joint.name, up, down, len(seen) - up - down)

@@ -13,6 +13,7 @@ import numpy as np
 from sqlalchemy import and_, delete, func, or_, select
 
 from kilter_core.errors import ObservationError
+from kilter_core.observations.directions import with_directions
 from kilter_files.ground.later import pa
 from kilter_files.ground.session_names import NAMED_SESSIONS
 from kilter_service.campaigns.chunks import Chunk, read_chunk
@@ -294,7 +295,7 @@ def observations(
     tables = [
         _thinned(table.select(uploads[0].columns), every) for upload in uploads for table in _tables(session, upload.id)
     ]
-    return with_default_load(assemble(pa.concat_tables(tables), columns, row.conditions), robot)
+    return with_directions(with_default_load(assemble(pa.concat_tables(tables), columns, row.conditions), robot))
 
 
 def table(session: Session, campaign_id: str) -> pa.Table:

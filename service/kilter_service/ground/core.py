@@ -45,7 +45,7 @@ with later(__name__):
     from kilter_core.identify.fit import row_errors, tukey
     from kilter_core.identify.fleet import versions as core_versions
     from kilter_core.identify.plausibility import another_arm as core_another_arm
-    from kilter_core.identify.plausibility import astray_rows, believable, belonging, sheet_order, units
+    from kilter_core.identify.plausibility import astray_rows, believable, belonging, set_up_changes, sheet_order, units
     from kilter_core.identify.plausibility import views as core_views
     from kilter_core.identify.rows import measurement_of_rows
     from kilter_core.identify.uncertainty import predictive, workspace
@@ -54,6 +54,7 @@ with later(__name__):
     from kilter_core.model import geometry as core_geometry
     from kilter_core.model import missing_directions as core_missing_directions
     from kilter_core.model import region as core_region
+    from kilter_core.observations import clock as core_clock
     from kilter_core.plan import d_optimal, iso9283_poses
     from kilter_core.plan import inclinometer_poses as core_inclinometer_poses
     from kilter_core.plan import view_poses as core_view_poses

@@ -117,6 +117,16 @@ class JobInput:
             )  # fmt: skip
 
     @property
+    def start(self) -> Calibration | None:
+        """The version as a fit of the campaigns begins with it: laws of time of other campaigns are not carried to them."""
+        found = self.calibration
+        if found is None or self.made_from & self.campaigns.keys():
+            return found
+        for rows in self.campaigns.values():
+            found = found.for_another_campaign(rows)
+        return found
+
+    @property
     def rows_by_campaign(self) -> dict[str, Observations]:
         """Rows of all campaigns the job names, whatever it takes them for."""
         held = self.validation if isinstance(self.validation, dict) else {}

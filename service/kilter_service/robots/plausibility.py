@@ -82,7 +82,7 @@ def _axes(robot: Robot, screws: Screws) -> Iterator[str]:
         sine = float(np.linalg.norm(np.cross(screws.direction[k - 1], screws.direction[k])))
         gap = screws.point[k] - screws.point[k - 1]
         aside = float(np.linalg.norm(np.cross(gap, screws.direction[k])))
-        coupled = screws.joint[k] in screws.joint[:k] or screws.joint[k - 1] in screws.joint[k + 1 :]
+        coupled = any(np.count_nonzero(screws.joint == screws.joint[i]) > 1 for i in (k - 1, k))
         if sine < 1e-9 and aside < 1e-9 and not coupled:
             yield f"{names} rotate about the same axis: their offsets cannot be told apart, and one of them looks missing."
         elif 1e-6 < sine < math.sin(core_conventions.PARALLEL_RAD):

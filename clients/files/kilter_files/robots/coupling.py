@@ -8,6 +8,7 @@ from typing import Any
 
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.names import did_you_mean
+from kilter_files.robots.urdf_coupling import uncoupled_urdf
 
 Item = dict[str, Any]
 
@@ -22,17 +23,21 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
     the forearm keeps its orientation in space, so j3's axis is rotated back by j2. "j3=j2:linkage" says besides who carries
     the load on that axis: one of :data:`DRIVES`.
 
+    In a URDF an axis that mimics j2 is put before j3.
+
     Raises:
-        UsageError: a joint that is not there, or a document of another convention than chain, dh and mdh.
+        UsageError: a joint that is not there, or a document that cannot say it.
 
     """
     for pair in follows:
         if not all(part.strip() for part in pair.partition("=")):
             raise UsageError(f'--follows {pair}: is not a pair of joints. Give the one that follows first, as "j3=j2".')
+    if document.get("convention") == "urdf" and not turned:
+        return {**document, "urdf": _uncoupled(document["urdf"], follows)}
     if document.get("convention") in ("dh", "mdh"):
         document = _as_chain(document)
     if document.get("convention") != "chain":
-        raise UsageError("--turned and --follows need a table or a chain; in a URDF, axis and mimic express the same.")
+        raise UsageError("--turned needs a table or a chain: in a URDF, turn the axis of the joint round instead.")
     elements = [dict(element) for element in document["elements"]]
     for name in turned:
         for element in _of(elements, name):
@@ -41,6 +46,18 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
         follower, _, rest = pair.partition("=")
         _uncouple(elements, follower.strip(), *_leader(pair, rest.strip(), elements))
     return {**document, "elements": elements}
+
+
+def _uncoupled(urdf: str, follows: Sequence[str]) -> str:
+    for pair in follows:
+        follower, _, leader = (part.strip() for part in pair.partition("="))
+        if leader.rpartition(":")[2].strip() in DRIVES and f'"{leader}"' not in urdf:
+            raise UsageError(
+                f"--follows {pair}: a URDF does not say who carries the load. Leave {leader.rpartition(':')[2]} out, or make "
+                "a chain of the file first with `kilter robot convert`."
+            )
+        urdf = uncoupled_urdf(urdf, follower, leader)
+    return urdf
 
 
 def _of(elements: list[Item], name: str) -> list[Item]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.identify.rows.noise import with_sides_of_repeats
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import group_means
 from kilter_core.transforms import nearest_rotation
@@ -31,6 +32,7 @@ class Visits:
 
 def visits_of(rows: Observations) -> Visits:
     """Average the rows of each visit, and number visits by their first rows."""
+    rows = with_sides_of_repeats(rows)
     first, visit, count = _numbered(rows.visits())
     averaged = rows.select(first) if count.max() == 1 else _averaged(rows, visit, first, count)
     return Visits(averaged, visit, count, rows.pose_groups()[first], rows.conditions()[first])

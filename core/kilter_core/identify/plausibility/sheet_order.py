@@ -21,7 +21,7 @@ from kilter_core.effects.backlash import Backlash
 from kilter_core.effects.clearance_tilt import ClearanceTilt
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.observations.repeats import last_motion
+from kilter_core.observations.directions import last_motion
 from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats, Ints

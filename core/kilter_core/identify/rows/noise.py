@@ -17,8 +17,8 @@ from kilter_core.identify.fit.robust import scale_of
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
 from kilter_core.observations.copies import identical_repeats
+from kilter_core.observations.directions import with_directions
 from kilter_core.observations.groups import unbiased
-from kilter_core.observations.repeats import last_motion
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints
 
@@ -55,9 +55,9 @@ class Repeats:
         again = identical_repeats(observations)
         flat = np.where(again[:, None], np.nan, flat)
         found = replace(_read(observations, flat), copies=np.flatnonzero(again))
-        if observations.direction is not None or found.between is None:
+        if observations.stated_direction is not None or found.between is None:
             return found
-        sided = _read(replace(observations, direction=last_motion(observations.q)), flat)
+        sided = _read(replace(with_directions(observations), directions_derived=False), flat)
         return replace(sided, copies=found.copies) if _clearly_less(sided, found) else found
 
     def to_document(self) -> dict[str, Any]:
@@ -81,6 +81,18 @@ def _read(observations: Observations, flat: Floats) -> Repeats:
     wrong.append(rows[off[place]])
     between = None if spread is None else float(np.hypot(spread, (shots or 0.0) * np.sqrt(_lost(count[~off]))))
     return Repeats(between, shots, np.sort(np.concatenate(wrong)), freedom)
+
+
+def with_sides_of_repeats(rows: Observations) -> Observations:
+    """Return rows whose visits of a pose repeat each other from one side only, where those clearly differ by less.
+
+    Derived directions may be of an order in which nobody measured: they part no repeats unless the repeats show them.
+    """
+    flat = _points(rows, None)
+    if not rows.directions_derived or flat is None:
+        return rows
+    sided = replace(rows, directions_derived=False)
+    return sided if _clearly_less(_read(sided, flat), _read(rows, flat)) else rows
 
 
 def _clearly_less(sided: Repeats, found: Repeats) -> bool:

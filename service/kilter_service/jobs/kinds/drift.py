@@ -22,6 +22,8 @@ from kilter_service.versions.drift.since import last_otherwise
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
+
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 REFUSED = frozenset(
     {"rows_of_another_arm", "too_few_poses", "tool_not_stated", "another_temperature", "contacts_mixed"}
 )
+MOST_ROWS = 10  # named
 STAYS = (
     " Campaign {campaign} is still in use: retire it, on its page or by `kilter campaigns retire {campaign}`, so that nothing "
     "is compared with it."
@@ -84,7 +87,7 @@ def _warmer(job: JobInput, rows: Observations, known: Predictive, found: Check) 
 
 
 def rows_of(job: JobInput) -> Observations:
-    """The rows of the one campaign.
+    """The rows of the one campaign of which the version can say where the tool should be.
 
     Raises:
         ObservationError: the version was fitted to them.
@@ -97,7 +100,16 @@ def rows_of(job: JobInput) -> Observations:
             "poses again, and check with them.",
             code="rows_shared", campaign=campaign,
         )  # fmt: skip
-    return rows
+    unknown = _unknown_sides(job)
+    return rows.select(~unknown) if unknown.any() else rows
+
+
+def _unknown_sides(job: JobInput) -> NDArray[np.bool_]:
+    """Which rows (N,) the version cannot predict, for nobody knows from which side joints with backlash came."""
+    ((_, rows),) = job.campaigns.items()
+    if job.calibration is None:
+        return np.zeros(len(rows), dtype=bool)
+    return job.calibration.unknown_sides(rows)
 
 
 def calibration_of(job: JobInput) -> Calibration:
@@ -156,6 +168,12 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
 
 def _warnings(job: JobInput, known: Predictive) -> Iterator[dict[str, Any]]:
     yield from _of_dates(job)
+    unknown = np.flatnonzero(_unknown_sides(job)) + 1
+    if len(unknown):
+        named = f"row{'s' if len(unknown) > 1 else ''} {', '.join(str(row) for row in unknown[:MOST_ROWS])}"
+        said = f"Not counted: {named}. From which side joints with backlash came to them is not known."
+        remedy = "Drive to one pose more before the first."
+        yield {"code": "side_unknown", "message": f"{said} {remedy}", "campaigns": list(job.campaigns)}
     other = remark(job, known)
     if other is not None:
         yield other

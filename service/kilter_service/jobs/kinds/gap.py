@@ -54,7 +54,7 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     progress(0.0, "fitting the geometry")
     train, held = holding_out.parted(rows, validation, options.seed)
     known = _of_type(job, train)
-    start = job.calibration if known is None else known.start
+    start = job.start if known is None else known.start
     report = core_gap.find_gap(job.robot, rows, options, start, validation, progress, confirmation)
     if known is not None:
         report = replace(report, warnings=(*known.warnings(), *report.warnings))
@@ -81,7 +81,7 @@ def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
     """The prior of the type, judged by the rows that are searched; None where it was not asked for."""
     if job.options.prior is None:
         return None
-    return of_type.known_type(job.robot, rows, _core(job.options), job.calibration, job.fleet)
+    return of_type.known_type(job.robot, rows, _core(job.options), job.start, job.fleet)
 
 
 def _set_aside(
@@ -102,7 +102,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         found.learn_from(rows)
         train, held = holding_out.parted(rows, validation, options.seed)
         known = _of_type(job, train)
-        start = job.calibration if known is None else known.start
+        start = job.start if known is None else known.start
         if isinstance(validation, Observations):
             found.hold("campaigns", validation)
         elif held is not None:

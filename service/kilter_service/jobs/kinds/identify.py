@@ -57,7 +57,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     train, validation = _rows(job, setups)
     each = job.each or one_by_one
     found = core_identify.identify(
-        job.robot, train, validation, options, job.calibration, progress, _prior(job), each, job.fleet
+        job.robot, train, validation, options, job.start, progress, _prior(job), each, job.fleet
     )
     report = found.to_document()
     remarks += bar_lengths(found, job.robot, named, lambda name, rows: _refit(job, name, rows))
@@ -85,7 +85,7 @@ def _refit(job: JobInput, campaign: str, rows: Observations) -> Identification |
     train, validation = _rows(other, Setups(job.options.refit, job.devices))
     held = validation if isinstance(validation, float) else None  # the same rows are fitted
     return core_identify.identify(
-        job.robot, train, held, _core(job.options), job.calibration, None, _prior(job), fleet=job.fleet
+        job.robot, train, held, _core(job.options), job.start, None, _prior(job), fleet=job.fleet
     )
 
 
@@ -109,14 +109,12 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
             found.hold("fraction", train.select(outside))
             train = train.select(inside)
             options = measurement_of_rows.between_rows(options, train)
-        found.identification = core_identify_check.check_identification(
-            job.robot, train, options, job.calibration, job.fleet
-        )
+        found.identification = core_identify_check.check_identification(job.robot, train, options, job.start, job.fleet)
         found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
 
 
 def _refuse_mixed_up(job: JobInput, train: Observations, validation: Observations | float | Folds | None) -> None:
-    begin = job.calibration or core_model.Calibration.nominal(job.robot)
+    begin = job.start or core_model.Calibration.nominal(job.robot)
     for rows in (train, validation):
         if isinstance(rows, Observations):
             belonging.refuse_mixed_up(begin, rows)

@@ -24,6 +24,7 @@ from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
 from kilter_service.jobs.foreign import store as foreign_rows
+from kilter_service.jobs.inputs.approaches import with_direction_warning
 from kilter_service.jobs.inputs.default_load import with_load_warning
 from kilter_service.jobs.inputs.laws_of_time import with_clock_warnings
 from kilter_service.jobs.inputs.limits_of_version import with_limits
@@ -35,6 +36,7 @@ from kilter_service.jobs.registry import kind_of
 from kilter_service.jobs.work.can_correct import with_ability_warning
 from kilter_service.jobs.work.certificates import with_certificate_warnings
 from kilter_service.jobs.work.creeping import CreepingPosts
+from kilter_service.jobs.work.set_up_changes import with_set_up_warning
 from kilter_service.jobs.work.verdicts import verdict_message
 from kilter_service.versions.objections import objections_of
 from kilter_service.web.observability import logs, tracing
@@ -101,7 +103,8 @@ class Runner:
             report(0.0, "loading", now=True)
             kind, job, used = self._patiently(lambda: self._loaded(claim))
             output = with_load_warning(kind, kind_of(kind).run(replace(job, each=self._each), report), job)
-            output = with_clock_warnings(with_certificate_warnings(output, job), job)
+            output = with_direction_warning(kind, with_certificate_warnings(output, job), job)
+            output = with_set_up_warning(kind, with_clock_warnings(output, job), job)
             output = with_ability_warning(with_limits(output, job), job)
             report(1.0, "storing", now=True)
             judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.repeats import last_motion
+from kilter_core.observations.directions import with_directions
 from kilter_service.campaigns import looking
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
@@ -80,9 +80,9 @@ def _seen(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
 
 
 def _causes(rows: looking.Rows) -> list[Cause]:
-    seen = observations(rows.table, rows.columns, rows.conditions)
+    seen = with_directions(observations(rows.table, rows.columns, rows.conditions))
     out = []
-    signs = seen.direction if seen.direction is not None else last_motion(seen.q)
+    signs = np.zeros_like(seen.q) if seen.direction is None else seen.direction
     for k, joint in enumerate(rows.robot.joints):
         unit = "mm" if joint.kind == "prismatic" else "deg"
         out.append(

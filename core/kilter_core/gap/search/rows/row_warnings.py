@@ -1,4 +1,4 @@
-"""What the rows themselves say before any fit: copies among repeats, clocks that were set back, repeats that drifted."""
+"""What the rows themselves say before any fit: copies among repeats, and repeats that drifted."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from kilter_core.gap.noise.visits import Visits
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.sources.rounding import Rounding, coordinate
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.observations import Observations
-from kilter_core.observations.clock import clock_of
 from kilter_core.parameters import DEG, degrees, mm
 
 Warning_ = dict[str, Any]
@@ -22,19 +20,6 @@ Warning_ = dict[str, Any]
 JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
 BEYOND = 3.0  # times the instrument, from which repeats show that something moves
 FEWEST_AGAIN = 3  # poses visited again from which a person meant to repeat
-
-
-def clock_warnings(rows: Observations) -> Iterator[Warning_]:
-    """Say where the clock of the rows runs backwards, and what was done instead."""
-    clock = clock_of(rows)
-    if clock.fell is None:
-        return
-    done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
-    yield {
-        "code": "clock_backwards", "row": clock.fell,
-        "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
-        "its own, or upload the rows with one clock.",
-    }  # fmt: skip
 
 
 REPEATS_SET_ASIDE: Warning_ = {
@@ -49,7 +34,7 @@ def no_repeats_warning(visits: Visits) -> Warning_:
     rows = visits.observations
     again = np.flatnonzero(np.bincount(visits.pose) > 1)
     ways = (
-        ("from another side (dir1 ...)", rows.direction), ("under another load", rows.payload_kg),
+        ("from another side (dir1 ...)", rows.stated_direction), ("under another load", rows.payload_kg),
         ("in another session", rows.session),
     )  # fmt: skip
     own = [np.flatnonzero(visits.pose == k) for k in again]

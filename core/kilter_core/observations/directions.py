@@ -1,0 +1,64 @@
+"""From which side each joint came to a row, by the order of the rows: what nobody logs and every order tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.observations.clock import clock_of
+from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.rows import Observations
+from kilter_core.types import Bools, Floats, Ints
+
+REST = 3e-4  # rad or m: readings of an arm at rest come back nearer than that
+CLEAR = 5e-3  # rad or m (0.3 deg): a motion that crosses the backlash of any industrial gear
+
+
+def with_directions(rows: Observations) -> Observations:
+    """Return rows with the direction of the last motion of each joint, as stated, else by their order.
+
+    Samples of a motion stay as they are: the arm did not stop there.
+    """
+    if rows.direction is not None or len(rows) < 2 or is_trajectory(rows):
+        return rows
+    order = clock_of(rows).order
+    found = np.empty_like(rows.q)
+    found[order] = last_motion(rows.q[order], _new_session(rows, order), _same_pose(rows, order))
+    return replace(rows, direction=found, directions_derived=True) if found.any() else rows
+
+
+def last_motion(q: Floats, starts: Bools | None = None, rests: Bools | None = None) -> Floats:
+    """Return the direction {-1, 0, 1} of the last motion of each joint (N, n), for rows in the order of their measurement.
+
+    0 before the first motion and after one too small to tell: where the joint then sits in its backlash is not known.
+    ``starts (N,)`` marks rows before which the arm may have been anywhere, ``rests (N,)`` those of the pose before.
+    """
+    step = np.diff(q, axis=0, prepend=q[:1])
+    size = np.abs(step)
+    kept = size <= REST
+    if rests is not None:
+        kept = kept | rests[:, None]
+    sign = np.where(size > CLEAR, np.sign(step), 0.0)
+    begin = np.zeros(len(q), dtype=bool) if starts is None else starts.copy()
+    begin[:1] = True
+    sign, kept = np.where(begin[:, None], 0.0, sign), kept & ~begin[:, None]
+    since = np.maximum.accumulate(np.where(kept, 0, np.arange(len(q))[:, None]), axis=0)
+    return np.take_along_axis(sign, since, axis=0)
+
+
+def _new_session(rows: Observations, order: Ints) -> Bools:
+    """Which rows (N,), in order, begin a session."""
+    new = np.zeros(len(order), dtype=bool)
+    for column in (rows.session, rows.setup):
+        if column is not None:
+            new[1:] |= np.diff(column[order]) != 0
+    return new
+
+
+def _same_pose(rows: Observations, order: Ints) -> Bools:
+    """Which rows (N,), in order, are of the pose of the row before."""
+    pose = rows.pose_groups()[order]
+    same = np.zeros(len(order), dtype=bool)
+    same[1:] = pose[1:] == pose[:-1]
+    return same
