@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.errors import FileError, UsageError
-from kilter_client.files import files_found, files_marks, files_reading, one_target
+from kilter_client.files import files_found, files_marks, files_reading, files_track, one_target
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
     from kilter_files.formats.programs.found import Program, Stated
     from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
+    from kilter_files.formats.programs.poses.track import Track
 
 Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 
@@ -42,6 +43,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
     fanuc_j3: str | None = None,
     bases: Frames | None = None,
     tools: Frames | None = None,
+    tracks: Mapping[str, str] | None = None,
     strict: bool = False,
     again: bool = False,
 ) -> Steps[FilteredProgram]:
@@ -60,6 +62,8 @@ def filter(  # noqa: A001 - a verb, as the command is called
         fanuc_j3: ``"same"`` where J3 of a FANUC program is the robot's, ``"coupled"`` where the robot's is J2 + J3.
         bases: frames that the program uses and does not hold, in its own numbers: ``{"2": (500, 0, 300, 0, 0, 0)}``, or one.
         tools: tools, in the same way.
+        tracks: external axes that carry the arm, by name: ``{"eax_a": "x"}``, or ``"-y,1000"`` with mm for each unit;
+            ``"none"`` is one that moves neither the arm nor a frame in use.
         strict: refuse the program unless every target is rewritten and its status is OK.
         again: correct a program that says that it was corrected: its targets were taught anew since.
 
@@ -70,7 +74,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
         ConflictError: the robot has no active version.
 
     """
-    programs = _programs(program, bases, tools, again)
+    programs = _programs(program, _stated(bases, tools, tracks), again)
     coupled = _coupled(programs[0], fanuc_j3)
     name = reference("robot", robot)
     document = yield from robots.one(name)
@@ -94,8 +98,29 @@ def filter(  # noqa: A001 - a verb, as the command is called
     return FilteredProgram.read(_report(programs, done, texts))
 
 
-def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None, again: bool) -> list[Program]:
-    stated = files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"))
+def _stated(bases: Frames | None, tools: Frames | None, tracks: Mapping[str, str] | None) -> Stated:
+    return files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"), _tracks(tracks or {}))
+
+
+def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
+    """Read external axes that carry the arm.
+
+    Raises:
+        UsageError: one is not stated as an axis.
+
+    """
+    out = {}
+    for name, said in given.items():
+        track = files_track.parse_track(said)
+        if track is None or not name:
+            raise UsageError(
+                f"--track {name}={said}: give a direction of the arm's root, as --track eax_a=x or E1=-y,1000."
+            )
+        out[name.lower()] = track
+    return out
+
+
+def _programs(path: str | PathLike[str], stated: Stated, again: bool) -> list[Program]:
     programs = files_reading.read_programs(Path(fspath(path)), stated)
     if not again:
         files_marks.refuse_corrected(programs)

@@ -33,6 +33,13 @@ Base = Annotated[
     ),
 ]
 Tool = Annotated[list[str] | None, typer.Option(help="Tool, in the same way: 1=0,0,120.5,0,0,0.")]
+Track = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="External axis that carries the arm: NAME=AXIS, the direction in the frame of the arm's root, as eax_a=x or "
+        "E1=-y,1000 (mm for each unit of the program); E2=none: it moves no frame in use. More than once."
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -60,6 +67,7 @@ def filtered(
     ] = None,
     base: Base = None,
     tool: Tool = None,
+    track: Track = None,
     diff: Annotated[bool, typer.Option("--diff", help="Print the changed lines.")] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Write nothing unless every target is rewritten and its status is OK.")
@@ -89,6 +97,7 @@ def filtered(
             fanuc_j3=fanuc_j3 and fanuc_j3.value,
             bases=_named(base),
             tools=_named(tool),
+            tracks=_named(track),
             strict=strict,
             again=again,
         )
