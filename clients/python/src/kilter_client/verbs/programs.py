@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.errors import FileError, UsageError
-from kilter_client.files import files_found, files_marks, files_reading, files_track, one_target
+from kilter_client.files import (
+    files_found,
+    files_marks,
+    files_postures,
+    files_reading,
+    files_remedies,
+    files_track,
+    one_target,
+)
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
@@ -87,8 +95,10 @@ def filter(  # noqa: A001 - a verb, as the command is called
     understood = yield from understand(programs, document, joints)
     for one in programs:
         one.leave_poses(understood.left)
+    if understood.suspicion:
+        programs[0].warn(understood.suspicion)
     if strict:
-        _refuse(_left(programs), programs, "is not rewritten", strict=True)
+        _refuse(_left(programs), programs, "is not rewritten", strict=True, suspicion=understood.suspicion)
     done = yield from _done(programs, understood, joints, document, version_id)
     wanted = {"OK"} if strict else ANSWERED
     wrong = [(d.program, d.target.line, f"{d.target.name}: {d.said}") for d in done if d.status not in wanted]
@@ -225,7 +235,7 @@ def _done(
         for _, target in places
     ]
     if not rows:
-        _refuse(_left(programs), programs, "has no target that can be", strict=False)
+        _refuse(_left(programs), programs, "has no target that can be", strict=False, suspicion=understood.suspicion)
     names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
     columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
     content = yield from correct(str(robot["name"]), columns, version=version)
@@ -298,7 +308,12 @@ def _left(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
 
 
 def _refuse(
-    places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str, *, strict: bool
+    places: Sequence[tuple[Program, int, str]],
+    programs: Sequence[Program],
+    what: str,
+    *,
+    strict: bool,
+    suspicion: str = "",
 ) -> None:
     """Refuse a program for these places: to leave ``strict`` out helps only where it was given.
 
@@ -312,8 +327,9 @@ def _refuse(
             f"{f'{one.path.name}, ' if several else ''}line {line}: {said}" for one, line, said in places[:SHOWN]
         )
         more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
-        leave = ", or leave --strict out" if strict else ""
-        remedy = f"Nothing is written. Store these targets as joints within reach{leave}."
+        fits = [said for _, _, said in places if not (suspicion and files_postures.NO_SUCH in said)]
+        helps = " ".join(["Nothing is written.", *([suspicion] if suspicion else []), *files_remedies.remedies(fits)])
+        remedy = f"{helps} Or leave --strict out." if strict else helps
         path = programs[0].path
         at = [{"file": str(one.path), "line": line} for one, line, _ in places]
         context = {"places": at} if several else {"lines": [line for _, line, _ in places]}

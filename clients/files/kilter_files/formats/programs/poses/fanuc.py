@@ -60,7 +60,7 @@ def _frame(program: Program, which: str, number: str | None) -> Frame | str:
     if settings:
         one = settings[0]
         if len(settings) > 1 or not one.first or not one.number:
-            return f"the program sets {name}: set it once, by a register that the program fills with six numbers before it moves"
+            return f"the program sets {name}: set it once, by a register filled with six numbers before any move"
         if one.numbers is None and found is None:
             return f"the program sets {name}[{number}] by numbers it does not hold: state it, --{which} {number}=X,Y,Z,W,P,R"
         found = one.numbers or found

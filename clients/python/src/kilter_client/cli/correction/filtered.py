@@ -12,7 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
-from kilter_client.files import files_reading
+from kilter_client.files import files_reading, files_remedies
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
@@ -123,6 +123,8 @@ def _note(done: FilteredProgram, as_json: bool) -> None:
     for line in done.left:
         place = f"{line['file']}, line {line['line']}" if len(done.texts) > 1 else f"line {line['line']}"
         note(f"Warning: {place} is left as it is: {line['what']}.", as_json)
+    for remedy in files_remedies.remedies(str(line["what"]) for line in done.left):
+        note(f"What helps: {remedy}", as_json)
     for remark in done.notes:
         note(f"Note: {remark}", as_json)
 
